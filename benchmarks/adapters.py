@@ -15,7 +15,7 @@ import tempfile
 from pathlib import Path
 from typing import NamedTuple
 
-from firmware_sim.wire.adapter import ADAPTER_CLASSES
+from firmware_sim.wire.can_adapter import ADAPTER_CLASSES
 from handctl.cli.main import main
 from handctl.cli.runs import demo
 

@@ -29,10 +29,10 @@ from trials.script import Script, Step
 from trials.windows import REGIMES, windows
 
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
+from handctl.core.hand_model import HandModel
 from handctl.document import validate_content
-from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
+from handctl.programs.task_program import TaskProgram
 
 HANDS = ("jamia", "jamia11")
 TRIED_PLANTS = PLANTS | FURTHER_PLANTS
@@ -148,7 +148,7 @@ def _squares(record: TrialRecord, regime: str) -> dict[str, np.ndarray]:
 def _limits(hand: str, is_held: bool) -> np.ndarray:
     """Return the standard deviations of the reference at the last sample and at present (N, 2) [N]."""
     name = hand.removesuffix(CLEAR_SUFFIX)
-    model = HandModel.of(hand_by_name(name), Gains(), RATES_HZ[name])
+    model = HandModel.from_hand(hand_by_name(name), Gains(), RATES_HZ[name])
     return np.array([limit(model, i, is_held) for i in range(model.tendon_count)])
 
 

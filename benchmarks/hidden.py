@@ -16,9 +16,9 @@ from collections.abc import Iterator
 from typing import Any
 
 from handctl.campaign.stage import CAMPAIGN_TASK, hand_with_protocol, homed_run
-from handctl.core.types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
-from handctl.safety.action import Action
+from handctl.safety.action import SafetyAction
 from handctl.session.plan import default_rate
 from handctl.session.simulate import SimulatedRun
 
@@ -108,13 +108,13 @@ def run_with_fault(simulation: SimulatedRun, text: str) -> dict[str, Any]:
         if (
             reacted < 0
             and i < watched
-            and (out.action >= Action.RELAX or out.mode in (Mode.RELAX, Mode.CUT))
+            and (out.action >= SafetyAction.RELAX or out.mode in (HandMode.RELAX, HandMode.CUT))
         ):
             reacted = (simulation.k * simulation.period_ns - effect_ns) * 1e-6
         largest = max(simulation.peer.truth()["tension"])
         tension = max(tension, largest)
         stopped = max(stopped, largest) if i >= watched else stopped
-        if out.mode == Mode.DONE:
+        if out.mode == HandMode.DONE:
             break
     return {"found": list(dict.fromkeys(detected)), "ms": reacted, "tension": tension, "stopped": stopped,
             "felt": bool(simulation.peer.fault_states()[-1]["felt"])}  # fmt: skip

@@ -23,13 +23,13 @@ import time
 from pathlib import Path
 from typing import Any
 
-from handctl.core.gains.bounds import with_values
+from handctl.core.gains.gain_bounds import with_values
 from handctl.core.gains.gains import Gains, packaged_gains
-from handctl.core.identified import DIGIT_KEYS
+from handctl.core.identified_parameters import DIGIT_KEYS
 from handctl.hand.description import Hand
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
-from handctl.programs.excite import ExciteProgram
+from handctl.programs.excitation import ExciteProgram
 from handctl.runtime.hold_limit import HoldLimit
 from handctl.session.plan import RunPlan, default_rate
 from handctl.session.run import make_controller, run_lockstep

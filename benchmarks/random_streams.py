@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 import handctl.gym  # noqa: F401  # registers the environments
 from handctl.gym.track import TrackEnv
-from handctl.hand.load import packaged_hands
+from handctl.hand.hand_loading import packaged_hands
 
 Array = NDArray[np.float64]
 ANY_SPEED_DEG_S = 1e6

@@ -73,7 +73,7 @@ def once(log: RunLog, controller: Controller) -> dict:
         pass  # The outputs are not kept, as in a re-execution.
     read = cpu() - began
     logged = list(zip(log.ticks(), log.packed(), strict=True))
-    state = controller.initial()
+    state = controller.initial_state()
     outs = []
     took = []
     for one, _ in logged:

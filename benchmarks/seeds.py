@@ -17,7 +17,7 @@ from typing import Any
 
 from handctl.campaign.scenarios import ALL_PROTOCOLS
 from handctl.cli.main import main as handctl
-from handctl.hand.load import load_hand, packaged_hands
+from handctl.hand.hand_loading import load_hand, packaged_hands
 
 LIMITS = {"tracking_deg": 1.0, "tension_error_N": 2.0, "object_motion_mm": 1.0}
 """Limits of the figures. A run has passed if they hold, and if it had no failure, missed tick or lost frame.

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_content, hand_from_content
-from handctl.programs.grasp import TaskProgram
+from handctl.hand.hand_loading import hand_content, hand_from_content
 from handctl.programs.task import Task
+from handctl.programs.task_program import TaskProgram
 from handctl.session.simulate import SimulatorSettings, homed_controller
 
 PAGE = Path(__file__).parents[1] / "docs" / "evidence" / "control-sensing.md"
@@ -149,7 +149,7 @@ def run(model: HandModel, scene: str, task: Task, seed: int, fault: str = "") ->
             for name, force in zip(names, forces.tolist(), strict=True):
                 if force > CONTACT_N and out.phase == "close":
                     record.touched_s.setdefault(name, t)
-            if run.state.mode == Mode.ACTIVE:
+            if run.state.mode == HandMode.ACTIVE:
                 record.phase.append(out.phase)
                 record.error.append(run.state.view("tension") - np.array(plant.tensions()))
                 record.sigma.append(run.state.view("sigma").copy())
@@ -212,12 +212,12 @@ def measure(seeds: int) -> dict[str, Any]:
     """Measure all cases without faults, and the injected faults on jamia with and without load cells."""
     result: dict[str, Any] = {"seeds": seeds, "cases": [], "faults": {}}
     for name, sensors in CASES:
-        model = HandModel.of(hand_with(name, sensors), Gains(), RATE_HZ[name])
+        model = HandModel.from_hand(hand_with(name, sensors), Gains(), RATE_HZ[name])
         records = [run(model, scene_of(name), task_of(model.hand), seed) for seed in range(seeds)]
         result["cases"].append({"hand": name, "sensors": sensors, **figures(records, model.period)})
     names = {"tendon": "index_tendon", "motor": "index_motor", "other": "middle_motor"}
     for sensors in ("load cells", "neither"):
-        model = HandModel.of(hand_with("jamia", sensors), Gains(), RATE_HZ["jamia"])
+        model = HandModel.from_hand(hand_with("jamia", sensors), Gains(), RATE_HZ["jamia"])
         for title, text in FAULTS.items():
             record = run(model, scene_of("jamia"), task_of(model.hand), 0, text.format(**names))
             found = list(dict.fromkeys(record.faults))

@@ -25,9 +25,9 @@ import numpy as np
 
 import handctl
 from handctl.client import HandClient, TargetStream
-from handctl.core.types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.hand.file.toml_text import toml_text
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.report.truth import TruthRecord, read_truth
 
@@ -387,7 +387,7 @@ def _row(log: RunLog, truth: TruthRecord, window: dict[str, Any], start_ns: int)
     rates = [i for i, name in enumerate(truth.columns) if name.startswith(f"dq/{DIGIT}")]
     events = [one.event for one in log.events if first_ns <= one.t_ns <= last_ns]
     return {
-        "mode": Mode(int(log.mode[inside][-1])).name,
+        "mode": HandMode(int(log.mode[inside][-1])).name,
         "faults": [
             event.text for event in events if event.name == "fault" and event.level != "info"
         ],

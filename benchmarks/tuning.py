@@ -21,9 +21,9 @@ from pathlib import Path
 from typing import Any
 
 from handctl.cli.tuning.tune_files import load_tuned_hand
-from handctl.core.gains.bounds import values_by_key, with_values
+from handctl.core.gains.gain_bounds import values_by_key, with_values
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
+from handctl.core.hand_model import HandModel
 from handctl.hand.description import Hand
 from handctl.session.plan import default_rate
 from handctl.tune.loops.design import linear_factors, worst_margins
@@ -137,7 +137,7 @@ def compare(
     names = ["detuned", "packaged", "tuned", "tuned_knowing_the_plant"]
     if fitted:
         names.append("tuned_as_identified")
-        scores.append(_with_model(hand, HandModel.of(twin, _best(detuned, fitted), rate)))
+        scores.append(_with_model(hand, HandModel.from_hand(twin, _best(detuned, fitted), rate)))
     costs = [score.cost(scores[0]) for score in scores]
     return {
         "hand": hand_name,

@@ -14,9 +14,9 @@ import time
 from pathlib import Path
 from typing import Any
 
-from handctl.core.gains.bounds import with_values
+from handctl.core.gains.gain_bounds import with_values
 from handctl.core.gains.gains import Gains
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.tune.search.ensemble import draw_ensemble
 from handctl.tune.search.workers import ProcessPool
 

@@ -7,13 +7,13 @@ handctl fault inject "snap tendon=index_tendon".
 import json
 
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
-from handctl.hand.load import load_hand
-from handctl.programs.live import LiveProgram
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode
+from handctl.hand.hand_loading import load_hand
+from handctl.programs.live_session import LiveProgram
 from handctl.session.simulate import SimulatorSettings, homed_controller
 
-model = HandModel.of(load_hand("jamia"), Gains(), 500.0)
+model = HandModel.from_hand(load_hand("jamia"), Gains(), 500.0)
 with SimulatorSettings("jamia", seed=1, homed=True).against(
     homed_controller(model, LiveProgram())
 ) as run:
@@ -30,6 +30,6 @@ with SimulatorSettings("jamia", seed=1, homed=True).against(
                 print(
                     f"{1e3 * (entry.t_ns / 1e9 - broken_s):6.0f} ms after the break  {event.text}"
                 )
-        if out.mode == Mode.DONE:
+        if out.mode == HandMode.DONE:
             break
 print("failure:", run.state.failure)

@@ -6,11 +6,11 @@ python own_hand.py writes mine.toml.
 from pathlib import Path
 
 from handctl import ConfigError
-from handctl.controller.setup import make_controller
+from handctl.controller.run_setup import make_controller
 from handctl.core.gains.gains import Gains
-from handctl.hand.load import hand_path, load_hand
+from handctl.hand.hand_loading import hand_path, load_hand
 from handctl.programs.default_task import default_task
-from handctl.programs.grasp import TaskProgram
+from handctl.programs.task_program import TaskProgram
 from handctl.session.simulate import SimulatorSettings, simulate
 
 mine = Path("mine.toml")

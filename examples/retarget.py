@@ -59,7 +59,7 @@ def retarget(digit, name, t):
 
 
 with handctl.connect("jamia11", "local:lab", *sys.argv[1:]) as hand:
-    digits = {name: DigitModel.of(hand.description, name) for name in SEGMENTS}
+    digits = {name: DigitModel.from_hand(hand.description, name) for name in SEGMENTS}
     tips = Fingertips(hand.description, list(SEGMENTS))
     hand.move(tips.angles_deg({name: retarget(digits[name], name, 0.0) for name in SEGMENTS}))
     first = hand.observe().k

@@ -7,7 +7,7 @@ The shaft of a real motor must be free. Set its torque limit and its bus in the 
 """
 
 from handctl.drives.contract import DrivePhase, DriveTarget
-from handctl.drives.registry import make_drive
+from handctl.drives.protocol_registry import make_drive
 from handctl.hand.file.sections import Motor
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.clocks.real import RealClock

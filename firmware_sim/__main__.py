@@ -2,8 +2,8 @@
 
 import sys
 
-from firmware_sim.command import check_words
-from firmware_sim.description import SimulatorError
+from firmware_sim.command_line import check_words
+from firmware_sim.hand_description import SimulatorError
 from firmware_sim.printing import one_line
 
 EXTRA_PACKAGES = ("mujoco",)

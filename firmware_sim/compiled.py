@@ -54,7 +54,7 @@ def kernel_helper(function: F) -> F:
     return function
 
 
-def call(function: int, first: int, second: int) -> None:
+def call_c_function(function: int, first: int, second: int) -> None:
     """Call a C function ``void f(void *, void *)``.
 
     The function and both arguments are given by their addresses.
@@ -95,7 +95,7 @@ def machine_code(module: ModuleType) -> Any:
     """
     from numba import njit
 
-    names = dict(vars(module), call=_call_intrinsic(), rows_at=_rows_at())
+    names = dict(vars(module), call_c_function=_call_intrinsic(), rows_at=_rows_at())
     imported = _imported_kernels(module)
     for name, owner in imported.items():
         names[name] = getattr(machine_code(owner), vars(module)[name].__name__)
@@ -153,7 +153,7 @@ def _compile_kernel(arguments: tuple[Any, ...], kernel: FunctionType) -> Any:
         return njit(arguments, error_model="numpy")(kernel)
 
 
-def use(module: ModuleType) -> None:
+def use_compiled_kernels(module: ModuleType) -> None:
     """Replace the kernels of a module by their compiled forms, in this process, for callers through the module.
 
     Kernels for other kernels only (``kernel_helper``) stay Python functions, because Python code also calls
@@ -179,7 +179,7 @@ def _numba_type(name: ArgumentType) -> Any:
 
 
 def _call_intrinsic() -> Any:
-    """Build the compiled form of ``call``.
+    """Build the compiled form of ``call_c_function``.
 
     The function's address is an argument of the compiled code. Code with a constant address could
     not be stored for the next process.
@@ -220,7 +220,7 @@ def _rows_at() -> Any:
     return rows_at
 
 
-def addresses(arrays: Iterable[Any]) -> list[int]:
+def array_addresses(arrays: Iterable[Any]) -> list[int]:
     """Return the address and the length of each array, for ``rows_at``.
 
     The caller must keep the arrays in memory.
@@ -228,7 +228,7 @@ def addresses(arrays: Iterable[Any]) -> list[int]:
     return [number for array in arrays for number in (array.ctypes.data, len(array))]
 
 
-def array_of(memory: Any, structure: type[ctypes.Structure]) -> Any:
+def structure_array(memory: Any, structure: type[ctypes.Structure]) -> Any:
     """Return the memory of an array of structures as a numpy array of rows."""
     return (
         np.frombuffer(memory, np.dtype(structure))

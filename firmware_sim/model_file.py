@@ -9,7 +9,7 @@ from xml.etree import ElementTree as ET
 import mujoco  # type: ignore[import-untyped,unused-ignore]
 import numpy as np
 
-from firmware_sim.description import SimulatorError
+from firmware_sim.hand_description import SimulatorError
 from firmware_sim.model_meshes import BodyMesh, mjcf_meshes, rotation_of, urdf_files, urdf_meshes
 from firmware_sim.printing import one_line
 
@@ -35,7 +35,7 @@ BOX_CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for 
 """Corners of a box around the origin with edges of length 2, (8, 3)."""
 
 
-def read_model_file(path: str, kind: str) -> dict[str, Any]:
+def read_model_file(path: str, file_format: str) -> dict[str, Any]:
     """Read the tree of links of a hand from a URDF or MJCF file.
 
     All returned poses are those with all joints at angle zero, as in the file. Bodies fixed to each
@@ -43,7 +43,7 @@ def read_model_file(path: str, kind: str) -> dict[str, Any]:
 
     Args:
         path: path of the URDF or MJCF file.
-        kind: ``urdf`` or ``mjcf``.
+        file_format: ``urdf`` or ``mjcf``.
 
     Returns:
         Plain values in a table:
@@ -53,7 +53,7 @@ def read_model_file(path: str, kind: str) -> dict[str, Any]:
           none.
         - ``palm``: (3,) origin of each named frame on the root, by name [m].
         - ``palm_meshes``: meshes on the root, in the form of the ``meshes`` of a link.
-        - ``links``: one table for each link, see ``_link``, parents first. The ``meshes`` of a link
+        - ``links``: one table for each link, see ``_link_values``, parents first. The ``meshes`` of a link
           are tables with ``file``, ``scale`` (3,), ``position`` (3,) [m] and ``rotation`` (3, 3) in
           the link's frame.
         - ``tendons``: name, moment arms by joint [m], motor or None, and maximum tension or None
@@ -64,37 +64,37 @@ def read_model_file(path: str, kind: str) -> dict[str, Any]:
         SimulatorError: the file is not readable, or does not describe a tree of links with inertia
             and hinges.
     """
-    root = _root(path, kind)
-    if kind == "urdf":
+    root = _parsed_root(path, file_format)
+    if file_format == "urdf":
         _check_joint_types(root, path)
     notes: list[str] = []
-    spec, model = _compiled(path, kind, root, notes)
+    spec, model = _compiled_model(path, file_format, root, notes)
     _check_structure(model, path)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     roots = [body for body in range(1, model.nbody) if model.body_jntnum[body]]
     folder = Path(path).absolute().parent
-    urdf = kind == "urdf"
+    urdf = file_format == "urdf"
     shown = urdf_meshes(root, folder, model) if urdf else mjcf_meshes(spec, model, folder, notes)
     meshes = list(shown)
-    links = [_link(model, data, roots, body, path) for body in roots]
+    links = [_link_values(model, data, roots, body, path) for body in roots]
     for body, link in zip(roots, links, strict=True):
         axes = data.xmat[body].reshape(3, 3)
         origin = data.xanchor[model.body_jntadr[body]]
-        link["meshes"] = _meshes(meshes, model, data, body, origin, axes)
+        link["meshes"] = _mesh_values(meshes, model, data, body, origin, axes)
     return {
         "name": root.get("name") or root.get("model") or Path(path).stem,
-        "gravity": model.opt.gravity.tolist() if kind == "mjcf" else None,
-        "palm": _frames(model, data, 0, np.zeros(3), np.eye(3)),
-        "palm_meshes": _meshes(meshes, model, data, 0, np.zeros(3), np.eye(3)),
+        "gravity": model.opt.gravity.tolist() if file_format == "mjcf" else None,
+        "palm": _frame_origins(model, data, 0, np.zeros(3), np.eye(3)),
+        "palm_meshes": _mesh_values(meshes, model, data, 0, np.zeros(3), np.eye(3)),
         "links": links,
-        "tendons": _tendons(model, notes),
+        "tendons": _tendon_values(model, notes),
         "notes": notes,
     }
 
 
-def _root(path: str, kind: str) -> ET.Element:
+def _parsed_root(path: str, file_format: str) -> ET.Element:
     """Parse the XML of a model file, check its first element and return the element."""
     try:
         root = ET.parse(path).getroot()
@@ -103,21 +103,23 @@ def _root(path: str, kind: str) -> ET.Element:
             f"{path}: cannot be read: {error.strerror}; expected a readable file"
         ) from None
     except (ET.ParseError, UnicodeError, ValueError) as error:
-        raise SimulatorError(f"{path}: not XML: {error}; expected {_form_text(kind)}") from None
+        raise SimulatorError(
+            f"{path}: not XML: {error}; expected {_format_name(file_format)}"
+        ) from None
     if any("xacro" in str(part.tag) for part in root.iter()):
         raise SimulatorError(f"{path}: xacro; expected the URDF that the command xacro makes of it")
-    if root.tag != ROOT_TAGS[kind]:
+    if root.tag != ROOT_TAGS[file_format]:
         other = next(
             (f": give it with --{name}" for name, tag in ROOT_TAGS.items() if tag == root.tag), ""
         )
         raise SimulatorError(
-            f"{path}: its first element is <{root.tag}>; expected {_form_text(kind)}{other}"
+            f"{path}: its first element is <{root.tag}>; expected {_format_name(file_format)}{other}"
         )
     return root
 
 
-def _form_text(kind: str) -> str:
-    return f"{kind.upper()}, with the first element <{ROOT_TAGS[kind]}>"
+def _format_name(file_format: str) -> str:
+    return f"{file_format.upper()}, with the first element <{ROOT_TAGS[file_format]}>"
 
 
 def _check_joint_types(root: ET.Element, path: str) -> None:
@@ -136,25 +138,27 @@ def _check_joint_types(root: ET.Element, path: str) -> None:
             raise SimulatorError(f"{path}: {what}; expected {right}")
 
 
-def _compiled(path: str, kind: str, root: ET.Element, notes: list[str]) -> tuple[Any, Any]:
+def _compiled_model(
+    path: str, file_format: str, root: ET.Element, notes: list[str]
+) -> tuple[Any, Any]:
     """Compile the model file without merging fixed bodies.
 
     If a mesh is unreadable, shapes of meshes are left out.
     """
     try:
-        spec = _parsed(path)
+        spec = _parsed_spec(path)
         spec.compiler.fusestatic = False
         spec.compiler.discardvisual = False
-        if kind == "urdf":
+        if file_format == "urdf":
             # In a URDF, elements of their own give the inertia, not the shapes.
             spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
             _name_mesh_files(spec, root, Path(path).absolute().parent)
         try:
-            return spec, _model(spec)
+            return spec, _compile_spec(spec)
         except ValueError as error:
             if not _remove_meshes(spec):
                 raise
-            model = _model(spec)
+            model = _compile_spec(spec)
             notes.append(f"shapes of meshes are not read: {_first_line(error)}")
             return spec, model
     except (UnicodeError, ValueError) as error:
@@ -172,7 +176,7 @@ def _name_mesh_files(spec: Any, root: ET.Element, folder: Path) -> None:
     spec.strippath = False
 
 
-def _model(spec: Any) -> Any:
+def _compile_spec(spec: Any) -> Any:
     """Compile a model and suppress the warnings of MuJoCo.
 
     The warnings concern dynamics, which are not used here. The warnings would appear beside a
@@ -183,7 +187,7 @@ def _model(spec: Any) -> Any:
         return spec.compile()
 
 
-def _parsed(path: str) -> Any:
+def _parsed_spec(path: str) -> Any:
     """Parse a model file.
 
     A file without a suffix of ``MODEL_SUFFIXES`` is given to MuJoCo as text.
@@ -209,9 +213,9 @@ def _remove_meshes(spec: Any) -> bool:
     return bool(parts)
 
 
-def _first_line(error: Exception) -> str:
+def _first_line(mujoco_error: Exception) -> str:
     """Return the message of a MuJoCo error in one line."""
-    text = " ".join(str(error).split()).removeprefix("Error: ")
+    text = " ".join(str(mujoco_error).split()).removeprefix("Error: ")
     if "moving bodies" in text:
         text += "; expected a mass and an inertia for each link that moves"
     return one_line(text)
@@ -242,12 +246,12 @@ def _joint_name(model: Any, joint: int) -> str:
     return model.joint(joint).name or f"joint_{joint + 1}"
 
 
-def _members(model: Any, root: int) -> list[int]:
+def _fixed_bodies(model: Any, root: int) -> list[int]:
     """Return a body and all bodies fixed to the body."""
     return [body for body in range(model.nbody) if model.body_weldid[body] == root]
 
 
-def _link(model: Any, data: Any, roots: list[int], body: int, path: str) -> dict[str, Any]:
+def _link_values(model: Any, data: Any, roots: list[int], body: int, path: str) -> dict[str, Any]:
     """Return one link of the model.
 
     Returns:
@@ -276,12 +280,12 @@ def _link(model: Any, data: Any, roots: list[int], body: int, path: str) -> dict
         parent_origin = data.xanchor[model.body_jntadr[above]]
         parent_turn = data.xmat[above].reshape(3, 3)
     zero = float(model.qpos0[model.jnt_qposadr[joint]])
-    mass, com, inertia = _inertia(model, data, _members(model, body), origin, turn)
+    mass, com, inertia = _link_inertia(model, data, _fixed_bodies(model, body), origin, turn)
     if mass <= 0.0:
         raise SimulatorError(
             f"{path}: link {model.body(body).name} has no mass; expected its mass and its inertia"
         )
-    points, radius = _shapes(model, data, _members(model, body), origin, turn)
+    points, radius = _shape_corners(model, data, _fixed_bodies(model, body), origin, turn)
     return {
         "name": model.body(body).name,
         "joint": _joint_name(model, joint),
@@ -297,18 +301,18 @@ def _link(model: Any, data: Any, roots: list[int], body: int, path: str) -> dict
         "mass": mass,
         "com": com,
         "inertia": inertia,
-        "frames": _frames(model, data, body, origin, turn),
+        "frames": _frame_origins(model, data, body, origin, turn),
         "points": points,
         "radius": radius,
     }
 
 
-def _meshes(
-    meshes: Sequence[BodyMesh], model: Any, data: Any, root: int, origin: Any, turn: Any
+def _mesh_values(
+    meshes: Sequence[BodyMesh], model: Any, data: Any, root: int, origin: Any, link_rotation: Any
 ) -> list[dict[str, Any]]:
     """Return the meshes of a link as plain values, placed in the link's frame."""
     found = []
-    members = _members(model, root)
+    members = _fixed_bodies(model, root)
     for mesh in meshes:
         if mesh.body in members:
             axes = data.xmat[mesh.body].reshape(3, 3)
@@ -316,14 +320,14 @@ def _meshes(
             found.append({
                 "file": str(mesh.file),
                 "scale": mesh.scale.tolist(),
-                "position": (turn.T @ place).tolist(),
-                "rotation": (turn.T @ axes @ mesh.rotation).tolist(),
+                "position": (link_rotation.T @ place).tolist(),
+                "rotation": (link_rotation.T @ axes @ mesh.rotation).tolist(),
             })  # fmt: skip
     return found
 
 
-def _inertia(
-    model: Any, data: Any, members: list[int], origin: Any, turn: Any
+def _link_inertia(
+    model: Any, data: Any, members: list[int], origin: Any, link_rotation: Any
 ) -> tuple[float, list[float], list[list[float]]]:
     """Return mass, centre of mass and central inertia of bodies fixed to each other, in a link's frame."""
     masses = model.body_mass[members]
@@ -338,12 +342,18 @@ def _inertia(
         # Steiner's theorem moves the inertia of each body to the common centre of mass.
         total += axes @ np.diag(model.body_inertia[body]) @ axes.T
         total += model.body_mass[body] * (away @ away * np.eye(3) - np.outer(away, away))
-    return mass, (turn.T @ (centre - origin)).tolist(), (turn.T @ total @ turn).tolist()
+    return (
+        mass,
+        (link_rotation.T @ (centre - origin)).tolist(),
+        (link_rotation.T @ total @ link_rotation).tolist(),
+    )
 
 
-def _frames(model: Any, data: Any, root: int, origin: Any, turn: Any) -> dict[str, list[float]]:
+def _frame_origins(
+    model: Any, data: Any, root: int, origin: Any, link_rotation: Any
+) -> dict[str, list[float]]:
     """Return the origins (3,) of the named bodies and sites fixed to a link, by name, in the link's frame [m]."""
-    members = _members(model, root)
+    members = _fixed_bodies(model, root)
     places = {model.body(body).name: data.xpos[body] for body in members if body != root}
     # MuJoCo places sites only in the first step, so their places are computed here.
     for site in range(model.nsite):
@@ -352,11 +362,15 @@ def _frames(model: Any, data: Any, root: int, origin: Any, turn: Any) -> dict[st
             places[model.site(site).name] = (
                 data.xpos[body] + data.xmat[body].reshape(3, 3) @ model.site_pos[site]
             )
-    return {name: (turn.T @ (place - origin)).tolist() for name, place in places.items() if name}
+    return {
+        name: (link_rotation.T @ (place - origin)).tolist()
+        for name, place in places.items()
+        if name
+    }
 
 
-def _shapes(
-    model: Any, data: Any, members: list[int], origin: Any, turn: Any
+def _shape_corners(
+    model: Any, data: Any, members: list[int], origin: Any, link_rotation: Any
 ) -> tuple[list[list[float]], float | None]:
     """Return the corners (n, 3) of the boxes around a link's shapes [m], and the link's half width [m] or None."""
     corners: list[Any] = []
@@ -372,7 +386,7 @@ def _shapes(
         centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
         axes = data.xmat[body].reshape(3, 3) @ rotation_of(model.geom_quat[geom])
         place = data.xpos[body] + data.xmat[body].reshape(3, 3) @ model.geom_pos[geom]
-        corners.append((place + (centre + BOX_CORNERS * half) @ axes.T - origin) @ turn)
+        corners.append((place + (centre + BOX_CORNERS * half) @ axes.T - origin) @ link_rotation)
         rank = ROUND_SHAPES.index(kind) if kind in ROUND_SHAPES else len(ROUND_SHAPES)
         width = (
             float(model.geom_size[geom, 0])
@@ -385,7 +399,7 @@ def _shapes(
     return np.vstack(corners).tolist(), radii[min(radii)]
 
 
-def _tendons(model: Any, notes: list[str]) -> list[dict[str, Any]]:
+def _tendon_values(model: Any, notes: list[str]) -> list[dict[str, Any]]:
     """Return the tendons with constant moment arms, each with arms and pulling motor."""
     found = []
     for tendon in range(model.ntendon):

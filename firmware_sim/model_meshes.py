@@ -13,7 +13,7 @@ import numpy as np
 
 PACKAGE_PREFIX = "package://"
 """Prefix of a mesh path within a ROS package."""
-SCHEME_PREFIX = "file://"
+FILE_SCHEME_PREFIX = "file://"
 """Prefix of a mesh path that is given as a file URL."""
 
 
@@ -47,7 +47,7 @@ def _urdf_path(name: str, folder: Path) -> Path:
     A ROS package is searched in all folders above the URDF.
     """
     if not name.startswith(PACKAGE_PREFIX):
-        return folder / name.removeprefix(SCHEME_PREFIX)
+        return folder / name.removeprefix(FILE_SCHEME_PREFIX)
     package, *parts = PurePath(name.removeprefix(PACKAGE_PREFIX)).parts
     places = [
         above.joinpath(*parts) for above in (folder, *folder.parents) if above.name == package
@@ -75,17 +75,17 @@ def urdf_meshes(root: ET.Element, folder: Path, model: Any) -> Iterator[BodyMesh
             origin = visual.find("origin")
             place = {} if origin is None else origin.attrib
             turn = np.zeros(4)
-            mujoco.mju_euler2Quat(turn, _numbers(place.get("rpy", "0 0 0")), "XYZ")
+            mujoco.mju_euler2Quat(turn, _three_numbers(place.get("rpy", "0 0 0")), "XYZ")
             yield BodyMesh(
                 body=max(body, 0),
                 file=files[mesh.get("filename", "")],
-                scale=_numbers(mesh.get("scale", "1 1 1")),
-                position=_numbers(place.get("xyz", "0 0 0")),
+                scale=_three_numbers(mesh.get("scale", "1 1 1")),
+                position=_three_numbers(place.get("xyz", "0 0 0")),
                 rotation=rotation_of(turn),
             )
 
 
-def _numbers(text: str) -> Any:
+def _three_numbers(text: str) -> Any:
     """Return the three numbers in the text of an XML attribute."""
     return np.array([float(word) for word in text.split()])
 

@@ -5,7 +5,7 @@ Even with quoted files and arguments, each message is a printable line of limite
 
 MAX_MESSAGE_LENGTH = 500
 """Maximum length of a message [characters]."""
-LEFT_OUT = " [...] "
+OMISSION_MARK = " [...] "
 """Text in place of the middle of a message that is too long."""
 
 
@@ -33,4 +33,4 @@ def one_line(text: str) -> str:
     if len(line) <= MAX_MESSAGE_LENGTH:
         return line
     end = MAX_MESSAGE_LENGTH // 3
-    return line[: MAX_MESSAGE_LENGTH - end - len(LEFT_OUT)] + LEFT_OUT + line[-end:]
+    return line[: MAX_MESSAGE_LENGTH - end - len(OMISSION_MARK)] + OMISSION_MARK + line[-end:]

@@ -21,7 +21,7 @@ import time
 from array import array
 from pathlib import Path
 
-from firmware_sim.description import SimulatorError
+from firmware_sim.hand_description import SimulatorError
 
 CLOCK_FILE_VERSION = 1
 GATE_INDEX, PAUSED_INDEX, SENT_INDEX, ANSWERED_INDEX, REACHED_INDEX = 1, 2, 3, 4, 5
@@ -42,7 +42,7 @@ controller is shorter than this wait.
 class SharedClock:
     """The clock of a simulator, with the pauses and the gate of its controller.
 
-    See ``server.ServerClock``.
+    See ``bus_server.ServerClock``.
 
     Before ``publish``, no controller shares the clock, and its time is CLOCK_MONOTONIC times the
     scale.

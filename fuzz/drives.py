@@ -5,7 +5,7 @@ The list has a drive for each protocol, and one for each set of options that cha
 
 from typing import NamedTuple
 
-from handctl.drives.registry import PROTOCOL_ENTRIES
+from handctl.drives.protocol_registry import PROTOCOL_ENTRIES
 
 
 class FuzzedDrive(NamedTuple):

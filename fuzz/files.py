@@ -12,14 +12,14 @@ from typing import Any
 from fuzz.mutate import ByteSource, mutated_content, paths_of_values
 from handctl.controller.bus_load import bus_loads
 from handctl.core.gains.gains import Gains, GainsFile, GainsProvenance
-from handctl.core.identified import identified_hand
+from handctl.core.identified_parameters import identified_hand
 from handctl.document import validate_content
-from handctl.drives.registry import make_drive
+from handctl.drives.protocol_registry import make_drive
 from handctl.errors import HandctlError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.hand.file.toml_text import toml_text
-from handctl.hand.load import (
+from handctl.hand.hand_loading import (
     PACKAGED_HANDS_FOLDER,
     hand_content,
     hand_from_content,
@@ -39,7 +39,7 @@ TASKS_FOLDER = PACKAGED_HANDS_FOLDER.parents[1] / "tasks"
 def construct_all(hand: Hand) -> None:
     """Construct all objects that a run constructs from a hand before it opens a bus."""
     for name in hand.digit_names:
-        DigitModel.of(hand, name)
+        DigitModel.from_hand(hand, name)
     for motor in hand.motor:
         make_drive(motor, hand.bus_names.index(motor.bus))
     bus_loads(hand)

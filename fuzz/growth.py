@@ -13,12 +13,12 @@ import tempfile
 from pathlib import Path
 
 from fuzz.soak import SIZE_MIB_PER_H, SOAK_TASK, MemorySample, memory_sample, memory_slope
-from handctl.controller.setup import make_controller
+from handctl.controller.run_setup import make_controller
 from handctl.core.gains.gains import Gains
-from handctl.core.types import TickIn, TickOut
-from handctl.hand.load import load_hand
-from handctl.programs.grasp import TaskProgram
+from handctl.core.tick_types import TickIn, TickOut
+from handctl.hand.hand_loading import load_hand
 from handctl.programs.task import load_task
+from handctl.programs.task_program import TaskProgram
 from handctl.runtime.mailbox import STOP_REQUEST
 from handctl.session.plan import RunPlan
 from handctl.session.run import run_lockstep

@@ -12,7 +12,7 @@ from mcap.opcode import Opcode
 
 from fuzz import files
 from fuzz.mutate import ByteSource
-from handctl.core.types import TELEMETRY_FIELDS
+from handctl.core.tick_types import TELEMETRY_FIELDS
 from handctl.errors import LogError
 from handctl.log.read.chunk_reader import schemas_and_channels
 from handctl.log.read.logfile import LogFile

@@ -21,9 +21,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from firmware_sim.description import load_hand as load_simulated
-from firmware_sim.faults.text import FAULT_KINDS, instances_of_component
-from handctl.hand.load import load_hand
+from firmware_sim.faults.fault_text import FAULT_KINDS, instances_of_component
+from firmware_sim.hand_description import load_hand as load_simulated
+from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.runtime.mailbox import StatusWatcher
 from tests.runtime.processes import BUS, LONG, end, handctl, start_handctl, write_homed

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from fuzz import files, logs, texts, wire
 from fuzz.drives import FUZZED_DRIVES
-from handctl.hand.load import PACKAGED_HANDS_FOLDER
+from handctl.hand.hand_loading import PACKAGED_HANDS_FOLDER
 
 FuzzTarget = Callable[[bytes], bool]
 TARGET_FACTORIES: dict[str, Callable[[Path], FuzzTarget]] = {

@@ -3,9 +3,9 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from firmware_sim.description import SimulatorError
-from firmware_sim.description import load_hand as load_simulated
-from firmware_sim.faults.text import FAULT_KINDS, parse_fault
+from firmware_sim.faults.fault_text import FAULT_KINDS, parse_fault
+from firmware_sim.hand_description import SimulatorError
+from firmware_sim.hand_description import load_hand as load_simulated
 from fuzz.files import check_one_line
 from fuzz.mutate import ByteSource
 from handctl.programs.requests import parse_request

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fuzz.drives import FUZZED_DRIVES
-from handctl.core.schema import BlockArray
+from handctl.core.block_schema import BlockArray
 from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
-from handctl.drives.frame import BRS, ERROR, EXTENDED, FDF, REMOTE, Frame
+from handctl.drives.frame import BRS, ERROR_FLAG, EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
 from tests.drives.protocol_bench import ProtocolBench, hand_file
 from tests.drives.wired_drives import WiredDrives
 
@@ -23,7 +23,7 @@ STEP_NS, LONG_SILENCE_NS = 2_000_000, 1_000_000_000
 """Time from one frame to the next, and silence after which every drive counts as lost [ns]."""
 SILENCE_BYTE = 240
 """Smallest third byte that puts a long silence before its frame."""
-IDENTIFIER_FLAGS = (0, 0, 0, 0, 0, EXTENDED, REMOTE, ERROR)
+IDENTIFIER_FLAGS = (0, 0, 0, 0, 0, EXTENDED_FLAG, REMOTE_FLAG, ERROR_FLAG)
 MAX_FRAMES = 5
 DRIVE_TARGETS = tuple(DriveTarget)
 CLEAR_BIT = 0x40
@@ -149,7 +149,7 @@ def _advance_drive(
     motor: Drive, state: DriveState, t_ns: int, more: int
 ) -> tuple[DriveState, tuple[Frame, ...]]:
     if state.phase == DrivePhase.FAULT:
-        motor.cause(state.error)
+        motor.fault_cause(state.error)
         if more & CLEAR_BIT:
             return motor.clear(state)
     target = DRIVE_TARGETS[more % len(DRIVE_TARGETS)]

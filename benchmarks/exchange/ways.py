@@ -43,18 +43,18 @@ RATE_HZ = 200.0
 def enabled(motors):
     """Return a controller of a packaged hand with this many MIT motors, and a state in which all motors are enabled."""
     from handctl.core.gains.gains import Gains
-    from handctl.core.model import HandModel
-    from handctl.core.types import Mode
-    from handctl.hand.load import load_hand
-    from handctl.programs.grasp import TaskProgram
+    from handctl.core.hand_model import HandModel
+    from handctl.core.tick_types import HandMode
+    from handctl.hand.hand_loading import load_hand
+    from handctl.programs.task_program import TaskProgram
     from handctl.session.simulate import SimulatorSettings, homed_controller
     from handctl.session.tasks import find_task
 
     name = {4: "jamia", 11: "jamia11"}[motors]
-    model = HandModel.of(load_hand(name), Gains(), RATE_HZ)
+    model = HandModel.from_hand(load_hand(name), Gains(), RATE_HZ)
     controller = homed_controller(model, TaskProgram(find_task(Path("grasp"), model.hand)[0]))
     with SimulatorSettings(name, homed=True).against(controller) as run:
-        assert run.until(lambda out: out.mode == Mode.ACTIVE, 20.0)
+        assert run.until(lambda out: out.mode == HandMode.ACTIVE, 20.0)
         run.tick()
         return controller, run.state
 
@@ -67,15 +67,15 @@ class Ours:
     def __init__(self, interface, channel, motors):
         import numpy as np
 
-        from handctl.core import wire
+        from handctl.core import cyclic_frames
         from handctl.drives.contract import DriveTarget
-        from handctl.drives.records import WORDS_PER_RECORD
+        from handctl.drives.frame_records import WORDS_PER_RECORD
         from handctl.runtime.buses.open import open_bus
 
         self.controller, state = enabled(motors)
         self.state = state.copy()
         self.want = DriveTarget.ENABLE
-        self.start = wire.begin_tick
+        self.start = cyclic_frames.begin_tick
         self.np = np
         self.shape = 1 + motors, WORDS_PER_RECORD
         self.bus = open_bus(f"{interface}:{channel}", 0, 1_000_000)
@@ -85,7 +85,9 @@ class Ours:
         np = self.np
         state = self.state
         out = np.zeros(self.shape, dtype=np.uint64)
-        frames = self.controller._send(state, out, 0, self.want, np.array(torques), self.t_ns)
+        frames = self.controller._write_commands(
+            state, out, 0, self.want, np.array(torques), self.t_ns
+        )
         self.bus.send(frames[1:])  # The benchmark sends no SYNC.
 
     def receive(self):
@@ -94,7 +96,7 @@ class Ours:
         self.start(
             state.block, self.controller.layout.places, state.k, self.t_ns, 0, 0, len(frames)
         )
-        self.controller._receive(state, frames, 0)
+        self.controller._receive_frames(state, frames, 0)
         return frames
 
     def close(self):

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from grasps.trial import Run, hand_model, simulate
-from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
+from handctl.programs.task_program import TaskProgram
 
 CONTACT_N = 1.0
 WITHIN_S = 0.020

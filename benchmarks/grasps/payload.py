@@ -6,8 +6,8 @@ import numpy as np
 
 from grasps.objects import CASES
 from grasps.trial import simulate, task_program
-from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import HoldPhase
+from handctl.programs.task_program import TaskProgram
 
 PAPER_KG = 0.915
 """Payload in the source paper [kg], from 18 N and friction 0.5. Source: section 5 of the paper."""

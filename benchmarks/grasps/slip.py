@@ -6,8 +6,8 @@ import numpy as np
 
 from grasps.objects import CASES
 from grasps.trial import simulate, task_program
-from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import HoldPhase
+from handctl.programs.task_program import TaskProgram
 
 START_S = 6.0
 RATE_N_PER_S = 2.0

@@ -8,14 +8,14 @@ import numpy as np
 
 from firmware_sim.plant.mjcf import STEP_S
 from firmware_sim.plant.plant import Plant
-from handctl.core import block as s
+from handctl.core import state_block as s
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.types import Mode, TickEvent
-from handctl.hand.load import load_hand
-from handctl.programs.grasp import TaskProgram
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode, TickEvent
+from handctl.hand.hand_loading import load_hand
 from handctl.programs.program import Program
 from handctl.programs.task import HoldPhase
+from handctl.programs.task_program import TaskProgram
 from handctl.session.plan import default_rate
 from handctl.session.simulate import SimulatorSettings, homed_controller
 from handctl.session.tasks import find_task
@@ -30,7 +30,7 @@ def hand_model(hand: str, gains: Gains = DEFAULT) -> tuple[HandModel, float]:
     """Return the model of a hand at its default rate. Each process designs a model only once."""
     described = load_hand(hand)
     rate = default_rate(described)
-    return HandModel.of(described, gains, rate), rate
+    return HandModel.from_hand(described, gains, rate), rate
 
 
 @dataclass
@@ -137,7 +137,7 @@ def simulate(
             phases.append(out.phase)
             stages.append(plant.stage)
             events += [(k, event) for event in out.events]
-            if state.mode == Mode.RELAX or (until and out.phase == until):
+            if state.mode == HandMode.RELAX or (until and out.phase == until):
                 break
             if (
                 _over(plant)

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from handctl.core.gains.gains import Gains
-from handctl.core.types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.hand.formats.urdf import urdf_text
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.log.header import RunHeader
 from handctl.log.record import pack_tick_record
 from handctl.log.write.recorder import Recorder
@@ -27,7 +27,7 @@ DESIGN_HZ = 1000.0
 class Stay:
     """Program that holds every digit at its present position."""
 
-    def initial(self, model):
+    def initial_progress(self, model):
         return ProgramProgress.initial(len(model.digits), "start")
 
     def advance(self, model, progress, estimate, measured, t):
@@ -95,13 +95,13 @@ def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, lo
     begin = (
         (lambda state, entry: TimedTick(controller, state, entry, took))
         if rate_hz
-        else controller.begin
+        else controller.begin_tick
     )
     loop = ControlLoop(
         clock, plan.period_ns, [bus], begin, cut, counter.requests, lambda: list(recorder.events()), record, counter,
         urgent=awake_processors,
     )  # fmt: skip
-    state = loop.run(controller.initial())
+    state = loop.run(controller.initial_state())
     recorder.close("done")
     bus.close()
     log.unlink()
@@ -120,7 +120,7 @@ class TimedTick:
 
     def __init__(self, controller, state, entry, took) -> None:
         began = _now()
-        self.step = controller.begin(state, entry)
+        self.step = controller.begin_tick(state, entry)
         self.took = took
         self.spent = _now() - began
 
@@ -149,7 +149,7 @@ class Counter:
         self.stopped = False
 
     def __call__(self, entry, out) -> None:
-        if out.mode != Mode.ACTIVE or self.stopped:
+        if out.mode != HandMode.ACTIVE or self.stopped:
             return
         if not self.first_ns:
             self.first_cpu_s = time.process_time()

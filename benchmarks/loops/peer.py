@@ -8,9 +8,9 @@ import select
 import sys
 
 from firmware_sim.bus.frame import Frame, pack_record
-from firmware_sim.bus.local import HubPort
-from firmware_sim.priority import take_priority
-from firmware_sim.rig import LockstepHand
+from firmware_sim.bus.local_ports import HubPort
+from firmware_sim.lockstep_hand import LockstepHand
+from firmware_sim.realtime_priority import take_priority
 
 SPECIAL = b"\xff" * 7
 ENABLED = 1
@@ -46,7 +46,7 @@ def main(hand: str, name: str) -> None:
     take_priority()
     print("ready", flush=True)
     while True:
-        ready, _, _ = select.select(port.readers(), port.writers(), [])
+        ready, _, _ = select.select(port.read_sockets(), port.write_sockets(), [])
         records = b"".join(map(echo.answer, port.receive(ready)))
         if records:
             port._hub.send(records)

@@ -11,7 +11,7 @@ import pinocchio
 from filterpy.kalman import KalmanFilter
 
 from handctl.hand.formats.urdf import urdf_text
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.runtime.clocks.priority import take_priority
 
 ENABLE = b"\xff" * 7 + b"\xfc"

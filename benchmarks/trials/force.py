@@ -12,8 +12,8 @@ import numpy as np
 
 from handctl.core.gains.gains import Gains, MotionGains, TensionGains
 from handctl.document import validate_content
-from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
+from handctl.programs.task_program import TaskProgram
 from trials import plants
 from trials.jobs import Plan, collect
 from trials.laws import force_scale, on_raw_tension

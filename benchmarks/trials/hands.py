@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_content, hand_from_content, hand_path, load_hand
+from handctl.hand.hand_loading import hand_content, hand_from_content, hand_path, load_hand
 
 CLEAR_SUFFIX = ".clear"
 """Suffix in the name of the variant of a packaged hand that has free space around every digit."""

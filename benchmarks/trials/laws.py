@@ -5,14 +5,14 @@ from functools import partial
 
 import numpy as np
 
-from handctl.controller.state import State
+from handctl.controller.controller_state import ControllerState
 from handctl.controller.tick import Controller
-from handctl.core import block as s
+from handctl.core import state_block as s
 from handctl.core.gains.gains import Gains, MotionGains
 from handctl.core.gains.motion_design import largest_force_weight
-from handctl.core.model import InverseDynamics
-from handctl.core.types import TickIn
-from handctl.drives.records import Frames
+from handctl.core.hand_model import InverseDynamics
+from handctl.core.tick_types import TickIn
+from handctl.drives.frame_records import Frames
 from handctl.hand.digit import DigitModel, JointValues
 from handctl.hand.dynamics import damping_torque, required_torque, spring_torque, static_torque
 from handctl.paper.model import equations
@@ -102,10 +102,10 @@ class RawTension(Controller):
 
     __slots__ = ()
 
-    def _take_in(
-        self, before: State, state: State, entry: TickIn, frames: Frames
+    def _process_frames(
+        self, before: ControllerState, state: ControllerState, entry: TickIn, frames: Frames
     ) -> tuple[str, ...]:
-        signs = super()._take_in(before, state, entry, frames)
+        signs = super()._process_frames(before, state, entry, frames)
         cell = state.tendon[s.MEASURED_TENSION]
         state.tendon[s.TENSION] = np.where(np.isnan(cell), state.tendon[s.TENSION], cell)
         return signs

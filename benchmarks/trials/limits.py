@@ -13,7 +13,7 @@ controller.
 import numpy as np
 from scipy.linalg import expm, solve_discrete_are
 
-from handctl.core.model import HandModel
+from handctl.core.hand_model import HandModel
 
 MOTOR_N_M = 10e-3
 MOTOR_S = 0.05

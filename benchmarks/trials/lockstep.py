@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.controller.setup import make_controller
-from handctl.controller.state import State
+from handctl.controller.controller_state import ControllerState
+from handctl.controller.run_setup import make_controller
 from handctl.controller.tick import Controller
-from handctl.core import block as s
+from handctl.core import state_block as s
 from handctl.core.estimation.filter_stack import FilterDesign
 from handctl.core.gains.gains import Gains
-from handctl.core.types import TELEMETRY_FIELDS, Mode, TickIn, TickOut
+from handctl.core.tick_types import TELEMETRY_FIELDS, HandMode, TickIn, TickOut
 from handctl.hand.description import Hand
 from handctl.programs.program import Program
 from handctl.report.truth import TruthRecord, read_truth
@@ -27,7 +27,7 @@ RATES_HZ = {"jamia": 500.0, "jamia_bench": 500.0, "jamia11": 200.0}
 DEFAULTS = Gains()
 Array = NDArray[np.float64]
 Change = Callable[[Controller], Controller]
-Row = tuple[TickIn, TickOut, Array, State]
+Row = tuple[TickIn, TickOut, Array, ControllerState]
 """Record of one tick: its input and output, the inputs of the filter (N, 2), and the state after the tick."""
 
 
@@ -146,7 +146,7 @@ def run(trial: Trial) -> TrialRecord:
         return _record(hand, controller, rows, read_truth(path), run.state)
 
 
-def _filtered(design: FilterDesign, inputs: Array, after: State) -> list[float]:
+def _filtered(design: FilterDesign, inputs: Array, after: ControllerState) -> list[float]:
     """Return the tensions at the instant of the samples (N,) [N], by undoing the prediction to the present.
 
     Args:
@@ -165,9 +165,9 @@ def _filtered(design: FilterDesign, inputs: Array, after: State) -> list[float]:
 
 
 def _record(
-    hand: Hand, controller: Controller, rows: list[Row], real: TruthRecord, state: State
+    hand: Hand, controller: Controller, rows: list[Row], real: TruthRecord, state: ControllerState
 ) -> TrialRecord:
-    active = [row for row in rows if row[1].mode == Mode.ACTIVE]
+    active = [row for row in rows if row[1].mode == HandMode.ACTIVE]
     fields = TELEMETRY_FIELDS
     events = [(entry.t_ns / 1e9, *event[1:]) for entry, out, *_ in rows for event in out.events]
     design = controller.model.filter

@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from handctl.core.estimate import Estimate, TickMeasurements
-from handctl.core.law.goal import DigitGoal, GoalKind
-from handctl.core.model import HandModel
-from handctl.core.types import TickEvent
-from handctl.programs.live import LiveProgram
+from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
+from handctl.core.hand_estimate import HandEstimate, TickMeasurements
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import TickEvent
+from handctl.programs.live_session import LiveProgram
 from handctl.programs.program import ProgramProgress, motion_to
 
 
@@ -40,15 +40,15 @@ class Script:
 
     steps: tuple[Step, ...]
 
-    def initial(self, model: HandModel) -> ProgramProgress:
+    def initial_progress(self, model: HandModel) -> ProgramProgress:
         """Return the initial progress, see ``Program``."""
-        return LiveProgram().initial(model)
+        return LiveProgram().initial_progress(model)
 
     def advance(
         self,
         model: HandModel,
         progress: ProgramProgress,
-        estimate: Estimate,
+        estimate: HandEstimate,
         measured: TickMeasurements,
         t: float,
     ) -> tuple[ProgramProgress, tuple[TickEvent, ...]]:
@@ -77,7 +77,7 @@ class Script:
 
 
 def _goal(
-    model: HandModel, d: int, step: Step, old: DigitGoal, estimate: Estimate, t: float
+    model: HandModel, d: int, step: Step, old: DigitGoal, estimate: HandEstimate, t: float
 ) -> DigitGoal:
     if step.angle_deg is not None:
         return motion_to(model.digits[d], estimate, math.radians(step.angle_deg), step.move_s, t)

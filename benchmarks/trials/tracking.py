@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from handctl.core.model import HandModel
+from handctl.core.hand_model import HandModel
 from handctl.report.summary import mean_angles
 from handctl.tune.loops.design import keeps_required_margins, linear_factors
 from handctl.tune.loops.linear import LoopKind
@@ -180,7 +180,7 @@ def tune(plan: Plan) -> None:
 
 def keeps_margins(hand: str, law: str, weights: tuple[float, float]) -> bool:
     """Return True if every motion loop has margins of 6 dB and 45 degrees on random plants around the hand file."""
-    model = HandModel.of(
+    model = HandModel.from_hand(
         hand_by_name(hand), LAWS[law].gains(*weights, RATES_HZ[hand]), RATES_HZ[hand]
     )
     plants = tuple(linear_factors(one) for one in draw_ensemble(PLANTS_DRAWN, 0))

@@ -17,9 +17,16 @@ import numpy as np
 import psutil
 import synthetic
 
-from handctl.core.types import TELEMETRY_FIELDS, IoEvent, Mode, PackedTelemetry, TickIn, TickOut
+from handctl.core.tick_types import (
+    TELEMETRY_FIELDS,
+    HandMode,
+    IoEvent,
+    PackedTelemetry,
+    TickIn,
+    TickOut,
+)
 from handctl.drives.frame import Frame
-from handctl.drives.records import Frames, frames_as_records
+from handctl.drives.frame_records import Frames, frames_as_records
 from handctl.log.read.reader import RunLog
 from handctl.log.record import pack_tick_record
 from handctl.log.write.recorder import Recorder
@@ -156,7 +163,7 @@ def _loop(
 
     def begin(state: int, entry: TickIn) -> _ReadyTick:
         out = ticks[state % len(ticks)][1]
-        return _ReadyTick(state + 1, out._replace(mode=Mode.DONE) if entry.k >= last else out)
+        return _ReadyTick(state + 1, out._replace(mode=HandMode.DONE) if entry.k >= last else out)
 
     clock = RealClock(PERIOD_NS, spin=spin)
     loop = ControlLoop(

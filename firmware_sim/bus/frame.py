@@ -12,11 +12,11 @@ Record (``struct canfd_frame``, little-endian):
 import struct
 from typing import NamedTuple
 
-EXTENDED = 1 << 31
+EXTENDED_FLAG = 1 << 31
 """Flag bit of an identifier of 29 bits. Source: Linux ``can.h``, CAN_EFF_FLAG."""
-REMOTE = 1 << 30
+REMOTE_FLAG = 1 << 30
 """Flag bit in the identifier of a remote frame. Source: Linux ``can.h``, CAN_RTR_FLAG."""
-ERROR = 1 << 29
+ERROR_FLAG = 1 << 29
 """Flag bit in the identifier of an error frame. Source: Linux ``can.h``, CAN_ERR_FLAG."""
 
 BRS = 1

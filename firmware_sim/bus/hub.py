@@ -17,8 +17,8 @@ from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 
 from firmware_sim.bus.frame import RECORD_SIZE
-from firmware_sim.description import SimulatorError
-from firmware_sim.paths import bus_path
+from firmware_sim.hand_description import SimulatorError
+from firmware_sim.socket_paths import bus_path
 
 BUFFER_BYTES = 1 << 20
 """Size of the socket buffer requested from the kernel for each direction [bytes].
@@ -115,7 +115,7 @@ class HubConnection:
             return 0
 
 
-class Hub:
+class BusHub:
     """The server of a local bus.
 
     Attributes:
@@ -153,53 +153,53 @@ class Hub:
         """Return the connections of the clients."""
         return self._links
 
-    def readers(self) -> list[socket.socket]:
+    def read_sockets(self) -> list[socket.socket]:
         """Return the sockets to poll for reading."""
         return [self._listener, *(link.socket for link in self._links)]
 
-    def writers(self) -> list[socket.socket]:
+    def write_sockets(self) -> list[socket.socket]:
         """Return the sockets to poll for writing: sockets of clients with a partly sent record."""
         return [link.socket for link in self._links if link.unsent]
 
-    def serve(self, ready: Collection[socket.socket]) -> bytes:
+    def serve(self, ready_sockets: Collection[socket.socket]) -> bytes:
         """Accept clients, read their records, and forward them to the other clients.
 
         Args:
-            ready: sockets that are ready for reading.
+            ready_sockets: sockets that are ready for reading.
 
         Returns:
             The records that all clients sent, for the owner of the hub.
         """
-        received = self.poll(ready)
+        received = self.poll(ready_sockets)
         for link, records in received:
-            self._forward(records, link)
+            self._forward_records(records, link)
         self.drop_closed()
         return b"".join(records for _, records in received)
 
-    def poll(self, ready: Collection[socket.socket]) -> list[tuple[HubConnection, bytes]]:
+    def poll(self, ready_sockets: Collection[socket.socket]) -> list[tuple[HubConnection, bytes]]:
         """Accept clients and read their records, but forward no records.
 
         Args:
-            ready: sockets that are ready for reading.
+            ready_sockets: sockets that are ready for reading.
 
         Returns:
             Pairs of connection and records, one for each client that sent records.
         """
-        if self._listener in ready:
-            self._accept()
+        if self._listener in ready_sockets:
+            self._accept_clients()
         received = []
         for link in self._links:
             if link.unsent:
                 link.flush()
-            if link.socket in ready and (records := link.receive()):
+            if link.socket in ready_sockets and (records := link.receive()):
                 received.append((link, records))
         return received
 
     def send(self, records: bytes) -> None:
         """Send records of the hub's owner to every client."""
-        self._forward(records, None)
+        self._forward_records(records, None)
 
-    def _accept(self) -> None:
+    def _accept_clients(self) -> None:
         with contextlib.suppress(BlockingIOError, ConnectionAbortedError):
             while True:
                 link, _ = self._listener.accept()
@@ -208,7 +208,7 @@ class Hub:
                     continue
                 self._links.append(HubConnection(link))
 
-    def _forward(self, records: bytes, sender: HubConnection | None) -> None:
+    def _forward_records(self, records: bytes, sender: HubConnection | None) -> None:
         for link in self._links:
             if link is not sender and not link.closed:
                 link.deliver(records)

@@ -9,14 +9,14 @@ import struct
 from collections.abc import Collection
 
 from firmware_sim.bus.frame import FDF, Frame
-from firmware_sim.description import SimulatorError
-from firmware_sim.wire.medium import NEVER_NS
+from firmware_sim.hand_description import SimulatorError
+from firmware_sim.wire.simulated_wire import NEVER_NS
 
 _CAN_FRAME_STRUCT = struct.Struct("=IB3x8s")
 """``struct can_frame``: identifier, length, 3 bytes of padding, 8 bytes of payload. Source: Linux ``can.h``."""
 _CANFD_FRAME_STRUCT = struct.Struct("=IBB2x64s")
 """``struct canfd_frame``: identifier, length, flags, 2 reserved bytes, 64 bytes of payload. Source: Linux ``can.h``."""
-_MAX_READ = 256
+_MAX_FRAMES_PER_READ = 256
 """Maximum number of frames of one read.
 
 The limit keeps a flooded bus from stopping the simulation.
@@ -24,7 +24,7 @@ The limit keeps a flooded bus from stopping the simulation.
 
 
 class SocketCanPort:
-    """A port on a SocketCAN interface. See ``ports.BusPort``."""
+    """A port on a SocketCAN interface. See ``bus_ports.BusPort``."""
 
     due_ns = NEVER_NS
 
@@ -61,22 +61,22 @@ class SocketCanPort:
             ) from error
         self._socket.setblocking(False)
 
-    def readers(self) -> list[socket.socket]:
-        """See ``ports.BusPort.readers``."""
+    def read_sockets(self) -> list[socket.socket]:
+        """See ``bus_ports.BusPort.read_sockets``."""
         return [self._socket]
 
-    def writers(self) -> list[socket.socket]:
-        """See ``ports.BusPort.writers``."""
+    def write_sockets(self) -> list[socket.socket]:
+        """See ``bus_ports.BusPort.write_sockets``."""
         return []
 
-    def receive(self, ready: Collection[socket.socket]) -> list[Frame]:
-        """See ``ports.BusPort.receive``."""
+    def receive(self, ready_sockets: Collection[socket.socket]) -> list[Frame]:
+        """See ``bus_ports.BusPort.receive``."""
         frames: list[Frame] = []
-        if self._socket not in ready:
+        if self._socket not in ready_sockets:
             return frames
         try:
-            while len(frames) < _MAX_READ:
-                frames.append(self._frame(self._socket.recv(_CANFD_FRAME_STRUCT.size)))
+            while len(frames) < _MAX_FRAMES_PER_READ:
+                frames.append(self._frame_from_bytes(self._socket.recv(_CANFD_FRAME_STRUCT.size)))
         except BlockingIOError:
             pass
         except OSError as error:
@@ -85,7 +85,7 @@ class SocketCanPort:
             self.lost += 1  # The interface is down. Reads succeed again once it is up.
         return frames
 
-    def _frame(self, raw: bytes) -> Frame:
+    def _frame_from_bytes(self, raw: bytes) -> Frame:
         # The number of bytes read tells the format of the frame: 16 bytes for classical CAN, 72
         # bytes for CAN FD.
         if len(raw) == _CAN_FRAME_STRUCT.size:
@@ -95,7 +95,7 @@ class SocketCanPort:
         return Frame(can_id, data[:length], flags | FDF, self._bus)
 
     def send(self, frames: list[Frame]) -> None:
-        """See ``ports.BusPort.send``."""
+        """See ``bus_ports.BusPort.send``."""
         for frame in frames:
             fd = frame.flags & FDF
             raw = (
@@ -111,5 +111,5 @@ class SocketCanPort:
                 self.lost += 1
 
     def close(self) -> None:
-        """See ``ports.BusPort.close``."""
+        """See ``bus_ports.BusPort.close``."""
         self._socket.close()

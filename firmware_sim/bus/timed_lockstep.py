@@ -3,11 +3,11 @@
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Sequence
 
-from firmware_sim.bus.frame import ERROR, Frame
-from firmware_sim.wire.controller import CanController
-from firmware_sim.wire.medium import SimulatedWire
-from firmware_sim.wire.options import WireSpec
-from firmware_sim.world import SimulatedWorld
+from firmware_sim.bus.frame import ERROR_FLAG, Frame
+from firmware_sim.simulated_world import SimulatedWorld
+from firmware_sim.wire.can_controller import CanController
+from firmware_sim.wire.simulated_wire import SimulatedWire
+from firmware_sim.wire.wire_options import WireSpec
 
 
 class TimedLockstep:
@@ -50,7 +50,7 @@ class TimedLockstep:
     def _to_nodes(self, bus: int) -> Callable[[Frame, int], None]:
         def receive(frame: Frame, t_ns: int) -> None:
             can_id, data, flags, _, _ = frame
-            if not can_id & ERROR:
+            if not can_id & ERROR_FLAG:
                 self._received.append(Frame(can_id, data, flags, bus, t_ns))
 
         return receive
@@ -73,7 +73,7 @@ class TimedLockstep:
             self._world.advance(min(at_ns, end_ns))
             # Nodes may just have sent frames earlier than at_ns, so each wire must tell its next
             # event again.
-            if self._queue_all(self._world.take_unsolicited()):
+            if self._queue_node_frames(self._world.take_unsolicited()):
                 continue
             if at_ns >= end_ns:
                 break
@@ -83,30 +83,30 @@ class TimedLockstep:
             # the request ends on the wire.
             if any(map(self._world.has_receiver, self._received)):
                 self._world.reach(at_ns)
-            self._answer()
+            self._answer_received_frames()
         arrived = sorted(self._arrived, key=_arrival_ns)
         ready = bisect_left(arrived, end_ns, key=_arrival_ns)
         self._arrived = arrived[ready:]
         return arrived[:ready]
 
-    def _answer(self) -> None:
+    def _answer_received_frames(self) -> None:
         received = self._received
         self._received = []
         for frame in received:
             for can_id, data, flags, bus, _ in self._world.receive(frame):
-                self._queue(Frame(can_id, data, flags, bus, frame.t_ns))
+                self._queue_node_frame(Frame(can_id, data, flags, bus, frame.t_ns))
 
-    def _queue_all(self, frames: Sequence[Frame]) -> bool:
+    def _queue_node_frames(self, frames: Sequence[Frame]) -> bool:
         """Queue frames of nodes for sending.
 
         Returns:
             True if there was at least one frame.
         """
         for frame in frames:
-            self._queue(frame)
+            self._queue_node_frame(frame)
         return bool(frames)
 
-    def _queue(self, frame: Frame) -> None:
+    def _queue_node_frame(self, frame: Frame) -> None:
         """Queue a frame of a node.
 
         Each identifier has a CAN controller, because real nodes send independently.

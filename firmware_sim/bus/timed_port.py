@@ -9,18 +9,25 @@ from collections import deque
 from collections.abc import Callable, Collection, Sequence
 from heapq import heappop, heappush
 
-from firmware_sim.bus.frame import ERROR, EXTENDED, RECORD_SIZE, REMOTE, Frame, pack_record
-from firmware_sim.bus.hub import Hub, HubConnection
-from firmware_sim.bus.local import split_records
-from firmware_sim.wire.adapter import NO_LATENCY_CLASS, AdapterLatency
-from firmware_sim.wire.bits import BitRates
-from firmware_sim.wire.controller import CanController
-from firmware_sim.wire.medium import SimulatedWire, WireOptions
-from firmware_sim.wire.options import parse_wire_options
+from firmware_sim.bus.frame import (
+    ERROR_FLAG,
+    EXTENDED_FLAG,
+    RECORD_SIZE,
+    REMOTE_FLAG,
+    Frame,
+    pack_record,
+)
+from firmware_sim.bus.hub import BusHub, HubConnection
+from firmware_sim.bus.local_ports import split_records
+from firmware_sim.wire.can_adapter import NO_LATENCY_CLASS, AdapterLatency
+from firmware_sim.wire.can_controller import CanController
+from firmware_sim.wire.frame_bits import BitRates
+from firmware_sim.wire.simulated_wire import SimulatedWire, WireOptions
+from firmware_sim.wire.wire_options import parse_wire_options
 
 DEFAULT_BITRATES = (1_000_000, 5_000_000)
 """Bit rates of a bus that belongs to no hand: nominal and data phase [bit/s]."""
-QUEUE_REPORT = EXTENDED | REMOTE | ERROR
+QUEUE_REPORT = EXTENDED_FLAG | REMOTE_FLAG | ERROR_FLAG
 """Identifier of a record with the level of a client's queue.
 
 No CAN frame has this combination of flags.
@@ -30,7 +37,7 @@ _QUEUE_STRUCT = struct.Struct("<II")
 
 
 class TimedPort:
-    """A port on a simulated wire. See ``ports.BusPort``.
+    """A port on a simulated wire. See ``bus_ports.BusPort``.
 
     Events since the last call are processed in the order in which they occur on the wire.
     ``receive`` returns only frames that ended at the same time, because the nodes must answer
@@ -71,7 +78,7 @@ class TimedPort:
         self._late: list[tuple[int, int, HubConnection, bytes]] = []
         """Records delayed by a client's adapter: time of delivery to the client [ns], serial number, client, record."""
         self._delayed = 0
-        self._hub = Hub(name)
+        self._hub = BusHub(name)
         self.wire = SimulatedWire(rate, options)
         self._bus = bus
         self._now_ns = now_ns
@@ -96,7 +103,7 @@ class TimedPort:
 
     @property
     def due_ns(self) -> int:
-        """See ``ports.BusPort.due_ns``."""
+        """See ``bus_ports.BusPort.due_ns``."""
         return min(self.wire.next_ns(), self._late[0][0]) if self._late else self.wire.next_ns()
 
     @property
@@ -104,22 +111,22 @@ class TimedPort:
         """Return the fraction of the time since the port was opened in which frames occupied the wire."""
         return self.wire.load(0, max(1, self._now_ns() - self._start_ns))
 
-    def readers(self) -> list[socket.socket]:
-        """See ``ports.BusPort.readers``."""
-        return self._hub.readers()
+    def read_sockets(self) -> list[socket.socket]:
+        """See ``bus_ports.BusPort.read_sockets``."""
+        return self._hub.read_sockets()
 
-    def writers(self) -> list[socket.socket]:
-        """See ``ports.BusPort.writers``."""
-        return self._hub.writers()
+    def write_sockets(self) -> list[socket.socket]:
+        """See ``bus_ports.BusPort.write_sockets``."""
+        return self._hub.write_sockets()
 
-    def receive(self, ready: Collection[socket.socket]) -> list[Frame]:
+    def receive(self, ready_sockets: Collection[socket.socket]) -> list[Frame]:
         """Receive the frames that were the next to end on the wire, if any have ended by now.
 
-        See ``ports.BusPort``.
+        See ``bus_ports.BusPort``.
         """
         now_ns = self._now_ns()
-        if ready:
-            self._read_clients(ready, now_ns)
+        if ready_sockets:
+            self._read_clients(ready_sockets, now_ns)
         while not self._received and self.wire.next_ns() <= now_ns:
             self._at_ns = self.wire.next_ns()
             self.wire.step(now_ns)
@@ -151,17 +158,17 @@ class TimedPort:
                 )
                 self._queues[link] = arrived, left if link.dropped == dropped else -1
 
-    def _read_clients(self, ready: Collection[socket.socket], now_ns: int) -> None:
+    def _read_clients(self, ready_sockets: Collection[socket.socket], now_ns: int) -> None:
         """Read frames from the clients and queue them for sending at the present time.
 
         Args:
-            ready: sockets that are ready for reading.
+            ready_sockets: sockets that are ready for reading.
             now_ns: present time of the wire [ns].
         """
-        received = self._hub.poll(ready)
+        received = self._hub.poll(ready_sockets)
         for link in self._hub.links:
             if link not in self._clients:
-                self._clients[link] = self.wire.add(self._deliver(link))
+                self._clients[link] = self.wire.add(self._delivery_function(link))
                 self._queues[link] = 0, -1
                 self._latencies[link] = self._latency(len(self._latencies))
         for link, records in received:
@@ -170,7 +177,7 @@ class TimedPort:
             frames, unreadable = split_records(records, self._bus)
             self._unreadable += unreadable
             for frame in frames:
-                if not frame.can_id & ERROR:
+                if not frame.can_id & ERROR_FLAG:
                     self._clients[link].offer(frame, self._latencies[link].send(now_ns))
         self._drop_closed()
 
@@ -180,7 +187,7 @@ class TimedPort:
             del self._queues[link], self._latencies[link]
         self._hub.drop_closed()
 
-    def _deliver(self, link: HubConnection) -> Callable[[Frame, int], None]:
+    def _delivery_function(self, link: HubConnection) -> Callable[[Frame, int], None]:
         """Return the function that passes frames from the wire to a client, with the delay of the client's adapter."""
 
         def deliver(frame: Frame, t_ns: int) -> None:
@@ -195,13 +202,13 @@ class TimedPort:
 
     def _receive_on_nodes(self, frame: Frame, t_ns: int) -> None:
         """Store a frame that the nodes have received from the wire. Error frames are ignored."""
-        if not frame.can_id & ERROR:
+        if not frame.can_id & ERROR_FLAG:
             self._received.append(frame)
 
     def send(self, frames: list[Frame]) -> None:
         """Send the answers of the nodes.
 
-        An answer may start at the time at which the last received frame ended. See ``ports.BusPort``.
+        An answer may start at the time at which the last received frame ended. See ``bus_ports.BusPort``.
         """
         for frame in frames:
             controller = self._nodes.get(frame.can_id)
@@ -210,7 +217,7 @@ class TimedPort:
             self._refused += not controller.offer(frame, self._at_ns)
 
     def close(self) -> None:
-        """See ``ports.BusPort.close``."""
+        """See ``bus_ports.BusPort.close``."""
         self._hub.close()
 
 
@@ -243,6 +250,6 @@ def timed_port_maker(
     )
 
 
-def no_latency(number: int) -> AdapterLatency:
+def no_latency(adapter_number: int) -> AdapterLatency:
     """Return no latency, for a client that is on the wire without an adapter."""
     return AdapterLatency(NO_LATENCY_CLASS)

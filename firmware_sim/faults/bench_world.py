@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import Any, Protocol
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.description import Hand, MotorSpec
 from firmware_sim.faults.faulty_drive import FaultyDrive
+from firmware_sim.hand_description import Hand, MotorSpec
 from firmware_sim.nodes import PROTOCOL_SPECS
 from firmware_sim.plant.motor import Motor
 
@@ -68,7 +68,7 @@ class BenchPlant:
 
 
 class BenchWorld:
-    """A bench in the form of a world for ``active.ActiveFaults``.
+    """A bench in the form of a world for ``active_faults.ActiveFaults``.
 
     Attributes:
         hand: description of a hand with the drives as its motors.

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.description import MotorSpec
+from firmware_sim.hand_description import MotorSpec
 from firmware_sim.nodes import PROTOCOL_SPECS
 from firmware_sim.nodes.protocol_spec import DriveNode, ProtocolSpec, SimulatedNode
 
@@ -57,7 +57,7 @@ class FaultyDrive:
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
         """See ``nodes.Node.receive``."""
-        self._feed(t_ns)
+        self._feed_watchdog(t_ns)
         answers = self.node.receive(
             self._spec.corrupt_command(frame) if self._fault == "deaf" else frame, t_ns
         )
@@ -71,11 +71,11 @@ class FaultyDrive:
 
     def wake(self, t_ns: int) -> list[Frame] | None:
         """See ``nodes.Node.wake``."""
-        self._feed(t_ns)
+        self._feed_watchdog(t_ns)
         unsolicited = self.node.wake(t_ns)
         return None if self._fault == "mute" else unsolicited
 
-    def _feed(self, t_ns: int) -> None:
+    def _feed_watchdog(self, t_ns: int) -> None:
         if self._fault == "watchdog" and self.node.watchdog_fed_ns >= 0:
             # Every call feeds the watchdog, so that the watchdog never fires.
             self.node.watchdog_fed_ns = t_ns

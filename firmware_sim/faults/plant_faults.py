@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any, cast
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.faults.text import CELL_TARGET, ENCODER_TARGET, SENSOR_NODE_NAME, Fault
+from firmware_sim.faults.fault_text import CELL_TARGET, ENCODER_TARGET, SENSOR_NODE_NAME, Fault
 from firmware_sim.faults.wire_faults import ActiveFault
 from firmware_sim.nodes.cia402.node import Cia402Node
 from firmware_sim.nodes.mit.node import FeedbackState, MitNode
@@ -19,7 +19,7 @@ from firmware_sim.nodes.moteus.node import MoteusNode
 from firmware_sim.nodes.odrive.node import OdriveNode
 from firmware_sim.nodes.robstride import node as robstride
 from firmware_sim.nodes.robstride.node import RobstrideNode
-from firmware_sim.nodes.sensors import CHANNELS_PER_FRAME, JOINT_OFFSET
+from firmware_sim.nodes.sensor_node import CHANNELS_PER_FRAME, JOINT_OFFSET
 
 UndoFunction = Callable[[], None]
 OUTSIDE_RANGE_N = 1e4
@@ -76,18 +76,18 @@ def _start_reading_fault(world: Any, active: ActiveFault) -> UndoFunction:
     return lambda: table.pop(index, None) and None
 
 
-def _reading_change(active: ActiveFault, now: Callable[[], int]) -> Callable[[float], float]:
+def _reading_change(active: ActiveFault, now_ns: Callable[[], int]) -> Callable[[float], float]:
     """Build the function that changes a reading.
 
     Args:
         active: the fault and the count of its effects.
-        now: function that returns the present time [ns].
+        now_ns: function that returns the present time [ns].
 
     Returns:
         Function that takes the true reading and returns the changed reading.
     """
     fault = active.fault
-    start_ns = now()
+    start_ns = now_ns()
     readings = list[float]()
     rng = random.Random(f"reading {fault.seed} {fault.text}")
 
@@ -95,13 +95,13 @@ def _reading_change(active: ActiveFault, now: Callable[[], int]) -> Callable[[fl
         if not readings:
             readings.append(value)
         if fault.kind == "old":
-            return _delayed_reading(active, readings, value, now())
+            return _delayed_reading(active, readings, value, now_ns())
         if fault.kind == "stuck":
             changed = readings[0]
         elif fault.kind == "offset":
             changed = value + fault.size
         elif fault.kind == "drift":
-            changed = value + fault.size * (now() - start_ns) * 1e-9
+            changed = value + fault.size * (now_ns() - start_ns) * 1e-9
         elif fault.kind == "scale":
             changed = readings[0] + fault.size * (value - readings[0])
         elif fault.kind == "noise":
@@ -109,7 +109,7 @@ def _reading_change(active: ActiveFault, now: Callable[[], int]) -> Callable[[fl
         else:
             changed = math.copysign(OUTSIDE_RANGE_N, fault.size)
         if changed != value:
-            active.note_effect(now())
+            active.note_effect(now_ns())
         return changed
 
     return read_wrong

@@ -4,8 +4,8 @@ import random
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from firmware_sim.bus.frame import EXTENDED, Frame
-from firmware_sim.faults.text import Fault
+from firmware_sim.bus.frame import EXTENDED_FLAG, Frame
+from firmware_sim.faults.fault_text import Fault
 
 NEVER_NS = 1 << 62
 """Release time [ns] of stored frames that a fault releases itself, and not at a certain time."""
@@ -170,8 +170,8 @@ def _extend_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[
     """
     sent = []
     for frame in frames:
-        if not frame.can_id & EXTENDED and active.hits():
-            frame = frame._replace(can_id=frame.can_id | EXTENDED)
+        if not frame.can_id & EXTENDED_FLAG and active.hits():
+            frame = frame._replace(can_id=frame.can_id | EXTENDED_FLAG)
             active.note_effect(t_ns)
         sent.append(frame)
     return sent

@@ -19,10 +19,10 @@ import enum
 import math
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.description import MotorSpec
+from firmware_sim.hand_description import MotorSpec
+from firmware_sim.nodes.drive_temperatures import DriveTemperatures
 from firmware_sim.nodes.mit.codec import FrameRanges, decode_command, to_code
 from firmware_sim.nodes.protocol_spec import ProtocolSpec, ShaftSpec
-from firmware_sim.nodes.thermal import DriveTemperatures
 from firmware_sim.plant.motor import Motor
 
 FULL_SCALE = {
@@ -138,33 +138,33 @@ class CubemarsNode:
             return []
         # Eight bytes of FF are a valid MIT command, with all fields at their maximum.
         if data[:7] == _SPECIAL_COMMAND_START and data[7] != 0xFF:
-            return self._special(data[7], frame, t_ns)
+            return self._process_special_command(data[7], frame, t_ns)
         self._apply_command(data)
-        return [self._answer(frame, t_ns)]
+        return [self._feedback_frame(frame, t_ns)]
 
-    def _special(self, code: int, frame: Frame, t_ns: int) -> list[Frame]:
+    def _process_special_command(self, command_code: int, frame: Frame, t_ns: int) -> list[Frame]:
         """Execute a special command."""
-        if code == _ENABLE_COMMAND:
-            self._switch(on=self.error == FeedbackError.NONE)
-        elif code == _DISABLE_COMMAND:
-            self._switch(on=False)
-        elif code == _ZERO_COMMAND:
+        if command_code == _ENABLE_COMMAND:
+            self._switch_torque(enable=self.error == FeedbackError.NONE)
+        elif command_code == _DISABLE_COMMAND:
+            self._switch_torque(enable=False)
+        elif command_code == _ZERO_COMMAND:
             self.offset = -self._direction * self.motor.encoder()
             self._silent_until_ns = t_ns + ZEROING_NS
             return []
         else:
             self.malformed += 1
             return []
-        return [self._answer(frame, t_ns)]
+        return [self._feedback_frame(frame, t_ns)]
 
-    def _switch(self, on: bool) -> None:
+    def _switch_torque(self, enable: bool) -> None:
         """Switch the torque on or off.
 
         The servo keeps its setpoint only if the motor was enabled and stays enabled.
         """
-        if not (on and self.enabled):
+        if not (enable and self.enabled):
             self.motor.servo.release()
-        self.enabled = on
+        self.enabled = enable
 
     def _apply_command(self, data: bytes) -> None:
         """Apply an MIT command if the motor is enabled."""
@@ -179,7 +179,7 @@ class CubemarsNode:
         servo.velocity = sign * command.velocity
         servo.torque = sign * command.torque
 
-    def _answer(self, frame: Frame, t_ns: int) -> Frame:
+    def _feedback_frame(self, frame: Frame, t_ns: int) -> Frame:
         """Return the frame with the present feedback."""
         motor = self.motor
         sign = self._direction
@@ -197,16 +197,16 @@ class CubemarsNode:
             )
         return Frame(self._id, data, frame.flags, frame.bus, t_ns)
 
-    def trip(self, error: FeedbackError) -> None:
+    def trip(self, feedback_error: FeedbackError) -> None:
         """Enter an error state, which removes the torque. Error.NONE ends the error state."""
-        self.error = error
-        if error != FeedbackError.NONE:
-            self._switch(on=False)
+        self.error = feedback_error
+        if feedback_error != FeedbackError.NONE:
+            self._switch_torque(enable=False)
 
     def power_cycle(self) -> None:
         """Restart the motor, disabled and without error."""
         self.error = FeedbackError.NONE
-        self._switch(on=False)
+        self._switch_torque(enable=False)
 
     def wake(self, t_ns: int) -> None:
         """Update the temperatures, and set or end the over-temperature error."""

@@ -20,7 +20,7 @@ The count is even, because the algorithm generates pairs of numbers.
 
 
 @compiled("vector", "vector")
-def _normal(uniform: Any, out: Any) -> None:
+def _normal_from_uniform(uniform: Any, out: Any) -> None:
     """Convert pairs of uniformly distributed numbers to pairs of normally distributed numbers.
 
     Source: Python, ``random.Random.gauss``.
@@ -63,20 +63,20 @@ class NormalNoise:
         first, end = self.bounds.tolist()
         if end - first < count:
             self.numbers[: end - first] = self.numbers[first:end]
-            self.numbers[end - first : end - first + BLOCK_SIZE] = self._block()
+            self.numbers[end - first : end - first + BLOCK_SIZE] = self._draw_block()
             self.bounds[:] = 0, end - first + BLOCK_SIZE
 
-    def _block(self) -> Any:
+    def _draw_block(self) -> Any:
         """Draw the next block of random numbers."""
         uniform = self._uniform.random_sample(BLOCK_SIZE)
         block = np.empty(BLOCK_SIZE)
         if isinstance(
-            _normal, FunctionType
+            _normal_from_uniform, FunctionType
         ):  # If the kernel is not compiled, lists are faster than arrays.
             plain = [0.0] * BLOCK_SIZE
-            _normal(uniform.tolist(), plain)
+            _normal_from_uniform(uniform.tolist(), plain)
             return plain
-        _normal(uniform, block)
+        _normal_from_uniform(uniform, block)
         return block
 
     def take(self, count: int) -> Any:

@@ -4,8 +4,8 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
-from firmware_sim.bus.frame import EXTENDED, Frame
-from firmware_sim.description import MotorSpec
+from firmware_sim.bus.frame import EXTENDED_FLAG, Frame
+from firmware_sim.hand_description import MotorSpec
 from firmware_sim.plant.motor import Motor
 
 SENSOR_NODE_KIND, MIT_KIND, ODRIVE_KIND, CIA402_KIND = range(4)
@@ -96,7 +96,7 @@ def unchanged_frame(frame: Frame) -> Frame:
     return frame
 
 
-UNADDRESSED_FRAME = Frame(EXTENDED, b"")
+UNADDRESSED_FRAME = Frame(EXTENDED_FLAG, b"")
 """A frame with an identifier of no node."""
 
 
@@ -117,7 +117,7 @@ class ProtocolSpec(NamedTuple):
             faulty drive. None if the protocol has none.
         row: class of a node whose numbers are kept in a row of an array, for compiled kernels. None
             if there is none.
-        node_kind: kind of node in compiled kernels, see ``cyclic.Receiver``.
+        node_kind: kind of node in compiled kernels, see ``cyclic_kernels.Receiver``.
     """
 
     node: Callable[[MotorSpec, Motor, float], DriveNode]

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from firmware_sim.compiled import call, compiled, kernel_helper, rows_at
-from firmware_sim.plant.structs import RotorStruct, TendonStruct
+from firmware_sim.compiled import call_c_function, compiled, kernel_helper, rows_at
+from firmware_sim.plant.plant_structs import RotorStruct, TendonStruct
 
 CAPSTAN_SPEED = 1e-3
 """Tendon speed at which capstan friction reaches 76 % of its final value [m/s].
@@ -89,7 +89,7 @@ def _elastic(tendon: Any, stretch: float) -> float:
 
 
 @kernel_helper
-def _secant(tendon: Any, loss: float, tension_angle: float) -> float:
+def _secant(tendon: Any, tension_loss: float, tension_angle: float) -> float:
     """Compute the friction of a tendon divided by the speed of the tendon [N s/m].
 
     This secant is used instead of the tangent. With the tangent, friction would reverse the motion
@@ -97,14 +97,14 @@ def _secant(tendon: Any, loss: float, tension_angle: float) -> float:
 
     Args:
         tendon: the tendon with its present speed.
-        loss: loss of tension that friction causes [N].
+        tension_loss: loss of tension that friction causes [N].
         tension_angle: tension of the tendon times its wrap angle [N rad].
     """
     speed = abs(tendon.speed)
     # This is the limit of the secant at rest, where the quotient would be 0/0.
     if speed < 1e-3 * CAPSTAN_SPEED:
         return float(tension_angle * tendon.friction / CAPSTAN_SPEED)
-    return float(loss / speed)
+    return float(tension_loss / speed)
 
 
 @kernel_helper
@@ -191,7 +191,7 @@ def _compensate_damping(tendon: Any, joints: Any, arms: Any, dq: Any, torque: An
 
 
 @kernel_helper
-def encoded(theta: float) -> float:
+def encoder_angle(theta: float) -> float:
     """Return a spool angle rounded down to the encoder resolution [rad]."""
     return math.floor(theta / ENCODER_STEP) * ENCODER_STEP
 
@@ -199,11 +199,11 @@ def encoded(theta: float) -> float:
 @kernel_helper
 def measure_angle(rotor: Any) -> None:
     """Measure the spool angle with the encoder."""
-    rotor.angle = encoded(rotor.theta)
+    rotor.angle = encoder_angle(rotor.theta)
 
 
 @kernel_helper
-def within_speed(
+def limit_torque_by_speed(
     rotor: Any,
     command: float,
     inertia: float,
@@ -274,21 +274,23 @@ def compute_command(rotor: Any) -> None:
     elif command < -limit:
         command = -limit
     if servo.speed_gain > 0.0:
-        command = within_speed(
+        command = limit_torque_by_speed(
             rotor, command, inertia, drag, servo.speed_limit, servo.speed_gain, True
         )
     if rotor.top_speed > 0.0:
         # The back-EMF reduces the voltage that drives the current, linearly down to zero at the
         # no-load speed.
         slope = rotor.stall_torque / rotor.top_speed
-        command = within_speed(rotor, command, inertia, drag, rotor.top_speed, slope, False)
+        command = limit_torque_by_speed(
+            rotor, command, inertia, drag, rotor.top_speed, slope, False
+        )
     rotor.command = command
     rotor.drag = drag
     rotor.impedance = inertia
 
 
 @kernel_helper
-def integrate(rotor: Any) -> None:
+def integrate_motor(rotor: Any) -> None:
     """Integrate torque, rotor and velocity estimate of a motor over one step, semi-implicitly."""
     torque = rotor.torque + rotor.lag * (rotor.command - rotor.torque)
     push = rotor.impedance * rotor.omega + rotor.gain * torque - rotor.drag
@@ -302,8 +304,10 @@ def integrate(rotor: Any) -> None:
 
 
 @compiled(*DRIVETRAIN_ARGUMENTS, "vector", "vector", "vector")
-def tensions(tendons: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any, out: Any) -> None:
-    """Write the present tension of each tendon at its load cell to ``out`` [N].
+def tensions(
+    tendons: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any, tension: Any
+) -> None:
+    """Write the present tension of each tendon at its load cell to ``tension`` [N].
 
     Args:
         tendons: tendons of the hand.
@@ -312,10 +316,10 @@ def tensions(tendons: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any,
         rotors: rotors of the motors.
         q: joint angles [rad].
         dq: joint velocities [rad/s].
-        out: tension of each tendon, written by the kernel, shape (tendons,) [N].
+        tension: tension of each tendon, written by the kernel, shape (tendons,) [N].
     """
     for i in range(len(tendons)):
-        out[i] = _cell_tension(tendons[i], joints, arms, rotors[tendons[i].motor], q, dq)
+        tension[i] = _cell_tension(tendons[i], joints, arms, rotors[tendons[i].motor], q, dq)
 
 
 @compiled(*DRIVETRAIN_ARGUMENTS, "vector", "vector", "vector", "vector", "flag")
@@ -362,7 +366,7 @@ def step_drivetrain(
         if all_rotors or rotor.steps_alone == 0:
             measure_angle(rotor)
             compute_command(rotor)
-            integrate(rotor)
+            integrate_motor(rotor)
 
 
 @kernel_helper
@@ -401,7 +405,7 @@ def _steps(
             return done
         step_drivetrain(tendons, joints, arms, rotors, q, dq, torque, damping, True)
         # mj_step of the engine reads and writes q, dq, torque and damping in place.
-        call(step, model, data)
+        call_c_function(step, model, data)
     return count
 
 

@@ -10,7 +10,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from firmware_sim.description import Digit, Hand, LinkMesh, TendonSpec
+from firmware_sim.hand_description import Digit, Hand, LinkMesh, TendonSpec
 from firmware_sim.scene.scene import GraspObject, Scene, SinkingTable
 
 STEP_S = 0.5e-3
@@ -82,18 +82,18 @@ def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
     """
     shown = {mesh.link: mesh for mesh in hand.meshes} if meshes else {}
     friction = scene.grasp_object.friction if scene.grasp_object else HAND_FRICTION
-    options = _OPTIONS.format(gravity=_text(hand.gravity), friction=friction)
+    options = _OPTIONS.format(gravity=_numbers_text(hand.gravity), friction=friction)
     opposed = dict(zip((digit.name for digit in hand.digits), opposed_digits(hand), strict=True))
-    scene_bodies = (_grasp_object(scene.grasp_object) if scene.grasp_object else "") + (
-        _table(scene.grasp_object, scene.support) if scene.grasp_object else ""
+    scene_bodies = (_object_element(scene.grasp_object) if scene.grasp_object else "") + (
+        _table_element(scene.grasp_object, scene.support) if scene.grasp_object else ""
     )
-    tendons = "".join(_tendon(tendon) for tendon in hand.every_tendon)
-    sensors = "".join(_contact(hand, digit) for digit in hand.digits)
+    tendons = "".join(_tendon_element(tendon) for tendon in hand.every_tendon)
+    sensors = "".join(_contact_sensor(hand, digit) for digit in hand.digits)
     if scene.load:
-        sensors += "".join(_normal(hand, digit) for digit in hand.digits)
+        sensors += "".join(_normal_force_sensor(hand, digit) for digit in hand.digits)
     head = f'<mujoco model="{hand.name}">{options}{_mesh_assets(shown)}'
     return (
-        f"{head}<worldbody>\n{_palm(hand, '', opposed, shown)}\n{scene_bodies}</worldbody>\n"
+        f"{head}<worldbody>\n{_palm_element(hand, '', opposed, shown)}\n{scene_bodies}</worldbody>\n"
         f"<tendon>{tendons}</tendon>\n<sensor>{sensors}</sensor>\n</mujoco>"
     )
 
@@ -121,16 +121,16 @@ def rest_poses(digit: Digit) -> list[tuple[Any, Any]]:
         given in the palm frame, or in the frame of the link that carries the digit.
     """
     position = np.array(digit.position)
-    rotation = _rotation(digit.rpy_deg)
+    rotation = _rotation_of_rpy(digit.rpy_deg)
     poses = []
     for length, turn in zip(digit.length, digit.joint_rpy_deg, strict=True):
-        rotation = rotation @ _rotation(turn)
+        rotation = rotation @ _rotation_of_rpy(turn)
         poses.append((position, rotation))
         position = position + length * rotation[:, 0]
     return poses
 
 
-def _rotation(rpy_deg: Sequence[float]) -> Any:
+def _rotation_of_rpy(rpy_deg: Sequence[float]) -> Any:
     """Compute the rotation matrix of extrinsic roll, pitch and yaw [deg], shape (3, 3)."""
     (sr, cr), (sp, cp), (sy, cy) = (
         (math.sin(angle), math.cos(angle)) for angle in map(math.radians, rpy_deg)
@@ -141,7 +141,7 @@ def _rotation(rpy_deg: Sequence[float]) -> Any:
     return z @ y @ x
 
 
-def _text(values: Sequence[float]) -> str:
+def _numbers_text(values: Sequence[float]) -> str:
     return " ".join(repr(value) for value in values)
 
 
@@ -164,15 +164,15 @@ def palm_box(hand: Hand, carrier: str) -> tuple[Any, Any]:
     return centre, np.array([PALM_DEPTH / 2.0, side, side])
 
 
-def _mesh_assets(shown: dict[str, LinkMesh]) -> str:
+def _mesh_assets(meshes_by_link: dict[str, LinkMesh]) -> str:
     """Build the MJCF assets of the meshes, an empty text without meshes."""
-    if not shown:
+    if not meshes_by_link:
         return ""
     # Inertia "shell" is also defined for open surfaces. It has no effect, because meshes have no
     # mass.
     meshes = "".join(
-        f'<mesh name="{link}" file={quoteattr(mesh.file)} scale="{_text(mesh.scale)}" inertia="shell"/>'
-        for link, mesh in shown.items()
+        f'<mesh name="{link}" file={quoteattr(mesh.file)} scale="{_numbers_text(mesh.scale)}" inertia="shell"/>'
+        for link, mesh in meshes_by_link.items()
     )
     return f"<asset>{meshes}</asset>"
 
@@ -186,21 +186,25 @@ def _mesh_geom(mesh: LinkMesh | None) -> str:
         return ""
     return (
         f'<geom name="{mesh.link}_mesh" type="mesh" mesh="{mesh.link}" group="{VISUAL_GROUP}" mass="0"'
-        f' contype="0" conaffinity="0" pos="{_text(mesh.position)}" euler="{_text(mesh.rpy_deg)}"/>'
+        f' contype="0" conaffinity="0" pos="{_numbers_text(mesh.position)}" euler="{_numbers_text(mesh.rpy_deg)}"/>'
     )
 
 
-def _palm(hand: Hand, carrier: str, opposed: dict[str, bool], shown: dict[str, LinkMesh]) -> str:
+def _palm_element(
+    hand: Hand, carrier: str, opposed: dict[str, bool], meshes_by_link: dict[str, LinkMesh]
+) -> str:
     """Build the palm, or the box on the last link of a carrying digit, with all digits on it."""
     centre, half = palm_box(hand, carrier)
     name = f"{carrier}_palm" if carrier else "palm"
     link = f"{carrier}_link{_last_link(hand, carrier)}" if carrier else "palm"
     box = (
-        f'<geom name="{name}" type="box" size="{_text(half.tolist())}" pos="{_text(centre.tolist())}"'
-        f' contype="{PALM_BIT}" conaffinity="{OBJECT_BIT}"{_hidden_if(link in shown)}/>'
+        f'<geom name="{name}" type="box" size="{_numbers_text(half.tolist())}" pos="{_numbers_text(centre.tolist())}"'
+        f' contype="{PALM_BIT}" conaffinity="{OBJECT_BIT}"{_hidden_if(link in meshes_by_link)}/>'
     )
-    mesh = "" if carrier else _mesh_geom(shown.get("palm"))
-    digits = "\n".join(_digit(hand, digit, opposed, shown) for digit in hand.carried_by(carrier))
+    mesh = "" if carrier else _mesh_geom(meshes_by_link.get("palm"))
+    digits = "\n".join(
+        _digit_element(hand, digit, opposed, meshes_by_link) for digit in hand.carried_by(carrier)
+    )
     return f"{box}{mesh}\n{digits}\n"
 
 
@@ -240,29 +244,39 @@ def touches_palm(hand: Hand, digit: Digit) -> list[bool]:
     return overlaps
 
 
-def _digit(hand: Hand, digit: Digit, opposed: dict[str, bool], shown: dict[str, LinkMesh]) -> str:
+def _digit_element(
+    hand: Hand, digit: Digit, opposed: dict[str, bool], meshes_by_link: dict[str, LinkMesh]
+) -> str:
     """Build the nested bodies of a digit.
 
     Each link lies along the x axis of the link's frame, with the hinge at the origin.
     """
-    opening = f'<frame pos="{_text(digit.position)}" euler="{_text(digit.rpy_deg)}">'
+    opening = (
+        f'<frame pos="{_numbers_text(digit.position)}" euler="{_numbers_text(digit.rpy_deg)}">'
+    )
     closing = "</frame>"
     near_palm = touches_palm(hand, digit)
     carries = bool(hand.carried_by(digit.name))
     last = len(digit.length) - 1
     for i, turn in enumerate(digit.joint_rpy_deg):
         offset = f"{digit.length[i - 1] if i else 0.0} 0 0"
-        opening += f'<body name="{digit.name}_link{i + 1}" pos="{offset}" euler="{_text(turn)}">'
+        opening += (
+            f'<body name="{digit.name}_link{i + 1}" pos="{offset}" euler="{_numbers_text(turn)}">'
+        )
         bits = _carrier_bits() if carries else _digit_bits(opposed[digit.name], near_palm[i])
         # A link that carries other digits ends at the face of the box with their mounts.
         length = (
             max(digit.length[i] - digit.radius, 0.0) if carries and i == last else digit.length[i]
         )
-        mesh = shown.get(f"{digit.name}_link{i + 1}")
-        body = _body(digit, i, length, bits, mesh is not None)
-        opening += f"{_joint(digit, i)}{body}{_mesh_geom(mesh)}\n"
+        mesh = meshes_by_link.get(f"{digit.name}_link{i + 1}")
+        body = _link_geometry(digit, i, length, bits, mesh is not None)
+        opening += f"{_joint_element(digit, i)}{body}{_mesh_geom(mesh)}\n"
         closing = "</body>" + closing
-    return opening + (_palm(hand, digit.name, opposed, shown) if carries else "") + closing
+    return (
+        opening
+        + (_palm_element(hand, digit.name, opposed, meshes_by_link) if carries else "")
+        + closing
+    )
 
 
 def _digit_bits(opposed: bool, near_palm: bool) -> tuple[int, int]:
@@ -283,32 +297,34 @@ def _carrier_bits() -> tuple[int, int]:
     return PALM_BIT, OBJECT_BIT
 
 
-def _joint(digit: Digit, i: int) -> str:
+def _joint_element(digit: Digit, i: int) -> str:
     """Build the joint of link ``i`` of a digit."""
     return (
-        f'<joint name="{digit.joints[i]}" axis="{_text(digit.axis[i])}"'
+        f'<joint name="{digit.joints[i]}" axis="{_numbers_text(digit.axis[i])}"'
         f' range="{digit.joint_min_deg[i]} {digit.joint_max_deg[i]}" damping="{digit.damping[i]}"'
         f' armature="{digit.armature[i]}" stiffness="{digit.spring[i]}" springref="{-math.degrees(digit.preload[i])}"/>'
     )
 
 
-def _body(digit: Digit, i: int, length: float, bits: tuple[int, int], has_mesh: bool) -> str:
+def _link_geometry(
+    digit: Digit, i: int, length: float, bits: tuple[int, int], has_mesh: bool
+) -> str:
     """Build inertia and collision shape of link ``i``: a capsule of a length [m], or a ball if the length is 0."""
     moments = digit.inertia[i]
     inertia = (
-        f'fullinertia="{_text(moments)}"'
+        f'fullinertia="{_numbers_text(moments)}"'
         if any(moments[3:])
-        else f'diaginertia="{_text(moments[:3])}"'
+        else f'diaginertia="{_numbers_text(moments[:3])}"'
     )
     shape = f'type="capsule" fromto="0 0 0 {length} 0 0"' if length else 'type="sphere"'
     return (
-        f'<inertial pos="{_text(digit.com[i])}" mass="{digit.mass[i]}" {inertia}/>'
+        f'<inertial pos="{_numbers_text(digit.com[i])}" mass="{digit.mass[i]}" {inertia}/>'
         f'<geom {shape} size="{digit.radius}" contype="{bits[0]}" conaffinity="{bits[1]}"'
         f"{_hidden_if(has_mesh)}/>"
     )
 
 
-def _tendon(tendon: TendonSpec) -> str:
+def _tendon_element(tendon: TendonSpec) -> str:
     """Build a tendon without stiffness.
 
     The plant sets the damping of the tendon in each step, see ``drivetrain``.
@@ -317,7 +333,7 @@ def _tendon(tendon: TendonSpec) -> str:
     return f'<fixed name="{tendon.name}" damping="{tendon.damping}">{joints}</fixed>'
 
 
-def _contact(hand: Hand, digit: Digit) -> str:
+def _contact_sensor(hand: Hand, digit: Digit) -> str:
     """Build the sensor that measures the net contact force on a digit."""
     return (
         f'<contact name="contact/{digit.name}" {_touch_sensors(hand, digit)} '
@@ -325,7 +341,7 @@ def _contact(hand: Hand, digit: Digit) -> str:
     )
 
 
-def _normal(hand: Hand, digit: Digit) -> str:
+def _normal_force_sensor(hand: Hand, digit: Digit) -> str:
     """Build the sensor that measures the contact forces between a digit and the object.
 
     Axis 1 of each is the normal.
@@ -343,30 +359,30 @@ def _touch_sensors(hand: Hand, digit: Digit) -> str:
     return f'subtree1="{digit.name}_link1"'
 
 
-def _grasp_object(grasp_object: GraspObject) -> str:
+def _object_element(grasp_object: GraspObject) -> str:
     """Build the object as a free body."""
     half = tuple(extent / 2.0 for extent in grasp_object.size)
     size = {"cylinder": (half[0], half[2]), "sphere": half[:1], "box": half}[grasp_object.shape]
     return (
-        f'<body name="object" pos="{_text(grasp_object.position)}"><freejoint name="object"/>'
-        f'<geom name="object" type="{grasp_object.shape}" size="{_text(size)}" mass="{grasp_object.mass}"'
+        f'<body name="object" pos="{_numbers_text(grasp_object.position)}"><freejoint name="object"/>'
+        f'<geom name="object" type="{grasp_object.shape}" size="{_numbers_text(size)}" mass="{grasp_object.mass}"'
         f' contype="{OBJECT_BIT}" conaffinity="{TABLE_BIT}"/></body>\n'
     )
 
 
-def _table(grasp_object: GraspObject, support: SinkingTable | None) -> str:
+def _table_element(grasp_object: GraspObject, support: SinkingTable | None) -> str:
     """Build the body of the table, an empty text for a scene without support."""
     if support is None:
         return ""
     x, y, z = table_position(grasp_object)
-    size = _text(TABLE_HALF_EXTENTS)
+    size = _numbers_text(TABLE_HALF_EXTENTS)
     return (
         f'<body name="table" mocap="true" pos="{x} {y} {z}"><geom name="table" type="box" size="{size}"'
         f' contype="{TABLE_BIT}" conaffinity="{OBJECT_BIT}"/></body>\n'
     )
 
 
-def shapes(scene: Scene) -> dict[str, dict[str, object]]:
+def scene_shapes(scene: Scene) -> dict[str, dict[str, object]]:
     """Return shape and extents [m] of object and table, and the position of the table [m], for drawing them."""
     if scene.grasp_object is None:
         return {}

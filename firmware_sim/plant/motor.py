@@ -9,10 +9,15 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from firmware_sim.compiled import array_of
-from firmware_sim.description import MotorSpec
-from firmware_sim.plant.drivetrain import compute_command, encoded, integrate, measure_angle
-from firmware_sim.plant.structs import RotorStruct, Servo
+from firmware_sim.compiled import structure_array
+from firmware_sim.hand_description import MotorSpec
+from firmware_sim.plant.drivetrain import (
+    compute_command,
+    encoder_angle,
+    integrate_motor,
+    measure_angle,
+)
+from firmware_sim.plant.plant_structs import RotorStruct, Servo
 
 CURRENT_LAG_S = 0.3e-3
 """Time constant of the drive's current loop [s], for a bandwidth of about 500 Hz."""
@@ -74,9 +79,9 @@ class Motor:
             step_s: time step of the plant [s].
         """
         self.servo_row = Servo()
-        self._describe(spec, step_s)
+        self._set_parameters(spec, step_s)
 
-    def _describe(self, spec: MotorSpec, step_s: float) -> None:
+    def _set_parameters(self, spec: MotorSpec, step_s: float) -> None:
         """Set the parameters of the motor, and its state at rest."""
         self.theta = self.omega = self.torque = self.velocity = self.heat = 0.0
         self.inertia = spec.inertia
@@ -118,7 +123,7 @@ class Motor:
 
     def encoder(self) -> float:
         """Return the spool angle as the drive measures it [rad]."""
-        angle = encoded(self.theta)
+        angle = encoder_angle(self.theta)
         encoder_fault = self._encoder_fault
         return encoder_fault(angle) if encoder_fault else angle
 
@@ -135,7 +140,7 @@ class Motor:
         compute_command(self)
         if self._power_stage_fault:
             self.command = self._power_stage_fault(self.command)
-        integrate(self)
+        integrate_motor(self)
 
 
 class MotorRow(RotorStruct, Motor):
@@ -155,6 +160,6 @@ def motor_rows(specs: Sequence[MotorSpec], step_s: float) -> tuple[list[Motor], 
     memory = (MotorRow * len(specs))()
     motors: list[Motor] = list(memory)
     for number, (motor, spec) in enumerate(zip(motors, specs, strict=True)):
-        motor._describe(spec, step_s)
+        motor._set_parameters(spec, step_s)
         motor.number = number
-    return motors, array_of(memory, RotorStruct)
+    return motors, structure_array(memory, RotorStruct)

@@ -9,28 +9,28 @@ from typing import Any
 
 import numpy as np
 
-from firmware_sim.compiled import addresses, machine_code
-from firmware_sim.description import Hand, SimulatorError
+from firmware_sim.compiled import array_addresses, machine_code
+from firmware_sim.hand_description import Hand, SimulatorError
 from firmware_sim.plant import drivetrain
-from firmware_sim.plant.engine import RigidBodyEngine
 from firmware_sim.plant.mjcf import STEP_S, model_text, opposed_digits
 from firmware_sim.plant.motor import Motor, motor_rows, step_factors
+from firmware_sim.plant.rigid_body_engine import RigidBodyEngine
 from firmware_sim.plant.tendon import TendonRouting
-from firmware_sim.scene import support as support_kernels
+from firmware_sim.scene import support_table as support_kernels
 from firmware_sim.scene.scene import Scene, SinkingTable
-from firmware_sim.scene.stages import StageSequence
-from firmware_sim.scene.support import SupportTable
+from firmware_sim.scene.scene_stages import StageSequence
+from firmware_sim.scene.support_table import SupportTable
 
 STEP_NS = round(STEP_S * 1e9)
 """Time step of the plant [ns]."""
-SLACK_M = (1e-3, 3e-3)
+INITIAL_SLACK_RANGE_M = (1e-3, 3e-3)
 """Range of the random slack of tendons at power-up [m].
 
 Tendons are slack because the motors were off before.
 """
 LARGEST_OVERLAP_M = 3e-3
 """Largest depth to which an object may overlap a link or the palm at power-up [m]."""
-TABLE_STEPS = 4
+TABLE_UPDATE_STEPS = 4
 """Number of plant steps from one update of the table to the next."""
 
 
@@ -92,7 +92,7 @@ class Plant:
         self.motors = {
             spec.name: motor for spec, motor in zip(hand.motors, self._rotors, strict=True)
         }
-        routing = self._routing(compiled)
+        routing = self._build_routing(compiled)
         self.tendons = [(tendon, self._rotors[tendon.motor]) for tendon in routing.tendons]
         self._drivetrain = routing.rows, routing.joints, routing.arms, rotors
         engine = self.engine
@@ -103,11 +103,11 @@ class Plant:
         arrays = (*self._drivetrain, *self._bodies) if self._bodies else ()
         # The kernel gets one array of addresses, because each argument costs 0.2 us in every tick.
         self._addresses = (
-            np.array([*addresses(arrays), *native], np.int64) if arrays and native else None
+            np.array([*array_addresses(arrays), *native], np.int64) if arrays and native else None
         )
         self._tensions = np.zeros(len(self.tendons))
         self.sampled = (*self._drivetrain, engine.q, engine.dq, self._tensions)
-        self.table = self._table(scene.support, compiled) if scene.support else None
+        self.table = self._build_table(scene.support, compiled) if scene.support else None
         self.contact_forces = self.engine.forces_on(
             "contact", [digit.name for digit in hand.digits]
         )
@@ -118,7 +118,7 @@ class Plant:
             self.engine.normal_forces([digit.name for digit in hand.digits]) if scene.load else list
         )
         if not homed:
-            self._slacken(seed)
+            self._unwind_spools(seed)
 
     def _check_overlaps(self) -> None:
         """Refuse an object that overlaps the open hand.
@@ -138,7 +138,7 @@ class Plant:
                 "expected a smaller object, or another position_m"
             )
 
-    def _routing(self, compiled: bool) -> TendonRouting:
+    def _build_routing(self, compiled: bool) -> TendonRouting:
         """Build the tendons and their pulleys. Refuse unknown motors and joints."""
         hand = self.hand
         motors = [motor.name for motor in hand.motors]
@@ -157,7 +157,7 @@ class Plant:
             compiled,
         )
 
-    def _table(self, support: SinkingTable, compiled: bool) -> SupportTable:
+    def _build_table(self, support: SinkingTable, compiled: bool) -> SupportTable:
         """Build the table.
 
         With compiled kernels, the table reads the contact forces in the memory of the engine.
@@ -170,13 +170,13 @@ class Plant:
         indices = self.engine.force_indices("contact", [hand.digits[i].name for i in closing])
         return SupportTable(support, opposed, indices, machine_code(support_kernels))
 
-    def _slacken(self, seed: int) -> None:
+    def _unwind_spools(self, seed: int) -> None:
         """Unwind each spool by a random slack."""
         rng = random.Random(f"slack {seed}")
         for i, (spec, (tendon, motor)) in enumerate(
             zip(self.hand.tendons, self.tendons, strict=False)
         ):
-            wound = -rng.uniform(*SLACK_M)  # A negative length is unwound.
+            wound = -rng.uniform(*INITIAL_SLACK_RANGE_M)  # A negative length is unwound.
             motor.theta = wound / tendon.radius
             if spec.pretension:
                 # The tendons of a spool pair stay taut, because they were mounted with the spool at
@@ -213,13 +213,17 @@ class Plant:
         """
         while count > 0:
             block = 1 if self.part_ns else min(count, self._free_steps())
-            self._move(block)
+            self._run_steps(block)
             count -= block
             # Table and load act only between two steps, never within a step.
-            if self.table and self.steps % TABLE_STEPS == 0 and self._table_can_act(self.table):
+            if (
+                self.table
+                and self.steps % TABLE_UPDATE_STEPS == 0
+                and self._table_can_act(self.table)
+            ):
                 self._update_table(self.table)
             if self.load:
-                force = self.load.at(self.steps * STEP_S)
+                force = self.load.force_at(self.steps * STEP_S)
                 self.engine.push_object([force * component for component in self.load.direction])
 
     def advance_part(self, duration_ns: int) -> None:
@@ -232,14 +236,14 @@ class Plant:
             SimulatorError: the plant has diverged, because its parameters are too extreme for the
                 time step.
         """
-        self._move_for(duration_ns)
+        self._run_step_of_duration(duration_ns)
         self.part_ns += duration_ns
 
-    def _move_for(self, duration_ns: int) -> None:
+    def _run_step_of_duration(self, duration_ns: int) -> None:
         """Run one step with another duration [ns]."""
         self._set_step(duration_ns * 1e-9)
         try:
-            self._move_once(self.faulty_motors)
+            self._run_single_step(self.faulty_motors)
         finally:
             self._set_step(STEP_S)
 
@@ -259,18 +263,18 @@ class Plant:
         if self.load:
             return 1
         table_active = self.table and self._table_can_act(self.table)
-        return TABLE_STEPS - self.steps % TABLE_STEPS if table_active else 1 << 30
+        return TABLE_UPDATE_STEPS - self.steps % TABLE_UPDATE_STEPS if table_active else 1 << 30
 
     def _table_can_act(self, table: SupportTable) -> bool:
         """Check whether the table can still change the plant, or a stage can after the table has sunk."""
         return bool(self.stages) or not table.settled
 
-    def _move(self, count: int) -> None:
+    def _run_steps(self, count: int) -> None:
         """Run steps of the plant. Without faulty motors, a single kernel call runs all steps."""
         if self.part_ns:
             # The divided step is completed first, so that later steps start at multiples of
             # STEP_NS.
-            self._move_for(STEP_NS - self.part_ns)
+            self._run_step_of_duration(STEP_NS - self.part_ns)
             self.part_ns = 0
             self.steps += 1
             return
@@ -280,10 +284,10 @@ class Plant:
             if done == count:
                 return
             if not self.faulty_motors:
-                raise self._diverged()
+                raise self._divergence_error()
         faulty_motors = self.faulty_motors
         for _ in range(count):
-            self._move_once(faulty_motors)
+            self._run_single_step(faulty_motors)
             self.steps += 1
 
     @property
@@ -291,7 +295,7 @@ class Plant:
         """List the motors whose encoder or power stage has a fault."""
         return [motor for motor in self._rotors if motor.faulty]
 
-    def _move_once(self, faulty_motors: list[Motor]) -> None:
+    def _run_single_step(self, faulty_motors: list[Motor]) -> None:
         """Run one step of the plant.
 
         Python steps the given faulty motors, the kernel all others.
@@ -301,7 +305,7 @@ class Plant:
         if (
             not abs(sum(engine.dq.tolist())) < drivetrain.DIVERGED_RAD_S
         ):  # also true if the sum is NaN
-            raise self._diverged()
+            raise self._divergence_error()
         if faulty_motors:
             for motor in self._rotors:
                 motor.steps_alone = motor in faulty_motors
@@ -319,7 +323,7 @@ class Plant:
         dq = self.engine.dq.tolist()
         return q, dq, [0.0] * len(q), [0.0] * len(self.tendons)
 
-    def _diverged(self) -> SimulatorError:
+    def _divergence_error(self) -> SimulatorError:
         """Build the error that reports a diverged plant."""
         when = self.steps * STEP_S
         return SimulatorError(
@@ -340,7 +344,7 @@ class Plant:
         if depth != before:
             self.engine.lower_table(depth - before)
         if self.stages and table.dropped_at is not None:
-            now = self.stages.at(self.steps * STEP_S - table.dropped_at)
+            now = self.stages.state_at(self.steps * STEP_S - table.dropped_at)
             self.stage = now.stage
             self.engine.set_gravity(now.gravity)
             self.engine.push_object(list(now.push))
@@ -352,7 +356,7 @@ class Plant:
 
         The list is empty in a scene without a load.
         """
-        return [self.load.at(self.steps * STEP_S), *self.normal_forces()] if self.load else []
+        return [self.load.force_at(self.steps * STEP_S), *self.normal_forces()] if self.load else []
 
     def cells(self) -> Any:
         """Compute the present tension of each tendon at its load cell.

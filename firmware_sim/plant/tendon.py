@@ -6,15 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from firmware_sim.compiled import array_of
-from firmware_sim.description import POWER_COUNT, TendonSpec
-from firmware_sim.plant.structs import TendonStruct
+from firmware_sim.compiled import structure_array
+from firmware_sim.hand_description import POWER_COUNT, TendonSpec
+from firmware_sim.plant.plant_structs import TendonStruct
 
 PULLEY_NUMBER_COUNT = 4 + POWER_COUNT
 """Count of numbers of a pulley: mean moment arm [m], 1 if the arm varies, two joint limits [rad], and coefficients."""
 
 
-def _pulley(spec: TendonSpec, joint: str) -> tuple[float, ...]:
+def _pulley_numbers(spec: TendonSpec, joint: str) -> tuple[float, ...]:
     """Return the numbers that describe a tendon's pulley at a joint, see ``PULLEY_NUMBER_COUNT``."""
     if joint not in spec.curves:
         return (spec.arms[joint], *(0.0,) * (PULLEY_NUMBER_COUNT - 1))
@@ -129,9 +129,9 @@ class TendonRouting:
             # At a joint with moment arm 0 the tendon passes through the axis, so there is no
             # pulley.
             passed = [name for name, arm in spec.arms.items() if arm]
-            path += [(joints.index(name), _pulley(spec, name)) for name in passed]
+            path += [(joints.index(name), _pulley_numbers(spec, name)) for name in passed]
             tendon.end = len(path)
-        self.rows: Any = array_of(memory, TendonStruct) if compiled else self.tendons
+        self.rows: Any = structure_array(memory, TendonStruct) if compiled else self.tendons
         self.joints: Any = [joint for joint, _ in path]
         self.arms: Any = [number for _, pulley in path for number in pulley]
         if compiled:

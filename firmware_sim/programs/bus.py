@@ -2,9 +2,9 @@
 
 import select
 
-from firmware_sim.bus.ports import open_port
+from firmware_sim.bus.bus_ports import open_port
 from firmware_sim.bus.timed_port import DEFAULT_BITRATES, timed_port_maker
-from firmware_sim.command import CommandParser, until_signal
+from firmware_sim.command_line import CommandParser, until_signal
 from firmware_sim.printing import printable_text
 from firmware_sim.shared_clock import SharedClock
 
@@ -37,7 +37,7 @@ def run(words: list[str]) -> None:
         while running:
             wait_ns = max(0, port.due_ns - now_ns())
             ready, _, _ = select.select(
-                port.readers(), port.writers(), [], min(_POLL_S, wait_ns * 1e-9)
+                port.read_sockets(), port.write_sockets(), [], min(_POLL_S, wait_ns * 1e-9)
             )
             while port.receive(ready):
                 ready = []

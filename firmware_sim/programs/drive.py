@@ -4,17 +4,18 @@ import argparse
 import sys
 from dataclasses import replace
 
+from firmware_sim.bus.bus_ports import open_port
 from firmware_sim.bus.frame import Frame
-from firmware_sim.bus.ports import open_port
 from firmware_sim.bus.timed_port import DEFAULT_BITRATES, timed_port_maker
-from firmware_sim.command import CommandParser, check_time_scale, until_signal
-from firmware_sim.description import MotorSpec, SimulatorError
-from firmware_sim.faults.active import ActiveFaults
+from firmware_sim.bus_server import BusServer
+from firmware_sim.command_line import CommandParser, check_time_scale, until_signal
+from firmware_sim.faults.active_faults import ActiveFaults
 from firmware_sim.faults.bench_world import BenchWorld
+from firmware_sim.faults.fault_socket import FaultSocket, is_served
 from firmware_sim.faults.faulty_drive import DRIVE_FAULTS, with_fault, with_faulty_specs
-from firmware_sim.faults.socket import FaultSocket, is_served
+from firmware_sim.hand_description import MotorSpec, SimulatorError
 from firmware_sim.nodes import PROTOCOL_SPECS
-from firmware_sim.nodes.cia402.dictionary import EDS_PATH
+from firmware_sim.nodes.cia402.object_dictionary import EDS_PATH
 from firmware_sim.nodes.mit.node import (
     CLEAR_ANSWERS,
     EACH_CLEAR_ANSWERED,
@@ -22,14 +23,13 @@ from firmware_sim.nodes.mit.node import (
     WATCHDOG_BEHAVIOURS,
 )
 from firmware_sim.nodes.odrive import bench as odrive_bench
-from firmware_sim.nodes.odrive.motion import MOTION_ENDPOINTS
+from firmware_sim.nodes.odrive.motion_modes import MOTION_ENDPOINTS
 from firmware_sim.nodes.protocol_spec import SimulatedNode
-from firmware_sim.paths import faults_path
 from firmware_sim.plant.motor import Motor
 from firmware_sim.printing import printable_text
 from firmware_sim.programs.drive_types import MIT_TYPES, ROBSTRIDE_TYPES, drive_spec
-from firmware_sim.server import BusServer
 from firmware_sim.shared_clock import SharedClock
+from firmware_sim.socket_paths import faults_path
 
 STEP_NS = 1_000_000
 """Time step of the shafts [ns]."""
@@ -62,7 +62,7 @@ objects of a CiA 402 drive, for CANopen tools: {EDS_PATH}
 
 
 class SimulatedDriveBench:
-    """Simulated drives on one bus. See ``server.ServedNodes``.
+    """Simulated drives on one bus. See ``bus_server.ServedNodes``.
 
     Attributes:
         motors: rotors in the order of the drive descriptions.
@@ -157,7 +157,7 @@ class SimulatedDriveBench:
         return unsolicited
 
 
-def _parser() -> CommandParser:
+def _argument_parser() -> CommandParser:
     parser = CommandParser(
         prog="python -m firmware_sim drive",
         description="Simulate drives with free shafts, as delivered.",
@@ -199,7 +199,7 @@ def _parser() -> CommandParser:
     return parser
 
 
-def _behaviour(args: argparse.Namespace) -> dict[str, object]:
+def _behaviour_options(args: argparse.Namespace) -> dict[str, object]:
     """Return the command-line options that change how the drives behave.
 
     Raises:
@@ -220,13 +220,13 @@ def _behaviour(args: argparse.Namespace) -> dict[str, object]:
     return {name.removeprefix("--").replace("-", "_"): value for name, value in behaviour.items()}
 
 
-def _specs(args: argparse.Namespace) -> list[MotorSpec]:
+def _drive_specs(args: argparse.Namespace) -> list[MotorSpec]:
     """Build the descriptions of the requested drives.
 
     Raises:
         SimulatorError: an argument is not valid for a drive.
     """
-    options = _behaviour(args)
+    options = _behaviour_options(args)
     if args.fd and (args.protocol != "mit" or MIT_TYPES.get(args.motor_type) == "cubemars"):
         raise SimulatorError("--fd: only for drive mit with Damiao motors")
     if args.motor_type and args.protocol not in (*MIT_TYPES.values(), "robstride"):
@@ -254,8 +254,8 @@ def run(words: list[str]) -> None:
     Raises:
         SimulatorError: the simulator does not support the arguments.
     """
-    args = _parser().parse_args(words)
-    specs = _specs(args)
+    args = _argument_parser().parse_args(words)
+    specs = _drive_specs(args)
     clock = SharedClock(args.time_scale)
     bench = SimulatedDriveBench(specs, clock.now_ns(), args.broken)
     port = open_port(args.bus, 0, timed_port_maker(args.wire, [DEFAULT_BITRATES], clock.now_ns))

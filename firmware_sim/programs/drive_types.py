@@ -1,6 +1,6 @@
 """Drives as delivered: with the manufacturer's identifiers, ranges and timing, and with a free shaft."""
 
-from firmware_sim.description import MotorSpec, SimulatorError
+from firmware_sim.hand_description import MotorSpec, SimulatorError
 from firmware_sim.nodes import PROTOCOL_SPECS, cubemars
 from firmware_sim.nodes.mit import bench as mit_bench
 from firmware_sim.nodes.odrive import bench as odrive_bench
@@ -53,7 +53,7 @@ def drive_spec(
         raise SimulatorError(
             f"--ids {node_id}: expected {protocol_spec.numbers.start} to {protocol_spec.numbers.stop - 1}"
         )
-    shaft = _shaft(protocol, motor_type, fd, firmware)
+    shaft = _shaft_of_type(protocol, motor_type, fd, firmware)
     rotor_inertia = shaft.inertia if inertia is None else inertia
     return MotorSpec(
         name=f"{protocol}{node_id}", protocol=protocol, bus="bench", node_id=node_id, spool_radius=1.0,
@@ -78,7 +78,7 @@ def _check_type(protocol: str, motor_type: str) -> None:
         raise SimulatorError(f"--motor-type {motor_type}: expected one of {', '.join(types)}")
 
 
-def _shaft(protocol: str, motor_type: str, fd: bool, firmware: str) -> ShaftSpec:
+def _shaft_of_type(protocol: str, motor_type: str, fd: bool, firmware: str) -> ShaftSpec:
     """Build the shaft of the requested motor type."""
     if protocol == "odrive":
         return odrive_bench.shaft_of_firmware(firmware)

@@ -8,33 +8,33 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from firmware_sim.bus.ports import BusPort, assign_buses, is_on_this_machine, open_port
+from firmware_sim.bus.bus_ports import BusPort, assign_buses, is_on_this_machine, open_port
 from firmware_sim.bus.timed_port import timed_port_maker
-from firmware_sim.command import CommandParser, check_time_scale, until_signal
-from firmware_sim.description import SimulatorError, load_hand
-from firmware_sim.faults.socket import FaultSocket
-from firmware_sim.paths import clock_path, faults_path, truth_path
-from firmware_sim.plant.perturb import PERTURBATION_KEYS, perturbed_hand
+from firmware_sim.bus_server import BusServer
+from firmware_sim.command_line import CommandParser, check_time_scale, until_signal
+from firmware_sim.faults.fault_socket import FaultSocket
+from firmware_sim.hand_description import SimulatorError, load_hand
+from firmware_sim.plant.plant_perturbation import PERTURBATION_KEYS, perturbed_hand
 from firmware_sim.printing import printable_text
-from firmware_sim.priority import RealTimePriority
+from firmware_sim.realtime_priority import RealTimePriority
 from firmware_sim.scene.scene import load_scene, packaged_scenes
-from firmware_sim.serials import with_serial_numbers
-from firmware_sim.server import BusServer
+from firmware_sim.serial_numbers import with_serial_numbers
 from firmware_sim.shared_clock import SharedClock
-from firmware_sim.truth import TruthWriter
-from firmware_sim.wire.options import WIRE_OPTION_KEYS as WIRE_KEYS
-from firmware_sim.world import SimulatedWorld, make_world
+from firmware_sim.simulated_world import SimulatedWorld, make_world
+from firmware_sim.socket_paths import clock_path, faults_path, truth_path
+from firmware_sim.truth_file import TruthWriter
+from firmware_sim.wire.wire_options import WIRE_OPTION_KEYS as WIRE_KEYS
 
-_KEYS = "\n".join(f"  {key:16}{text}" for key, text in PERTURBATION_KEYS.items())
-_WIRE_KEYS = "\n".join(f"  {key:16}{text}" for key, text in WIRE_KEYS.items())
+_PERTURBATION_KEYS_HELP = "\n".join(f"  {key:16}{text}" for key, text in PERTURBATION_KEYS.items())
+_WIRE_KEYS_HELP = "\n".join(f"  {key:16}{text}" for key, text in WIRE_KEYS.items())
 _LOG_SUFFIX = ".mcap"
 """Suffix of log files, which the simulator never overwrites."""
-_EPILOG = f"""
+_HELP_EPILOG = f"""
 factors for --perturb:
-{_KEYS}
+{_PERTURBATION_KEYS_HELP}
 
 values for --wire, and what holds without them:
-{_WIRE_KEYS}
+{_WIRE_KEYS_HELP}
 
 examples:
   python -m firmware_sim --hand jamia --bus local:demo --scene cylinder
@@ -45,11 +45,11 @@ examples:
 """
 
 
-def _parser() -> argparse.ArgumentParser:
+def _argument_parser() -> argparse.ArgumentParser:
     parser = CommandParser(
         prog="python -m firmware_sim",
         description="Simulate a hand on a CAN bus: drives, load cells, tendons, fingers and an object.",
-        epilog=_EPILOG,
+        epilog=_HELP_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
@@ -83,7 +83,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _factors(words: list[str]) -> dict[str, float]:
+def _perturbation_factors(words: list[str]) -> dict[str, float]:
     """Parse the KEY=FACTOR words of ``--perturb``."""
     factors: dict[str, float] = {}
     for word in words:
@@ -107,11 +107,11 @@ def run(words: list[str]) -> None:
     Raises:
         SimulatorError: the simulator does not support the arguments.
     """
-    args = _parser().parse_args(words)
+    args = _argument_parser().parse_args(words)
     check_time_scale(args.time_scale)
     if args.truth and args.truth.suffix == _LOG_SUFFIX and args.truth.exists():
         raise SimulatorError(f"--truth {args.truth}: is a log; expected another name")
-    factors = _factors(args.perturb)
+    factors = _perturbation_factors(args.perturb)
     hand = perturbed_hand(load_hand(args.hand), factors)
     scene = load_scene(args.scene)
     hand = with_serial_numbers(hand, args.serial)
@@ -144,7 +144,7 @@ def run(words: list[str]) -> None:
             ready_line = (
                 json.dumps({"ready": ready}) if args.json else f"firmware_sim: ready {pairs}"
             )
-            _serve(
+            _serve_hand(
                 BusServer(world, ports, clock, faults, RealTimePriority()),
                 world,
                 path,
@@ -157,8 +157,8 @@ def run(words: list[str]) -> None:
             port.close()
 
 
-def _serve(
-    server: BusServer, world: SimulatedWorld, path: Path, header: dict[str, Any], ready: str
+def _serve_hand(
+    server: BusServer, world: SimulatedWorld, path: Path, header: dict[str, Any], ready_line: str
 ) -> None:
     """Serve a simulated hand and record its truth file."""
     try:
@@ -173,7 +173,7 @@ def _serve(
     until_signal(stop)
     gc.collect()
     gc.freeze()  # from now on, the garbage collector skips loaded modules
-    print(ready, flush=True)
+    print(ready_line, flush=True)
     try:
         server.run()
     finally:

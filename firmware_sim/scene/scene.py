@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from firmware_sim.description import SimulatorError
-from firmware_sim.scene.stages import SceneStage, read_stage
+from firmware_sim.hand_description import SimulatorError
+from firmware_sim.scene.scene_stages import SceneStage, read_stage
 
 OBJECT_SHAPES = ("cylinder", "sphere", "box")
 """Possible shapes of an object."""
@@ -71,7 +71,7 @@ class GrowingLoad:
     start: float
     rate: float
 
-    def at(self, time: float) -> float:
+    def force_at(self, time: float) -> float:
         """Return the force [N] at a time after power-up [s]."""
         return max(0.0, self.rate * (time - self.start))
 
@@ -111,14 +111,14 @@ def load_scene(text: str | None) -> Scene:
     if text is None:
         return Scene("none")
     if text.endswith(".toml"):
-        return _read(Path(text), text)
+        return _read_scene(Path(text), text)
     name, _, diameter = text.partition(":")
     if name not in packaged_scenes():
         packaged_names = ", ".join(packaged_scenes())
         raise SimulatorError(
             f"no such scene: {text}; expected {packaged_names}, NAME:MILLIMETRES or a .toml file"
         )
-    scene = _read(importlib.resources.files("firmware_sim") / "scenes" / f"{name}.toml", name)
+    scene = _read_scene(importlib.resources.files("firmware_sim") / "scenes" / f"{name}.toml", name)
     return _resized_scene(scene, diameter, text) if diameter else scene
 
 
@@ -142,15 +142,15 @@ def _resized_scene(scene: Scene, millimetres: str, text: str) -> Scene:
     )
 
 
-def _read(path: Any, where: str) -> Scene:
+def _read_scene(path: Any, where: str) -> Scene:
     """Read a scene file and check that its parts fit together."""
     try:
         if not path.is_file():
             raise ValueError("no such file")
         raw = tomllib.loads(path.read_text("utf-8"))
-        grasp_object = _grasp_object(raw.get("object"))
-        support = _support(raw.get("support"))
-        load = _load(raw.get("load"))
+        grasp_object = _parse_object(raw.get("object"))
+        support = _parse_support(raw.get("support"))
+        load = _parse_load(raw.get("load"))
         scene = Scene(
             raw["name"],
             grasp_object,
@@ -177,58 +177,58 @@ def _read(path: Any, where: str) -> Scene:
     return scene
 
 
-def _grasp_object(raw: dict[str, Any] | None) -> GraspObject | None:
+def _parse_object(section: dict[str, Any] | None) -> GraspObject | None:
     """Build the object from its table in the scene file."""
-    if raw is None:
+    if section is None:
         return None
-    shape = raw["shape"]
+    shape = section["shape"]
     if shape not in OBJECT_SHAPES:
         raise ValueError(f"object.shape {shape!r}: expected {', '.join(OBJECT_SHAPES)}")
     if shape == "box":
-        size = tuple(float(value) for value in raw["size_m"])
+        size = tuple(float(value) for value in section["size_m"])
     else:
-        diameter = float(raw["diameter_m"])
-        size = (diameter, diameter, diameter if shape == "sphere" else float(raw["length_m"]))
-    position = tuple(float(value) for value in raw["position_m"])
+        diameter = float(section["diameter_m"])
+        size = (diameter, diameter, diameter if shape == "sphere" else float(section["length_m"]))
+    position = tuple(float(value) for value in section["position_m"])
     if (
         len(size) != 3
         or len(position) != 3
-        or not all(0 < value < 1 for value in (*size, raw["mass_kg"] / 100))
+        or not all(0 < value < 1 for value in (*size, section["mass_kg"] / 100))
     ):
         raise ValueError(
             "object: expected three positive extents, a positive mass and three coordinates"
         )
-    friction = float(raw["friction"])
+    friction = float(section["friction"])
     if not (0.0 <= friction <= 10.0 and all(map(math.isfinite, position))):
         raise ValueError(
             f"object: friction {friction}, position {position}: expected finite, friction 0 to 10"
         )
-    return GraspObject(shape, size, float(raw["mass_kg"]), friction, position)
+    return GraspObject(shape, size, float(section["mass_kg"]), friction, position)
 
 
-def _support(raw: dict[str, Any] | None) -> SinkingTable | None:
+def _parse_support(section: dict[str, Any] | None) -> SinkingTable | None:
     """Build the support from its table in the scene file."""
-    if raw is None:
+    if section is None:
         return None
-    if raw["drop_when"] not in ("grasped", "never"):
-        raise ValueError(f"support.drop_when {raw['drop_when']!r}: expected grasped or never")
+    if section["drop_when"] not in ("grasped", "never"):
+        raise ValueError(f"support.drop_when {section['drop_when']!r}: expected grasped or never")
     keys = {"drop_when": "drop_when", "drop_force_N": "drop_force", "drop_hold_s": "drop_hold",
             "drop_digits": "drop_digits", "drop_opposed": "drop_opposed",
             "sink_speed_m_s": "sink_speed", "sink_depth_m": "sink_depth"}  # fmt: skip
-    return SinkingTable(**{keys[key]: value for key, value in raw.items()})
+    return SinkingTable(**{keys[key]: value for key, value in section.items()})
 
 
-def _load(raw: dict[str, Any] | None) -> GrowingLoad | None:
+def _parse_load(section: dict[str, Any] | None) -> GrowingLoad | None:
     """Build the load from its table in the scene file. The direction is normalised."""
-    if raw is None:
+    if section is None:
         return None
-    x, y, z = (float(value) for value in raw["direction"])
+    x, y, z = (float(value) for value in section["direction"])
     length = math.hypot(x, y, z)
-    start = float(raw["start_s"])
-    rate = float(raw["rate_N_per_s"])
+    start = float(section["start_s"])
+    rate = float(section["rate_N_per_s"])
     if (
         not (0.0 < length < math.inf and 0.0 <= start < math.inf and 0.0 < rate < math.inf)
-        or len(raw) != 3
+        or len(section) != 3
     ):
         raise ValueError("load: expected direction (not zero), start_s and a positive rate_N_per_s")
     return GrowingLoad((x / length, y / length, z / length), start, rate)

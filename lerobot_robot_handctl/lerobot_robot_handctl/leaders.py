@@ -16,8 +16,8 @@ from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnected
 from lerobot_robot_handctl.config_handctl import HandctlKeyboardConfig, HandctlLogConfig
 from lerobot_robot_handctl.names import named, positions
 
-from handctl.core.types import Mode
-from handctl.hand.load import load_hand
+from handctl.core.tick_types import HandMode
+from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 
 CLOSE, OPEN, OPEN_ALL = "qwertyuiop", "asdfghjkl;", " "
@@ -157,7 +157,7 @@ class HandctlLog(Leader):
         super().__init__(config)
         with RunLog(Path(config.log)) as log:
             self.joints = log.names("q")
-            active = log.mode == Mode.ACTIVE
+            active = log.mode == HandMode.ACTIVE
             goal = log.field("q_goal")[active]
             # The joints of a digit that holds a tension have no commanded angles. Their estimated
             # angles are used instead.

@@ -15,7 +15,7 @@ from lerobot_robot_handctl.names import TENSION, angles_of, named, positions
 
 import handctl
 from handctl.client import HandClient, TargetStream
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 
 PAUSE_S = 0.4
 """Time without an action after which the stream closes and the hand comes to rest [s]."""

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from handctl.errors import ConfigError
 from handctl.hand.file.error_text import key_path, toml_spelling
-from handctl.hand.load import read_toml
+from handctl.hand.hand_loading import read_toml
 from handctl.printing import similar_name
 
 

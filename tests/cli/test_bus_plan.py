@@ -11,9 +11,9 @@ import pytest
 from handctl.cli.checks.bus_plan import bus_plan_report
 from handctl.cli.main import main
 from handctl.controller.bus_load import bus_loads, split_motors_over_buses
-from handctl.controller.setup import make_drives
+from handctl.controller.run_setup import make_drives
 from handctl.drives.frame_time import MAX_BUS_LOAD, bus_time_s
-from handctl.hand.load import hand_path, load_hand
+from handctl.hand.hand_loading import hand_path, load_hand
 
 
 def test_the_packaged_hand_fits_at_its_rate(capsys: pytest.CaptureFixture[str]) -> None:
@@ -43,7 +43,7 @@ def test_every_bus_of_a_split_fits(rate: float) -> None:
     buses = split_motors_over_buses(hand, rate)
     assert sorted(name for names in buses for name in names) == sorted(drives)
     for names in buses:
-        frames = [(size, fd, 1.0) for name in names for size, fd in drives[name].exchange]
+        frames = [(size, fd, 1.0) for name in names for size, fd in drives[name].frames_per_tick]
         assert rate * bus_time_s(frames, 1e6) <= MAX_BUS_LOAD
 
 

@@ -15,9 +15,8 @@ import pytest
 from handctl.cli.main import main
 from handctl.hand.description import Hand
 from handctl.hand.file.toml_text import toml_text
-from handctl.hand.formats.meshes import with_meshes_from
-from handctl.hand.link_bodies import centre_of_mass, joint_axes, link_inertia, link_placement
-from handctl.hand.load import (
+from handctl.hand.formats.link_meshes import with_meshes_from
+from handctl.hand.hand_loading import (
     hand_content,
     hand_from_content,
     hand_path,
@@ -25,7 +24,8 @@ from handctl.hand.load import (
     load_hand,
     packaged_hands,
 )
-from handctl.hand.tree import HandTree
+from handctl.hand.hand_tree import HandTree
+from handctl.hand.link_bodies import centre_of_mass, joint_axes, link_inertia, link_placement
 from tests.cli.refused import refused, refused_lines
 from tests.conftest import NIGHTLY
 
@@ -160,7 +160,7 @@ def test_links_in_any_frames_have_the_dynamics_of_pinocchio(place: Path) -> None
     Path("full.toml").write_text(
         text_with_all_values(import_description("--urdf", TRIPOD, *ANSWERS))
     )
-    tree = HandTree.of(load_hand("full.toml"))
+    tree = HandTree.from_hand(load_hand("full.toml"))
     model = pinocchio.buildModelFromUrdf(str(TRIPOD))
     data = model.createData()
     # The first finger of the description flexes towards negative angles.

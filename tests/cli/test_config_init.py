@@ -8,7 +8,7 @@ import pytest
 
 from handctl.cli.main import main
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from tests.cli.refused import refused
 
 WORDS = [

@@ -12,8 +12,8 @@ from firmware_sim.model_file import read_model_file
 from handctl.cli.checks.config_import import read_hand_description
 from handctl.cli.main import main
 from handctl.cli.runs.other_protocol import hand_in_protocol
-from handctl.hand.formats.meshes import LinkMesh, mesh_mistakes, meshes_of_hand
-from handctl.hand.load import (
+from handctl.hand.formats.link_meshes import LinkMesh, mesh_mistakes, meshes_of_hand
+from handctl.hand.hand_loading import (
     PACKAGED_HANDS_FOLDER,
     hand_content,
     hand_from_content,

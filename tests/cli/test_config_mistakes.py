@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from handctl.cli.main import main
-from handctl.hand.load import hand_path
+from handctl.hand.hand_loading import hand_path
 
 MISTAKES = {
     "a value in millimetres": (

@@ -6,7 +6,7 @@ import pytest
 
 from handctl.cli.main import main
 from handctl.hand.file.toml_text import toml_text
-from handctl.hand.load import hand_content
+from handctl.hand.hand_loading import hand_content
 from tests.cli.refused import refused
 from tests.runtime.processes import handctl, scaled
 

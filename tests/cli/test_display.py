@@ -3,8 +3,8 @@
 from handctl.campaign.stage import homed_run
 from handctl.cli.console import display
 from handctl.cli.console.display import DisplayProcess
-from handctl.core.types import Mode, TickEvent
-from handctl.hand.load import load_hand
+from handctl.core.tick_types import HandMode, TickEvent
+from handctl.hand.hand_loading import load_hand
 from handctl.safety.faults.table import FAULT_BY_ID, remedy_for
 
 RATE_HZ = 500.0
@@ -17,7 +17,9 @@ def test_the_first_line_of_a_fault_is_followed_by_its_remedy(capfd) -> None:
     """
     hand = load_hand("jamia")
     with homed_run(hand, RATE_HZ, 1) as simulation:
-        assert simulation.until(lambda out: out.mode == Mode.ACTIVE, 3.0), simulation.state.failure
+        assert simulation.until(lambda out: out.mode == HandMode.ACTIVE, 3.0), (
+            simulation.state.failure
+        )
         display = DisplayProcess.start(hand, RATE_HZ, 0.5)
         simulation.peer.inject("off node=index_motor")
         for _ in range(round(0.5 * RATE_HZ)):

@@ -13,7 +13,7 @@ import pytest
 from handctl.cli.main import main
 from handctl.core.gains.gains import Gains
 from handctl.hand.file.toml_text import toml_text
-from handctl.hand.load import PACKAGED_HANDS_FOLDER, hand_content, load_hand
+from handctl.hand.hand_loading import PACKAGED_HANDS_FOLDER, hand_content, load_hand
 from tests.hand.test_hand_file_refusals import content_leaves, is_number, key_path_text, with_value
 
 BUS = "local:does-not-exist"

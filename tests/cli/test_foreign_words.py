@@ -14,7 +14,7 @@ from handctl.cli.main import VERB_HELP, main
 from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.errors import ConfigError
 from handctl.hand.file.toml_text import toml_text
-from handctl.hand.load import PACKAGED_HANDS_FOLDER, parse_toml
+from handctl.hand.hand_loading import PACKAGED_HANDS_FOLDER, parse_toml
 from handctl.printing import (
     LONGEST_MESSAGE,
     EscapedStream,

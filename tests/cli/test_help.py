@@ -12,7 +12,7 @@ import pytest
 from handctl.cli.main import VERB_GROUPS, VERB_HELP, main, verb_parser
 from handctl.cli.parsing.parser import VerbParser
 from handctl.cli.parsing.renamed import RENAMED_OPTIONS
-from handctl.core.gains.bounds import gain_bounds
+from handctl.core.gains.gain_bounds import gain_bounds
 from tests.cli.refused import refused
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "reference" / "command-line.md"

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from handctl.cli.main import main
-from handctl.hand.load import hand_path, load_hand
+from handctl.hand.hand_loading import hand_path, load_hand
 
 
 def jamia_without_load_cell(folder: Path) -> str:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from handctl.cli.main import main
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.programs.default_task import default_scene
 from handctl.report.truth import read_truth
 from handctl.session.plan import default_rate

@@ -6,7 +6,7 @@ import os
 import pytest
 
 from handctl.cli.main import main
-from handctl.hand.load import PACKAGED_HANDS_FOLDER
+from handctl.hand.hand_loading import PACKAGED_HANDS_FOLDER
 from tests.cli.refused import refused
 
 BUS = ("--bus", "local:nobody")

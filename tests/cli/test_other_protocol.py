@@ -13,7 +13,7 @@ import pytest
 from handctl.campaign.scenarios import ALL_PROTOCOLS
 from handctl.cli.main import main
 from handctl.cli.runs.other_protocol import hand_in_protocol
-from handctl.hand.load import load_hand, packaged_hands
+from handctl.hand.hand_loading import load_hand, packaged_hands
 from tests.cli.refused import refused
 
 BUS = ("--bus", "local:does-not-exist")

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from handctl.cli.main import main
 from handctl.errors import ConfigError
-from handctl.hand.load import hand_path
+from handctl.hand.hand_loading import hand_path
 from handctl.output import atomic_path, save_figure, write_text_atomically
 
 GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-fault.mcap"

@@ -18,7 +18,7 @@ import pytest
 import handctl as library
 from handctl.cli.console.motion_confirmation import age_text
 from handctl.cli.main import main
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.runtime.buses.open import real_buses
 from tests.cli.refused import refused
 from tests.runtime.processes import write_homed

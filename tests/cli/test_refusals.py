@@ -9,7 +9,7 @@ import pytest
 
 from handctl.cli.main import VERB_HELP, main
 from handctl.hand.file.toml_text import toml_text
-from handctl.hand.load import hand_content, hand_from_content, load_hand, packaged_hands
+from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand, packaged_hands
 from tests.cli.refused import refused
 
 BUS = ("--bus", "local:does-not-exist")

@@ -6,9 +6,9 @@ from typing import cast
 import pytest
 
 from handctl.cli.main import main
-from handctl.controller.state import State
+from handctl.controller.controller_state import ControllerState
 from handctl.core.gains.gains import Gains
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.runtime.loop import LoopStats
 from handctl.session import pace
 from handctl.session.pace import pace_advice
@@ -22,7 +22,7 @@ def run_with_faults(*rows: str, cpu_s: float = 0.0) -> RunOutcome:
     """Return the outcome of a run that ended with given faults. Its loop took ``cpu_s`` of processor time [s]."""
     latched = [SimpleNamespace(id=row) for row in rows]
     state = SimpleNamespace(latched=latched, failure="fault" if rows else "", k=1000)
-    return RunOutcome(cast(State, state), LoopStats(cpu_s=cpu_s), {}, None, 0)
+    return RunOutcome(cast(ControllerState, state), LoopStats(cpu_s=cpu_s), {}, None, 0)
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ FAILURE = "fault B17 index_motor; REMOVE POWER: not confirmed disabled: index_mo
 
 def left_enabled(plan, controller, log):
     """Return the outcome of a run after which a motor may still have torque."""
-    state = controller.initial()
+    state = controller.initial_state()
     state.decide(failure=FAILURE, unconfirmed=("index_motor",))
     return RunOutcome(state, LoopStats(), {}, None, 0)
 

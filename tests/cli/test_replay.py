@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from handctl.cli.main import main
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.replay.tick_difference import TickDifference
 
 GOLDEN = Path(__file__).parents[2] / "logs" / "golden"

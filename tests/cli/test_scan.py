@@ -17,8 +17,8 @@ from firmware_sim.programs.drive_types import drive_spec
 from handctl.cli.checks.fragment import hand_file_snippet
 from handctl.cli.main import main
 from handctl.drives.discovery import TWO_DRIVES_WARNING
-from handctl.drives.frame import EXTENDED, REMOTE, Frame
-from handctl.drives.registry import make_drive
+from handctl.drives.frame import EXTENDED_FLAG, REMOTE_FLAG, Frame
+from handctl.drives.protocol_registry import make_drive
 from handctl.hand.file.sections import Bus, Motor
 from handctl.runtime.diagnostics.scan import BusScan, requests_without_answers, scan_bus
 from tests.drives.bench_process import run_simulated_drives
@@ -131,7 +131,7 @@ def test_two_drives_with_one_number_are_named(protocol):
 @pytest.mark.parametrize("kind", [1, 3, 4, 6, 0x12])
 def test_scan_only_listens_if_another_robstride_host_is_active(kind):
     result, _, bus = scan_bench(
-        ("robstride", 1), talk=[Frame(EXTENDED | kind << 24 | 0xFD01, bytes(8))]
+        ("robstride", 1), talk=[Frame(EXTENDED_FLAG | kind << 24 | 0xFD01, bytes(8))]
     )
     assert result.foreign
     assert bus.heard == []
@@ -139,8 +139,8 @@ def test_scan_only_listens_if_another_robstride_host_is_active(kind):
 
 def test_scan_does_not_change_an_enabled_moteus_or_robstride():
     bench = SimulatedDriveBench([drive_spec("moteus", 1), drive_spec("robstride", 2)])
-    bench.receive(SimFrame(EXTENDED | 0x8001, bytes.fromhex("01000a022080000223000001ff")))
-    bench.receive(SimFrame(EXTENDED | 3 << 24 | 0xFD02, bytes(8)))
+    bench.receive(SimFrame(EXTENDED_FLAG | 0x8001, bytes.fromhex("01000a022080000223000001ff")))
+    bench.receive(SimFrame(EXTENDED_FLAG | 3 << 24 | 0xFD02, bytes(8)))
     bench.advance(20_000_000)
     before = [node.mode for node in bench.nodes]
     fed = [node.watchdog_fed_ns for node in bench.nodes]
@@ -152,7 +152,7 @@ def test_scan_does_not_change_an_enabled_moteus_or_robstride():
 
 
 def test_scan_only_listens_if_another_moteus_host_is_active():
-    result, _, bus = scan_bench(("moteus", 1), talk=[Frame(EXTENDED | 0x8101, b"\x11\x00")])
+    result, _, bus = scan_bench(("moteus", 1), talk=[Frame(EXTENDED_FLAG | 0x8101, b"\x11\x00")])
     assert result.foreign
     assert bus.heard == []
 
@@ -168,7 +168,7 @@ def test_scan_sends_no_frame_that_an_odrive_would_obey():
     orders = [
         frame
         for frame in bus.heard
-        if not frame.can_id & REMOTE and frame.can_id >> 5 in (3, 48, 0x3F)
+        if not frame.can_id & REMOTE_FLAG and frame.can_id >> 5 in (3, 48, 0x3F)
     ]
     assert orders == [], "0x7ff is Enter_DFU_Mode, 0x602 the Estop of node 48"
     assert 0x7FF in {frame.can_id for frame in result.omitted}
@@ -205,7 +205,7 @@ def test_scan_reports_no_firmware_if_another_host_is_active():
 
     Regression: an ODrive 0.6 without a reply was reported as firmware 0.5.
     """
-    request = Frame(3 << 5 | 0x09 | REMOTE, b"")
+    request = Frame(3 << 5 | 0x09 | REMOTE_FLAG, b"")
     result, _, bus = scan_bench(("odrive", 3), talk=[request])
     assert bus.heard == []
     (drive,) = result.found

@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.seeds import demo
 from handctl.campaign.scenarios import ALL_PROTOCOLS
-from handctl.hand.load import packaged_hands
+from handctl.hand.hand_loading import packaged_hands
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 CASES = [

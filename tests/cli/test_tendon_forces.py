@@ -6,9 +6,14 @@ import numpy as np
 import pytest
 
 from handctl.cli.main import main
+from handctl.controller.gain_change import DesignCache, gain_change_events
 from handctl.controller.pending_gains import PendingGains
-from handctl.controller.retune import DesignCache, gain_change_events
-from handctl.core.gains.bounds import checked_bound, different_values, values_by_key, with_values
+from handctl.core.gains.gain_bounds import (
+    bounds_after_check,
+    different_values,
+    values_by_key,
+    with_values,
+)
 from handctl.core.gains.gains import (
     Gains,
     GainsProvenance,
@@ -17,9 +22,9 @@ from handctl.core.gains.gains import (
     packaged_gains,
 )
 from handctl.core.gains.motion_design import design_motion
-from handctl.core.model import HandModel
+from handctl.core.hand_model import HandModel
 from handctl.errors import ConfigError
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 
 KEY = "tendon.index_tendon.motion_force_N"
 FILE = '[[tendon]]\nname = "index_tendon"\nmotion_force_N = 5.0\n'
@@ -28,7 +33,7 @@ FILE = '[[tendon]]\nname = "index_tendon"\nmotion_force_N = 5.0\n'
 @pytest.fixture(scope="module")
 def jamia() -> HandModel:
     """Return the model of the hand jamia with the default gains."""
-    return HandModel.of(load_hand("jamia"), Gains(), 500.0)
+    return HandModel.from_hand(load_hand("jamia"), Gains(), 500.0)
 
 
 def own_force(force: float) -> Gains:
@@ -110,7 +115,7 @@ def test_a_wrong_entry_is_refused_in_one_line(
 )
 def test_a_key_that_no_tendon_can_have_is_unknown(key: str) -> None:
     with pytest.raises(ConfigError, match="no such gain"):
-        checked_bound(key, 5.0, "test")
+        bounds_after_check(key, 5.0, "test")
 
 
 def test_a_running_controller_refuses_a_tendon_of_another_hand(jamia: HandModel) -> None:

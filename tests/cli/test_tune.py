@@ -17,7 +17,7 @@ import pytest
 from handctl.cli.main import main
 from handctl.cli.tuning.arguments import identify
 from handctl.cli.tuning.tune_verify import _print_rounds
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.log.write.writer import LogWriter
 from handctl.programs.calibration import Calibration, TendonCalibration, load_calibration
@@ -114,7 +114,7 @@ def test_an_existing_commissioning_log_is_accepted(place):
 
 
 def test_a_digit_whose_sweep_touches_another_digit_is_blocked():
-    from handctl.core.types import TickEvent
+    from handctl.core.tick_types import TickEvent
     from handctl.log.read.timeline import LoggedEvent, PhaseChange
     from handctl.tune.identify.identify import blocked_digits
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from handctl.cli.main import VERB_HELP, main
-from handctl.drives import registry
+from handctl.drives import protocol_registry
 from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.log.read.reader import RunLog
 
@@ -41,7 +41,7 @@ for words in {words!r}:
 
 
 def test_the_protocol_option_lists_all_protocols():
-    assert sorted(PROTOCOL_TRAITS) == sorted(registry.PROTOCOL_ENTRIES)
+    assert sorted(PROTOCOL_TRAITS) == sorted(protocol_registry.PROTOCOL_ENTRIES)
 
 
 def json_output(capsys, *words):
@@ -111,12 +111,12 @@ def test_a_dry_run_prints_the_gains(place, capsys):
 @pytest.fixture(scope="module")
 def log(tmp_path_factory):
     """Return the path of a small log of a successful run."""
-    from handctl.core.types import TELEMETRY_AXES, Mode, Telemetry, TickIn, TickOut
-    from handctl.hand.load import load_hand
+    from handctl.core.tick_types import TELEMETRY_AXES, HandMode, Telemetry, TickIn, TickOut
+    from handctl.hand.hand_loading import load_hand
     from handctl.log.header import RunHeader
     from handctl.log.record import pack_tick_record
     from handctl.log.write.recorder import Recorder
-    from handctl.safety.action import Action
+    from handctl.safety.action import SafetyAction
 
     hand = load_hand("jamia")
     path = tmp_path_factory.mktemp("log") / "run.mcap"
@@ -127,7 +127,7 @@ def log(tmp_path_factory):
         numbers = Telemetry(
             **{name: random.random(len(header.axis(axis))) for name, axis in TELEMETRY_AXES.items()}
         )
-        out = TickOut((), Mode.ACTIVE, "hold", Action.PASS, numbers, (), bytes(8))
+        out = TickOut((), HandMode.ACTIVE, "hold", SafetyAction.PASS, numbers, (), bytes(8))
         recorder.record(pack_tick_record(TickIn(k, k * 2_000_000), out))
     assert recorder.close("done")["complete"]
     return path

@@ -8,12 +8,12 @@ import pytest
 from handctl.cli.console.motion_confirmation import announce_motion
 from handctl.cli.console.plan import make_plan
 from handctl.cli.main import main
-from handctl.core.types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.calibration import load_calibration
-from handctl.programs.live import JogProgram
+from handctl.programs.live_session import JogProgram
 from handctl.programs.requests import MoveDigits
 from handctl.runtime.clocks.lockstep import SIMULATED_HAND_ENTRY, LockstepClock, load_peer
 from handctl.session.calibration import previous_identified, run_commissioning, write_calibration
@@ -80,7 +80,7 @@ def test_the_second_hand_of_a_design_is_not_armed_with_the_first_one_s_calibrati
     calibration = load_calibration(path, first.plan.hand)
     assert first.jog(calibration, "again").state.failure == ""
     outcome = second.jog(calibration, "other")
-    assert outcome.state.mode == Mode.DONE
+    assert outcome.state.mode == HandMode.DONE
     assert not outcome.state.unconfirmed
     assert (
         "the calibration is of another hand, give that of this hand or commission it"

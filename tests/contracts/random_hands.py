@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from handctl.campaign.stage import FIRST_NODE, with_drives
-from handctl.controller.setup import make_controller
-from handctl.controller.state import State
+from handctl.controller.controller_state import ControllerState
+from handctl.controller.run_setup import make_controller
 from handctl.controller.tick import Controller
-from handctl.core import block as s
+from handctl.core import state_block as s
 from handctl.core.gains.gains import Gains
-from handctl.core.types import Mode, TickIn
+from handctl.core.tick_types import HandMode, TickIn
 from handctl.drives import readback
 from handctl.drives.cia402 import codec as cia402
 from handctl.drives.contract import DrivePhase, DriveState
@@ -23,10 +23,10 @@ from handctl.drives.frame import Frame
 from handctl.drives.mit import codec as mit
 from handctl.drives.moteus import codec as moteus
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
-from handctl.drives.signals import Message, Quantity, SignalTable
+from handctl.drives.signals import CyclicMessage, SignalQuantity, SignalTable
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_content, hand_from_content
-from handctl.programs.live import LiveProgram
+from handctl.hand.hand_loading import hand_content, hand_from_content
+from handctl.programs.live_session import LiveProgram
 
 RATE_HZ, TICKS_PER_HAND = 200.0, 40
 """Control rate [Hz] and number of ticks of each random hand."""
@@ -148,20 +148,25 @@ def _random_digit(
     return cut | ({"coupling": [[1.0]] * size} if coupled else {})
 
 
-def _message_payload(message: Message, given: dict[Quantity, Any], rng: RandomGenerator) -> bytes:
+def _message_payload(
+    message: CyclicMessage, given: dict[SignalQuantity, Any], rng: RandomGenerator
+) -> bytes:
     """Return the payload of a message with given values.
 
     If a status has several signals, the first has its highest bits.
     """
-    values, left = [], sum(one.length for one in message.signals if one.quantity == Quantity.STATUS)
+    values, left = (
+        [],
+        sum(one.length for one in message.signals if one.quantity == SignalQuantity.STATUS),
+    )
     for signal in message.signals:
-        if signal.quantity == Quantity.UNUSED:
+        if signal.quantity == SignalQuantity.UNUSED:
             continue
         value = given.get(signal.quantity, 0.0)
-        if signal.quantity == Quantity.STATUS:
+        if signal.quantity == SignalQuantity.STATUS:
             left -= signal.length
             value = float(int(value) >> left & (1 << signal.length) - 1)
-        elif signal.quantity in (Quantity.TENSION, Quantity.ANGLE):
+        elif signal.quantity in (SignalQuantity.TENSION, SignalQuantity.ANGLE):
             value = float(value[signal.channel])
         values.append(value)
     data = SignalTable(message).pack(*values)
@@ -178,12 +183,14 @@ class RandomHand:
             hand, Gains(), RATE_HZ, LiveProgram(), None, arm_at_once=True
         )
         self.protocol = hand.motor[0].protocol
-        self.state: State = self.controller.initial()
+        self.state: ControllerState = self.controller.initial_state()
         self.state.decide(progress=replace(self.state.progress, phase="live"))
         self.period_ns = round(1e9 / RATE_HZ)
         for n, drive in enumerate(self.controller.drives):
-            self.controller.keep(self.state, n, _enabled_drive_state(drive, self.protocol))
-        self.state.mode = Mode.ACTIVE
+            self.controller.store_drive_state(
+                self.state, n, _enabled_drive_state(drive, self.protocol)
+            )
+        self.state.mode = HandMode.ACTIVE
         self.position, self.tension = np.zeros(tendons), np.zeros(tendons)
         self.speed = self.random.normal(0.0, 2.0, tendons)
         self.angle = np.zeros(len(hand.joints))
@@ -201,21 +208,21 @@ class RandomHand:
         self.angle += rng.normal(0.01, 0.02, len(self.angle))
         messages = []
         for n, drive in enumerate(self.controller.drives):
-            given: dict[Quantity, Any] = {
-                Quantity.POSITION: float(self.position[n]), Quantity.VELOCITY: float(self.speed[n]),
-                Quantity.TORQUE: float(rng.normal(0.1, 0.05)),
-                Quantity.STATUS: _status_while_enabled(drive, self.protocol),
-                Quantity.TEMPERATURE: float(rng.integers(20, 90)),
+            given: dict[SignalQuantity, Any] = {
+                SignalQuantity.POSITION: float(self.position[n]), SignalQuantity.VELOCITY: float(self.speed[n]),
+                SignalQuantity.TORQUE: float(rng.normal(0.1, 0.05)),
+                SignalQuantity.STATUS: _status_while_enabled(drive, self.protocol),
+                SignalQuantity.TEMPERATURE: float(rng.integers(20, 90)),
             }  # fmt: skip
-            messages += [(one, drive.bus, given) for one in drive.cyclic.feedback]
+            messages += [(one, drive.bus, given) for one in drive.cyclic_messages.feedback]
         sensors = self.controller.sensors
-        counter = self.state.whole(s.SYNC_COUNTER) & 0xF
+        counter = self.state.run_integer(s.SYNC_COUNTER) & 0xF
         for message in sensors.messages:
             late = rng.random() < CORRUPT_FRACTION
             given = {
-                Quantity.COUNTER: counter ^ late,
-                Quantity.TENSION: self.tension,
-                Quantity.ANGLE: self.angle,
+                SignalQuantity.COUNTER: counter ^ late,
+                SignalQuantity.TENSION: self.tension,
+                SignalQuantity.ANGLE: self.angle,
             }
             messages += [(message, sensors.bus, given)]
         out = []
@@ -270,7 +277,7 @@ class RandomHand:
         k = 0
         for i in range(TICKS_PER_HAND):
             if i < TICKS_PER_HAND - LAST_TICKS_WITH_FAULTS:
-                self.state.mode = Mode.ACTIVE
+                self.state.mode = HandMode.ACTIVE
                 self.state.decide(latched=())
             k += 1 if self.random.random() > SKIPPED_FRACTION else int(self.random.integers(2, 5))
             t_ns = k * self.period_ns
@@ -303,7 +310,7 @@ def _status_while_enabled(drive: Any, protocol: str) -> int:
 
 def _enabled_drive_state(drive: Any, protocol: str) -> DriveState:
     """Return the state of a drive that is configured and obeys commands."""
-    state: DriveState = drive.initial()
+    state: DriveState = drive.initial_state()
     private: Any = state.private
     if protocol != "odrive":
         private = private._replace(enable_sent=True, check=readback.first_recheck(drive.node_id, 0))

@@ -26,9 +26,9 @@ from handctl.compiled import (
     compile_kernels,
     kernel,
 )
-from handctl.core.block import STATE, STREAM_RANGE
-from handctl.core.law.stream import begin_segments
-from handctl.core.schema import BlockLayout
+from handctl.core.block_schema import BlockLayout
+from handctl.core.control_law.streamed_motion import begin_segments
+from handctl.core.state_block import STATE_SCHEMA, STREAM_RANGE
 from handctl.log.read.reader import RunLog
 from handctl.replay.rebuild import rebuild_controller
 from tests.contracts.random_hands import TICKS_PER_HAND, tick_hashes
@@ -44,7 +44,7 @@ def hash_of_execution(log: Path) -> str:
     digest = hashlib.blake2b(digest_size=16)
     with RunLog(log) as run, np.errstate(all="ignore"):
         controller = rebuild_controller(run)
-        state = controller.initial()
+        state = controller.initial_state()
         for one in run.ticks():
             state, out = controller.tick(state, one.tick_in)
             digest.update(out.state_hash)
@@ -122,7 +122,7 @@ def hash_of_segments() -> str:
     digest = hashlib.blake2b(digest_size=16)
     draw = np.random.default_rng(0)
     axes = ("tendon", "joint", "digit", "coordinate", "node", "group", "instance", "run")
-    layout = BlockLayout(STATE, dict.fromkeys(axes, 3))
+    layout = BlockLayout(STATE_SCHEMA, dict.fromkeys(axes, 3))
     for i in range(200):
         block = layout.initial.copy()
         rows = layout.table(block, "coordinate")
@@ -177,9 +177,9 @@ def test_only_a_contiguous_array_can_be_borrowed() -> None:
 
 PROBE_KERNEL_CODE = """
 from handctl.compiled import kernel, kernel_helper
-from handctl.core.block import STATE, state_tables
+from handctl.core.state_block import STATE, state_tables
 from handctl.core.detectors import losses
-from handctl.core import block as s
+from handctl.core import state_block as s
 
 
 @kernel("block", "layout")
@@ -189,7 +189,7 @@ def misses(block, at):
 """Source of a kernel that calls a function of a second file. This function uses a constant of a third file."""
 ASK_PROBE_CODE = """
 from handctl import compiled
-from handctl.core import block as s
+from handctl.core import state_block as s
 from handctl.core.probe import misses
 
 layout = s.STATE.layout(dict.fromkeys(s.AXES, 1))
@@ -361,9 +361,9 @@ def test_the_cache_folder_depends_on_all_sources_of_kernels() -> None:
     for function in kernels:
         origins.follow_name(function.__module__, function.__name__)
     assert {
-        "handctl.core.schema",
+        "handctl.core.block_schema",
         "handctl.safety.faults.tendon",
-        "handctl.drives.records",
+        "handctl.drives.frame_records",
     } <= origins.modules
     assert [name for name in sorted(origins.modules) if not is_source(name)] == []
 

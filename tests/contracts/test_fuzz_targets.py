@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from mcap.opcode import Opcode
 
-from firmware_sim.description import SimulatorError
+from firmware_sim.hand_description import SimulatorError
 from fuzz import blind, files, logs, texts, wire
 from fuzz.__main__ import MAX_INPUT_BYTES, fuzz_target
 from fuzz.drives import FUZZED_DRIVES

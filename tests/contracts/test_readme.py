@@ -3,7 +3,7 @@
 import tomllib
 from pathlib import Path
 
-from handctl.drives.registry import PROTOCOL_ENTRIES
+from handctl.drives.protocol_registry import PROTOCOL_ENTRIES
 from handctl.session.exit_codes import ExitCode
 
 README_TEXT = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")

@@ -13,7 +13,7 @@ import pytest
 
 from fuzz import soak
 from fuzz.soak import MIN_SLOPE_TIME_S, WARM_S, MemorySample, memory_slope
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.programs.calibration import load_calibration
 
 

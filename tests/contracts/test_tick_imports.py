@@ -8,9 +8,9 @@ import pytest
 RUN_CODE = """
 import json, sys
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.hand.load import load_hand
-from handctl.programs.live import LiveProgram
+from handctl.core.hand_model import HandModel
+from handctl.hand.hand_loading import load_hand
+from handctl.programs.live_session import LiveProgram
 from handctl.session.plan import RunPlan
 from handctl.session.run import make_controller
 from handctl.session.simulate import SimulatorSettings

@@ -3,10 +3,10 @@
 import pytest
 
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
-from handctl.hand.load import load_hand
-from handctl.programs.live import LiveProgram
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode
+from handctl.hand.hand_loading import load_hand
+from handctl.programs.live_session import LiveProgram
 from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
 DEFAULT_RATES = {"jamia": 500.0, "jamia11": 200.0}
@@ -16,13 +16,13 @@ DEFAULT_RATES = {"jamia": 500.0, "jamia11": 200.0}
 @pytest.fixture(scope="session")
 def jamia() -> HandModel:
     """Return the model of ``jamia``, a hand with one tendon per digit, at its default rate."""
-    return HandModel.of(load_hand("jamia"), Gains(), DEFAULT_RATES["jamia"])
+    return HandModel.from_hand(load_hand("jamia"), Gains(), DEFAULT_RATES["jamia"])
 
 
 @pytest.fixture(scope="session")
 def jamia11() -> HandModel:
     """Return the model of ``jamia11``, which has a tendon and an encoder at each joint, at its default rate."""
-    return HandModel.of(load_hand("jamia11"), Gains(), DEFAULT_RATES["jamia11"])
+    return HandModel.from_hand(load_hand("jamia11"), Gains(), DEFAULT_RATES["jamia11"])
 
 
 @pytest.fixture(params=["jamia", "jamia11"])
@@ -35,8 +35,10 @@ def model(request: pytest.FixtureRequest) -> HandModel:
 @pytest.fixture(scope="module")
 def active_bench() -> ControllerBench:
     """Return a bench whose hand is active and holds a tension."""
-    run = make_controller_bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
-    run.run_until_mode(Mode.ACTIVE)
+    run = make_controller_bench(
+        HandModel.from_hand(load_hand("jamia"), Gains(), 200.0), LiveProgram()
+    )
+    run.run_until_mode(HandMode.ACTIVE)
     run.run(1.0)
     run.tick('{"do": "move", "angle_deg": {"middle": 20}, "duration_s": 5}')
     run.tick('{"do": "hold", "tension_N": {"index": 30}}')

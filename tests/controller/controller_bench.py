@@ -10,13 +10,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from handctl.controller.state import State
+from handctl.controller.controller_state import ControllerState
 from handctl.controller.tick import Controller
-from handctl.core.model import HandModel
-from handctl.core.types import IoEvent, Mode, TickEvent, TickIn, TickOut
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode, IoEvent, TickEvent, TickIn, TickOut
 from handctl.drives.frame import Frame
 from handctl.drives.mit.drive import MitDrive
-from handctl.drives.sensors.node import SensorNode
+from handctl.drives.sensors.sensor_node import SensorNode
 from handctl.hand.description import Hand
 from handctl.programs.program import Program
 from tests.drives.scripted_motor import ScriptedMotor
@@ -154,8 +154,8 @@ def uncommissioned_controller(model: HandModel, program: Program, arm: bool = Tr
     hand, n = model.hand, model.tendon_count
     buses = hand.bus_names
     motors = [hand.motor_of(name) for name in hand.tendon_names]
-    drives = tuple(MitDrive.of(motor, buses.index(motor.bus)) for motor in motors)
-    sensors = SensorNode.of(hand.sensor_node, 0, hand.tendon_names, hand.joints)
+    drives = tuple(MitDrive.from_motor(motor, buses.index(motor.bus)) for motor in motors)
+    sensors = SensorNode.from_description(hand.sensor_node, 0, hand.tendon_names, hand.joints)
     return Controller(model, drives, sensors, program, np.zeros(n), np.zeros(n), arm_at_once=arm)
 
 
@@ -174,10 +174,10 @@ class ControllerBench:
     peer: ToyHand
     to_host: Callable[[list[Frame]], list[Frame]] = lambda frames: frames
     to_nodes: Callable[[list[Frame]], list[Frame]] = lambda frames: frames
-    tick_history: list[tuple[State, TickIn, TickOut]] = field(default_factory=list)
+    tick_history: list[tuple[ControllerState, TickIn, TickOut]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.state, self.k, self.frames_on_bus = self.controller.initial(), 0, list[Frame]()
+        self.state, self.k, self.frames_on_bus = self.controller.initial_state(), 0, list[Frame]()
         self.period_ns = round(self.controller.model.period * 1e9)
 
     def tick(
@@ -208,7 +208,7 @@ class ControllerBench:
         self.k += 1
         return out
 
-    def run_until_mode(self, mode: Mode, timeout: float = 12.0) -> TickOut:
+    def run_until_mode(self, mode: HandMode, timeout: float = 12.0) -> TickOut:
         """Run ticks until the controller enters a mode."""
         for _ in range(round(timeout / self.controller.model.period)):
             out = self.tick()
@@ -225,9 +225,9 @@ class ControllerBench:
         return out
 
     @property
-    def mode_history(self) -> list[Mode]:
+    def mode_history(self) -> list[HandMode]:
         """Return the modes of the controller so far, in order."""
-        seen: list[Mode] = []
+        seen: list[HandMode] = []
         for _, _, out in self.tick_history:
             if not seen or seen[-1] != out.mode:
                 seen.append(out.mode)

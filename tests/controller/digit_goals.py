@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
-from handctl.core.law.goal import DigitGoal, GoalKind
-from handctl.core.law.trajectory import MinimumJerk
-from handctl.core.model import HandModel
+from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
+from handctl.core.control_law.trajectory import MinimumJerk
+from handctl.core.hand_model import HandModel
 
 
 def moving_goals(

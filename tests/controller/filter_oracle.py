@@ -13,7 +13,7 @@ from handctl.core.estimation.filter_stack import (
     V,
     W,
 )
-from handctl.core.model import HandModel
+from handctl.core.hand_model import HandModel
 
 FILTER_STATE_UNITS = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 0.1, 1e-5])
 """Unit of each of the seven filter states. In these units all states are of the order of one."""

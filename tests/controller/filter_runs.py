@@ -8,13 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handctl.controller.state import State
-from handctl.core import block as s
-from handctl.core import stages
+from handctl.controller.controller_state import ControllerState
+from handctl.core import state_block as s
+from handctl.core import tick_stages
+from handctl.core.estimation.filter_prediction import predict_filter_states
 from handctl.core.estimation.filter_stack import STATE_COUNT, S, TendonRegime, X
-from handctl.core.estimation.prediction import predict_filter_states
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode
 from tests.controller.synthetic_states import (
     SensorReadings,
     SyntheticEstimate,
@@ -85,7 +85,7 @@ The seven states and the covariance are not listed.
 """
 
 
-def write_filter_state(state: State, filtered: FilterState) -> None:
+def write_filter_state(state: ControllerState, filtered: FilterState) -> None:
     """Write a filter state into the block of a controller's state."""
     state.tendon[s.TRAVEL : s.TRAVEL + STATE_COUNT] = filtered.filter_states.reshape(
         -1, STATE_COUNT
@@ -93,13 +93,13 @@ def write_filter_state(state: State, filtered: FilterState) -> None:
     for name, row in BLOCK_FIELD_BY_ATTRIBUTE.items():
         state.view(row)[...] = getattr(filtered, name)
     state.view("kind")[...] = state.view("regime") + 3 * (filtered.doubt_time_s > 0.0)
-    state.set_whole(s.COVARIANCE_PROPAGATED, filtered.covariance is not None)
+    state.set_run_integer(s.COVARIANCE_PROPAGATED, filtered.covariance is not None)
     if filtered.covariance is not None:
         state.view("covariance")[...] = filtered.covariance.reshape(-1, STATE_COUNT**2).T
-    state.set_whole(s.FILTER_STARTED, filtered.started)
+    state.set_run_integer(s.FILTER_STARTED, filtered.started)
 
 
-def filter_state_of(state: State) -> FilterState:
+def filter_state_of(state: ControllerState) -> FilterState:
     """Return the filter's part of a controller's state."""
     booleans = ("stopped", "length_known", "doubtful")
     found = {
@@ -109,13 +109,13 @@ def filter_state_of(state: State) -> FilterState:
         for name, row in BLOCK_FIELD_BY_ATTRIBUTE.items()
     }
     carried = None
-    if state.whole(s.COVARIANCE_PROPAGATED):
+    if state.run_integer(s.COVARIANCE_PROPAGATED):
         carried = state.view("covariance").T.reshape(-1, STATE_COUNT, STATE_COUNT).copy()
     x = state.tendon[s.TRAVEL : s.TRAVEL + STATE_COUNT].T.copy().ravel()
     return FilterState(x, **found, covariance=carried, started=state.started)
 
 
-def write_readings(state: State, measured: SensorReadings) -> None:
+def write_readings(state: ControllerState, measured: SensorReadings) -> None:
     """Write the measurements of a tick into a controller's state."""
     for name in ("travel", "tension", "excursion"):
         state.view(f"measured_{name}")[...] = getattr(measured, name)
@@ -150,13 +150,13 @@ def run_filter_tick(
     controller_state.view("planned_contact")[...] = contact
     if friction_state is not None:
         controller_state.view("friction_state")[...] = friction_state
-    controller_state.set_whole(s.MISSED_TICKS, missed)
-    stages.correct_estimate(
+    controller_state.set_run_integer(s.MISSED_TICKS, missed)
+    tick_stages.correct_estimate(
         controller_state.block, controller_state.layout.places, *stage_constants(model)
     )
     if controller_state.started:
         predict_filter_states(model, controller_state.layout, controller_state.block, missed)
-    stages.conclude_estimate(
+    tick_stages.conclude_estimate(
         controller_state.block, controller_state.layout.places, *stage_constants(model)
     )
     return filter_state_of(controller_state), estimate_of(controller_state)
@@ -209,33 +209,35 @@ def state_after_first_readings(
 ) -> FilterState:
     """Return the filter state after readings of the encoders [m], and of the load cells if ``cells``."""
     controller_state = state_of(model, state)
-    controller_state.mode = Mode.SILENT
+    controller_state.mode = HandMode.SILENT
     controller_state.view("position")[...] = travel / model.space.spool
     controller_state.view("group_frames")[...] = cells
-    stages.observe_tick(
+    tick_stages.observe_tick(
         controller_state.block, controller_state.layout.places, *stage_constants(model)
     )
     return filter_state_of(controller_state)
 
 
-def corrected_state(model: HandModel, state: FilterState, measured: SensorReadings) -> State:
+def corrected_state(
+    model: HandModel, state: FilterState, measured: SensorReadings
+) -> ControllerState:
     """Return a controller's state after the filter's measurement update, before its prediction.
 
     No digit is in contact.
     """
     controller_state = state_of(model, state)
     write_readings(controller_state, measured)
-    stages.correct_estimate(
+    tick_stages.correct_estimate(
         controller_state.block, controller_state.layout.places, *stage_constants(model)
     )
     return controller_state
 
 
-def state_of(model: HandModel, filtered: FilterState) -> State:
+def state_of(model: HandModel, filtered: FilterState) -> ControllerState:
     """Return a controller's state that contains the given filter state."""
     controller_state = active_state(model)
     controller_state.mode = (
-        Mode.ARMING
+        HandMode.ARMING
     )  # in this mode the filter takes contacts from the plan, and detects none
     write_filter_state(controller_state, filtered)
     return controller_state

@@ -6,18 +6,18 @@ from typing import NamedTuple
 import numpy as np
 
 from handctl.compiled import kernel
-from handctl.controller.state import State
-from handctl.core import block as s
-from handctl.core import stages
-from handctl.core.block import state_tables
+from handctl.controller.controller_state import ControllerState
+from handctl.core import state_block as s
+from handctl.core import tick_stages
+from handctl.core.block_schema import BlockArray, TablePlaces
 from handctl.core.constants import constant_tables
-from handctl.core.law import computed_torque, reference
-from handctl.core.law.goal import DigitGoal
-from handctl.core.law.goals import write_goals
-from handctl.core.law.loads import allocate_bounded_tensions
-from handctl.core.model import HandModel
-from handctl.core.schema import BlockArray, TablePlaces
-from handctl.safety.action import Action
+from handctl.core.control_law import computed_torque, digit_reference
+from handctl.core.control_law.digit_goal import DigitGoal
+from handctl.core.control_law.goal_writer import write_goals
+from handctl.core.control_law.required_tensions import allocate_bounded_tensions
+from handctl.core.hand_model import HandModel
+from handctl.core.state_block import state_tables
+from handctl.safety.action import SafetyAction
 from tests.controller.synthetic_states import (
     SyntheticEstimate,
     active_state,
@@ -79,7 +79,11 @@ def temperatures_for_limits(model: HandModel, limit: np.ndarray) -> np.ndarray:
 
 
 def run_control_law(
-    model: HandModel, state: State, goals: tuple[DigitGoal, ...], t: float, action: Action
+    model: HandModel,
+    state: ControllerState,
+    goals: tuple[DigitGoal, ...],
+    t: float,
+    action: SafetyAction,
 ) -> None:
     """Run the control law of one tick on a controller's state, with given goals at time t [s]."""
     write_goals(model, state.layout, state.block, goals)
@@ -110,29 +114,31 @@ def run_law_tick(
         state.view(name)[...] = getattr(law, name)
     if law.trim is not None:
         state.view("trim")[...] = law.trim
-        state.set_whole(s.TRIMMED, 1)
+        state.set_run_integer(s.TRIMMED, 1)
     if law.friction_state is not None:
         state.view("friction_state")[...] = law.friction_state
     if temperature_limit_N is not None:
         state.view("temperature")[...] = temperatures_for_limits(model, temperature_limit_N)
     if held_limit_N is not None:
         state.view("limit_held")[...] = held_limit_N
-        state.set_whole(s.HOLDING, 1)
-    run_control_law(model, state, goals, t, Action.PASS if held_limit_N is None else Action.HOLD)
+        state.set_run_integer(s.HOLDING, 1)
+    run_control_law(
+        model, state, goals, t, SafetyAction.PASS if held_limit_N is None else SafetyAction.HOLD
+    )
     return law_state_of(state), command_of(state)
 
 
-def law_state_of(state: State) -> LawState:
+def law_state_of(state: ControllerState) -> LawState:
     """Return the state of the control law after a tick."""
     kept = {
         name: state.view(name).copy() for name in LawState._fields if name not in ("trim", "held")
     }
-    trim = state.view("trim").copy() if state.whole(s.TRIMMED) else None
-    held = state.view("limit_held").copy() if state.whole(s.HOLDING) else None
+    trim = state.view("trim").copy() if state.run_integer(s.TRIMMED) else None
+    held = state.view("limit_held").copy() if state.run_integer(s.HOLDING) else None
     return LawState(**kept, trim=trim, held=held)
 
 
-def command_of(state: State) -> LawCommand:
+def command_of(state: ControllerState) -> LawCommand:
     """Return the commands that the control law has written into a controller's state."""
     names = ("torque", "tension_goal", "joint_torque", "q_goal", "dq_goal")
     return LawCommand(*(state.view(name).copy() for name in names))
@@ -147,7 +153,7 @@ def _tension_limits(
     )
 
 
-def tension_limits_of(model: HandModel, state: State) -> np.ndarray:
+def tension_limits_of(model: HandModel, state: ControllerState) -> np.ndarray:
     """Return the tension limits (N,) in a controller's state [N], infinite where there is none.
 
     The limits of the hand file come in addition.
@@ -164,8 +170,8 @@ def _required_tensions(
     motion: np.ndarray,
 ) -> int:
     x, c = state_tables(block, at), constant_tables(constants, constants_at)
-    reference.write_required_torque(x, c, motion)
-    return reference.write_required_tensions(x, c)
+    digit_reference.write_required_torque(x, c, motion)
+    return digit_reference.write_required_tensions(x, c)
 
 
 def required_tensions_of(
@@ -186,5 +192,5 @@ def required_tensions_of(
 def joint_motion_at(model: HandModel, goals: tuple[DigitGoal, ...], t: float) -> np.ndarray:
     """Return the angle, rate and acceleration (3, J) of each joint on its trajectory at time t [s]."""
     state = active_state(model)
-    run_control_law(model, state, goals, t, Action.PASS)
-    return stages.joint_motion(state.block, state.layout.places, *stage_constants(model))
+    run_control_law(model, state, goals, t, SafetyAction.PASS)
+    return tick_stages.joint_motion(state.block, state.layout.places, *stage_constants(model))

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.types import Mode, TickEvent
-from handctl.hand.load import load_hand
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode, TickEvent
+from handctl.hand.hand_loading import load_hand
 from handctl.programs.program import Program
 from handctl.session.simulate import SimulatorSettings, homed_controller
 
@@ -21,7 +21,7 @@ OBJECT_LOST_M = 0.05
 @cache
 def model_of(hand: str) -> HandModel:
     """Return the model of a packaged hand. Its gains are designed once for all calls."""
-    return HandModel.of(load_hand(hand), Gains(), CONTROL_RATE_HZ)
+    return HandModel.from_hand(load_hand(hand), Gains(), CONTROL_RATE_HZ)
 
 
 @dataclass
@@ -79,6 +79,6 @@ def run_on_plant(
             result.true_tension.append(list(plant.tensions()))
             result.events += [(t, event) for event in out.events]
             gone = math.dist(result.object_position[-1], result.object_position[0]) > OBJECT_LOST_M
-            if run.state.mode == Mode.RELAX or gone:
+            if run.state.mode == HandMode.RELAX or gone:
                 break
     return result

@@ -1,6 +1,6 @@
 """Synthetic estimates, measurements and states of a hand, for tests of the code that uses the filter.
 
-``State`` holds all numbers of a tick. ``SyntheticEstimate`` and ``SensorReadings`` are the parts of a state that
+``ControllerState`` holds all numbers of a tick. ``SyntheticEstimate`` and ``SensorReadings`` are the parts of a state that
 tests make up. ``state_with_estimate`` puts an estimate into a state, and ``estimate_of`` takes it
 out again.
 """
@@ -12,19 +12,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from handctl.compiled import kernel
-from handctl.controller.state import State
+from handctl.controller.controller_state import ControllerState
 from handctl.controller.tick import Controller
-from handctl.core import block as s
-from handctl.core import stages
-from handctl.core.block import state_tables
+from handctl.core import state_block as s
+from handctl.core import tick_stages
+from handctl.core.block_schema import BlockArray, TablePlaces
 from handctl.core.constants import ConstantTables, constant_tables
 from handctl.core.estimation import kalman
 from handctl.core.estimation.filter_stack import STATE_COUNT, S, V, W, X
 from handctl.core.estimation.statics import winding_efficiency
-from handctl.core.model import HandModel
-from handctl.core.schema import BlockArray, TablePlaces
-from handctl.core.types import Mode
-from handctl.programs.live import LiveProgram
+from handctl.core.hand_model import HandModel
+from handctl.core.state_block import state_tables
+from handctl.core.tick_types import HandMode
+from handctl.programs.live_session import LiveProgram
 from tests.controller.controller_bench import uncommissioned_controller
 
 SLACK_REGIME = 2
@@ -47,36 +47,37 @@ class SensorReadings(NamedTuple):
 
 
 class SyntheticEstimate(NamedTuple):
-    """Estimate of the present state of a hand, under the names of ``handctl.core.estimate.Estimate``."""
+    """Estimate of the present state of a hand, under the names of ``handctl.core.hand_estimate.Estimate``."""
 
     tension: np.ndarray
-    sigma: np.ndarray
+    tension_sigma: np.ndarray
     travel: np.ndarray
-    speed: np.ndarray
+    tendon_speed: np.ndarray
     excursion: np.ndarray
-    rate: np.ndarray
-    disturbance: np.ndarray
-    external: np.ndarray
-    offset: np.ndarray
+    excursion_rate: np.ndarray
+    motor_disturbance: np.ndarray
+    external_tension: np.ndarray
+    stretch_offset: np.ndarray
     cell_error: np.ndarray
     innovation: np.ndarray
     nis: np.ndarray
-    slack: np.ndarray
+    is_slack: np.ndarray
     q: np.ndarray
     dq: np.ndarray
     q_sigma: np.ndarray
     contact_force: np.ndarray
     grip_opening: np.ndarray
-    grip: np.ndarray
+    grip_travel: np.ndarray
 
 
 BLOCK_FIELD_BY_ATTRIBUTE = {
-    "rate": "excursion_rate",
-    "offset": "stretch_offset",
+    "tension_sigma": "sigma",
+    "tendon_speed": "speed", "motor_disturbance": "disturbance",
+    "external_tension": "external",
     "contact_force": "grown",
-}
+}  # fmt: skip
 """Field of the state block for each attribute of an estimate that is named differently there."""
-DERIVED_ATTRIBUTES = ("slack", "grip_opening", "grip")
+DERIVED_ATTRIBUTES = ("is_slack", "grip_opening", "grip_travel")
 
 
 @functools.cache
@@ -86,10 +87,10 @@ def controller_of(model: HandModel) -> Controller:
 
 
 @functools.cache
-def _active_state_template(model: HandModel) -> State:
-    state = controller_of(model).initial()
-    state.mode = Mode.ACTIVE
-    state.set_whole(s.FILTER_STARTED, 1)
+def _active_state_template(model: HandModel) -> ControllerState:
+    state = controller_of(model).initial_state()
+    state.mode = HandMode.ACTIVE
+    state.set_run_integer(s.FILTER_STARTED, 1)
     for name in ("regime", "kind", "kind_before", "stopped"):
         state.view(name)[...] = 0
     return state
@@ -103,7 +104,7 @@ def uncompiled_function(function: Callable[..., Any]) -> Callable[..., Any]:
     return getattr(function, "py_func", function)
 
 
-def active_state(model: HandModel) -> State:
+def active_state(model: HandModel) -> ControllerState:
     """Return the state of an active hand with a running filter.
 
     Every tendon is taut, every digit is free and off its stop.
@@ -121,17 +122,17 @@ def constant_tables_of(model: HandModel) -> ConstantTables:
     return uncompiled_function(constant_tables)(*stage_constants(model))
 
 
-def state_with_estimate(model: HandModel, estimate: SyntheticEstimate) -> State:
+def state_with_estimate(model: HandModel, estimate: SyntheticEstimate) -> ControllerState:
     """Return the state of an active hand that contains a given estimate."""
     state = active_state(model)
     for name, value in estimate._asdict().items():
         if name not in DERIVED_ATTRIBUTES:
             state.view(BLOCK_FIELD_BY_ATTRIBUTE.get(name, name))[...] = value
-    state.view("regime")[estimate.slack] = SLACK_REGIME
+    state.view("regime")[estimate.is_slack] = SLACK_REGIME
     return state
 
 
-def estimate_of(state: State) -> SyntheticEstimate:
+def estimate_of(state: ControllerState) -> SyntheticEstimate:
     """Return copies of the estimates that a controller's state contains."""
     seen = state.estimate
     own = {
@@ -214,24 +215,24 @@ def exact_estimate(model: HandModel, x: np.ndarray) -> SyntheticEstimate:
     nothing = np.zeros(n)
     return SyntheticEstimate(
         tension=np.maximum(tension, 0.0),
-        sigma=nothing,
+        tension_sigma=nothing,
         travel=x[:, X].copy(),
-        speed=x[:, V].copy(),
+        tendon_speed=x[:, V].copy(),
         excursion=x[:, S].copy(),
-        rate=x[:, W].copy(),
-        disturbance=nothing,
-        external=nothing,
-        offset=nothing,
+        excursion_rate=x[:, W].copy(),
+        motor_disturbance=nothing,
+        external_tension=nothing,
+        stretch_offset=nothing,
         cell_error=nothing,
         innovation=nothing,
         nis=nothing,
-        slack=np.zeros(n, dtype=bool),
+        is_slack=np.zeros(n, dtype=bool),
         q=q,
         dq=dq,
         q_sigma=np.full(len(q), np.nan),
         contact_force=np.zeros(len(model.digits)),
         grip_opening=nothing,
-        grip=nothing,
+        grip_travel=nothing,
     )
 
 
@@ -256,7 +257,7 @@ def estimate_under_tension(
 def slack_hand_estimate(model: HandModel) -> SyntheticEstimate:
     """Return the estimate of a hand whose tendons are all slack."""
     return estimate_under_tension(model, 0.0)._replace(
-        slack=np.ones(model.tendon_count, dtype=bool)
+        is_slack=np.ones(model.tendon_count, dtype=bool)
     )
 
 
@@ -269,7 +270,7 @@ def empty_readings(model: HandModel) -> SensorReadings:
 
 
 def detect_contacts(
-    model: HandModel, state: State, estimate: SyntheticEstimate
+    model: HandModel, state: ControllerState, estimate: SyntheticEstimate
 ) -> SyntheticEstimate:
     """Return an estimate after contact detection. The state then contains the contacts and the closing digits.
 
@@ -279,15 +280,19 @@ def detect_contacts(
     for name, value in estimate._asdict().items():
         if name not in (*DERIVED_ATTRIBUTES, "grown"):
             state.view(BLOCK_FIELD_BY_ATTRIBUTE.get(name, name))[...] = value
-    state.view("regime")[...] = state.view("kind")[...] = np.where(estimate.slack, SLACK_REGIME, 0)
-    borne = estimate.tension - model.space.damping * (estimate.speed - estimate.rate)
+    state.view("regime")[...] = state.view("kind")[...] = np.where(
+        estimate.is_slack, SLACK_REGIME, 0
+    )
+    borne = estimate.tension - model.space.damping * (
+        estimate.tendon_speed - estimate.excursion_rate
+    )
     state.view("stretch_offset")[...] = (
         estimate.travel - estimate.excursion - borne / model.space.stiffness
     )
-    stages.conclude_estimate(state.block, state.layout.places, *stage_constants(model))
+    tick_stages.conclude_estimate(state.block, state.layout.places, *stage_constants(model))
     seen = state.estimate
     return estimate._replace(
         contact_force=seen.contact_force.copy(),
         grip_opening=seen.grip_opening,
-        grip=seen.grip.copy(),
+        grip_travel=seen.grip_travel.copy(),
     )

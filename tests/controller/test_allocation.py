@@ -6,9 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
-from handctl.core.law.allocation import REGULARISATION, solve_bounded, tensions_for_torque
+from handctl.core.control_law.tension_allocation import (
+    REGULARISATION_WEIGHT,
+    solve_bounded,
+    tensions_for_torque,
+)
 from handctl.hand.digit import DigitModel
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 
 DIGIT_BY_CASE = {
     f"{name} {digit}": (load_hand(name), digit)
@@ -27,7 +31,7 @@ def arms_of(case: str) -> np.ndarray:
     if case == "N + 1":
         return EXTENSOR_MOMENT_ARMS
     hand, digit = DIGIT_BY_CASE[case]
-    return DigitModel.of(hand, digit).reduced_moment_arms
+    return DigitModel.from_hand(hand, digit).reduced_moment_arms
 
 
 DIGIT_CASES = [*DIGIT_BY_CASE, "N + 1"]
@@ -60,7 +64,7 @@ def allocation_cost(
     r = np.abs(arms).mean()
     return float(
         ((arms.T @ tension - torque) ** 2).sum() / r**2
-        + REGULARISATION * ((tension - floor) ** 2).sum()
+        + REGULARISATION_WEIGHT * ((tension - floor) ** 2).sum()
     )
 
 
@@ -78,7 +82,7 @@ def test_bounded_solution_has_the_smallest_error(case: str) -> None:
         assert (tension >= floor).all()
         assert (tension <= ceiling).all()
         np.testing.assert_allclose(missing, torque - arms.T @ tension, atol=1e-15)
-        weight = np.sqrt(REGULARISATION)
+        weight = np.sqrt(REGULARISATION_WEIGHT)
         rows, right = (
             np.vstack([arms.T / r, weight * np.eye(n)]),
             np.concatenate([torque / r, weight * floor]),

@@ -10,19 +10,19 @@ from functools import cache
 import numpy as np
 import pytest
 
-from handctl.controller.setup import make_controller
-from handctl.core import block as s
+from handctl.controller.run_setup import make_controller
+from handctl.core import state_block as s
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.types import Mode, TickEvent
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode, TickEvent
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_content, hand_from_content, load_hand
+from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand
 from handctl.hand.readiness import reasons_not_ready
 from handctl.programs.calibration import Calibration
-from handctl.programs.commission import PULL_N, CommissionProgram, calibration_of_result
-from handctl.programs.grasp import TaskProgram
+from handctl.programs.commission import PULL_TENSION_N, CommissionProgram, calibration_of_result
 from handctl.programs.program import Program
 from handctl.programs.task import Task
+from handctl.programs.task_program import TaskProgram
 from handctl.session.simulate import SimulatedHand, SimulatedRun, SimulatorSettings
 
 RATE_HZ = 250.0
@@ -80,7 +80,7 @@ def two_n_hand() -> Hand:
 @cache
 def antagonist_model() -> HandModel:
     """Return the model of the hand at the control rate of these tests."""
-    return HandModel.of(n_plus_1_hand(), Gains(), RATE_HZ)
+    return HandModel.from_hand(n_plus_1_hand(), Gains(), RATE_HZ)
 
 
 def task_of_moves(*angles: tuple[float, float]) -> Task:
@@ -108,7 +108,7 @@ def begin_run(
     run = SimulatedRun.of(controller, peer)
     run.k = first_tick
     run.record = False
-    run.state.set_whole(s.K, first_tick - 1)
+    run.state.set_run_integer(s.K, first_tick - 1)
     return run, (None for _ in run.ticks(first_tick / RATE_HZ + 120.0))
 
 
@@ -145,7 +145,7 @@ def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(
             run.controller.model, run.state.progress, "2026-01-01T00:00:00+00:00"
         )
         for row in calibration.tendon.values():
-            assert row.answer_N == pytest.approx(PULL_N, abs=0.8)
+            assert row.answer_N == pytest.approx(PULL_TENSION_N, abs=0.8)
         # The motor encoder reads its offset where the tendon is just taut and the digit open. An
         # error of 0.1 mm is one degree of a finger.
         offset = [peer.world.encoder_offset[name] for name in hand.motor_names]
@@ -158,7 +158,7 @@ def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(
         least = list[float]()
         for _ in ticks:
             assert not [event for event in events_of(run) if event.level == "error"]
-            if run.state.mode == Mode.ACTIVE and run.state.progress.phase.startswith("move"):
+            if run.state.mode == HandMode.ACTIVE and run.state.progress.phase.startswith("move"):
                 errors.append(np.degrees(run.state.view("q_goal") - plant.engine.q))
                 least.append(min(plant.tensions()))
         assert np.sqrt(np.mean(np.square(errors))) < 1.0

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from handctl.core import stages
-from handctl.core.model import HandModel
+from handctl.core import tick_stages
+from handctl.core.hand_model import HandModel
 from handctl.safety.faults.node import STUCK_GOAL_M
 from tests.controller.synthetic_states import active_state, stage_constants
 
@@ -21,7 +21,7 @@ def test_contact_does_not_move_the_filtered_goal(jamia: HandModel, rest_s: float
     def tick(goal: NDArray[np.float64], apart_m: float) -> NDArray[np.float64]:
         state.view("q_goal")[...] = goal
         state.view("excursion")[...] = jamia.hand.moment_arms @ goal + apart_m
-        stages.store_commands(state.block, state.layout.places, *stage_constants(jamia))
+        tick_stages.store_commands(state.block, state.layout.places, *stage_constants(jamia))
         return state.view("followed").copy()
 
     for t in np.arange(0.0, 1.0, period):

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
-from handctl.programs.live import LiveProgram
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode
+from handctl.programs.live_session import LiveProgram
 from handctl.safety.faults.tendon import RELAXED_S
 from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
@@ -19,25 +19,25 @@ def test_a_wire_that_breaks_is_found_behind_every_tare(jamia: HandModel, tare: f
     run = make_controller_bench(model, LiveProgram())
     run.controller = replace(run.controller, tare=np.full(n, tare))
     run.peer.cell_bias[:] = tare
-    run.run_until_mode(Mode.ACTIVE)
+    run.run_until_mode(HandMode.ACTIVE)
     run.run(0.5)
     run.peer.cell_bias[1] = -100.0
     faults = [
         event.text[:3] for _ in range(4) for event in run.tick().events if event.name == "fault"
     ]
     assert "T06" in faults
-    assert run.state.mode == Mode.RELAX
+    assert run.state.mode == HandMode.RELAX
 
 
 def bench_with_saturated_cell(model: HandModel) -> ControllerBench:
     """Return a hand that begins to relax in its last tick, because a load cell is at the upper end of its range."""
     run = make_controller_bench(model, LiveProgram())
-    run.run_until_mode(Mode.ACTIVE)
+    run.run_until_mode(HandMode.ACTIVE)
     run.peer.cell_bias[:] = (
         60.0  # all load cells keep reading a high tension, so RELAX does not end
     )
     run.peer.cell_bias[1] = 300.0
-    run.run_until_mode(Mode.RELAX)
+    run.run_until_mode(HandMode.RELAX)
     return run
 
 
@@ -45,13 +45,13 @@ def test_a_cell_that_stays_at_its_rail_while_the_hand_relaxes_cuts(jamia: HandMo
     """The saturated load cell may be the only evidence that a drive does not obey."""
     run = bench_with_saturated_cell(jamia)
     began = run.state.mode_since
-    run.run_until_mode(Mode.CUT)
+    run.run_until_mode(HandMode.CUT)
     assert abs(run.state.mode_since - began - RELAXED_S) <= 2 * jamia.period
 
 
 def test_a_tendon_that_relaxes_in_time_needs_no_cut(jamia: HandModel) -> None:
     run = bench_with_saturated_cell(jamia)
     for _ in range(round(0.9 * RELAXED_S / jamia.period)):
-        assert run.tick().mode == Mode.RELAX
+        assert run.tick().mode == HandMode.RELAX
     run.peer.cell_bias[:] = 0.0
-    run.run_until_mode(Mode.DISARM)
+    run.run_until_mode(HandMode.DISARM)

@@ -6,10 +6,10 @@ Only a request of the operator enables the drives again.
 import pytest
 
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
-from handctl.hand.load import load_hand
-from handctl.programs.live import LiveProgram
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode
+from handctl.hand.hand_loading import load_hand
+from handctl.programs.live_session import LiveProgram
 from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
 COMMUNICATION_LOST_STATE = 0xD
@@ -19,7 +19,9 @@ CLEAR_REQUEST = '{"do": "clear"}'
 @pytest.fixture
 def hand_after_crash() -> ControllerBench:
     """Return a bench whose hand was armed when its previous controller died."""
-    run = make_controller_bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
+    run = make_controller_bench(
+        HandModel.from_hand(load_hand("jamia"), Gains(), 200.0), LiveProgram()
+    )
     for motor in run.peer.motors:
         motor.state_nibble = COMMUNICATION_LOST_STATE
     return run
@@ -28,8 +30,8 @@ def hand_after_crash() -> ControllerBench:
 def test_without_an_order_the_hand_is_refused_and_the_line_says_what_to_do(
     hand_after_crash: ControllerBench,
 ) -> None:
-    hand_after_crash.run_until_mode(Mode.DONE)
-    assert Mode.ARMING not in hand_after_crash.mode_history
+    hand_after_crash.run_until_mode(HandMode.DONE)
+    assert HandMode.ARMING not in hand_after_crash.mode_history
     assert "communication lost" in hand_after_crash.state.failure
     assert "--clear" in hand_after_crash.state.failure
     assert [motor.state_nibble for motor in hand_after_crash.peer.motors] == [
@@ -41,23 +43,23 @@ def test_with_the_order_the_drives_are_cleared_configured_and_armed(
     hand_after_crash: ControllerBench,
 ) -> None:
     hand_after_crash.tick(CLEAR_REQUEST)
-    hand_after_crash.run_until_mode(Mode.ACTIVE)
+    hand_after_crash.run_until_mode(HandMode.ACTIVE)
     assert hand_after_crash.mode_history == [
-        Mode.SILENT,
-        Mode.INVENTORY,
-        Mode.READY,
-        Mode.ARMING,
-        Mode.ACTIVE,
+        HandMode.SILENT,
+        HandMode.INVENTORY,
+        HandMode.READY,
+        HandMode.ARMING,
+        HandMode.ACTIVE,
     ]
     assert hand_after_crash.state.failure == ""
 
 
 def test_clear_before_arming_does_not_clear_later_errors(hand_after_crash: ControllerBench) -> None:
     hand_after_crash.tick(CLEAR_REQUEST)
-    hand_after_crash.run_until_mode(Mode.ACTIVE)
+    hand_after_crash.run_until_mode(HandMode.ACTIVE)
     hand_after_crash.run(0.5)
     hand_after_crash.peer.motors[1].state_nibble = COMMUNICATION_LOST_STATE
-    hand_after_crash.run_until_mode(Mode.DONE)
+    hand_after_crash.run_until_mode(HandMode.DONE)
     assert "N08" in hand_after_crash.state.failure
     assert hand_after_crash.peer.motors[1].state_nibble == COMMUNICATION_LOST_STATE
 
@@ -65,9 +67,9 @@ def test_clear_before_arming_does_not_clear_later_errors(hand_after_crash: Contr
 def test_a_drive_that_does_not_clear_is_refused_in_time(hand_after_crash: ControllerBench) -> None:
     hand_after_crash.peer.motors[2].ignored_commands = {0xFB}
     hand_after_crash.tick(CLEAR_REQUEST)
-    hand_after_crash.run_until_mode(Mode.DONE)
+    hand_after_crash.run_until_mode(HandMode.DONE)
     assert (
         hand_after_crash.state.failure
         == "no answer from ring_motor (or an error that does not clear)"
     )
-    assert Mode.ARMING not in hand_after_crash.mode_history
+    assert HandMode.ARMING not in hand_after_crash.mode_history

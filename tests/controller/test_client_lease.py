@@ -9,10 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handctl.controller.snapshot import snapshot_bytes
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
-from handctl.programs.requests import AliveRequest, alive_text, is_routine, parse_request
+from handctl.controller.state_snapshot import snapshot_bytes
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode
+from handctl.programs.requests import (
+    AliveRequest,
+    alive_request_text,
+    is_routine_request,
+    parse_request,
+)
 from tests.controller.test_target_streams import StreamClient, check_ticks_repeat, live_client
 
 LEASE_S = 0.5
@@ -28,7 +33,7 @@ def lease_events(client: StreamClient) -> list[str]:
 def run_with_signs_of_life(client: StreamClient, seconds: float, every_s: float = 0.1) -> None:
     """Run ticks for a time. The client sends its sign of life every ``every_s`` seconds."""
     for _ in range(round(seconds / every_s)):
-        client.tick(alive_text(client.name))
+        client.tick(alive_request_text(client.name))
         client.wait(every_s - client.model.period)
 
 
@@ -37,23 +42,23 @@ def test_a_hand_relaxes_if_its_client_is_silent_after_a_hold(jamia: HandModel) -
     with live_client(jamia) as client:
         client.send_command("hold", tension_N={"index": 30.0}, rate_N_per_s=500.0, lease_s=LEASE_S)
         run_with_signs_of_life(client, 3.0 * LEASE_S)
-        assert client.tick_outputs[-1].mode == Mode.ACTIVE
+        assert client.tick_outputs[-1].mode == HandMode.ACTIVE
         assert lease_events(client) == []
         client.tick_outputs.clear()
         client.wait(1.5 * LEASE_S)
-        assert client.tick_outputs[-1].mode == Mode.ACTIVE
+        assert client.tick_outputs[-1].mode == HandMode.ACTIVE
         assert len(lease_events(client)) == 1
         assert client.tick_outputs[-1].telemetry.tension[0] == pytest.approx(30.0, abs=2.0), (
             "a hold is held"
         )
         client.wait(0.6 * LEASE_S)
-        assert [out.mode for out in client.tick_outputs].index(Mode.RELAX) == pytest.approx(
+        assert [out.mode for out in client.tick_outputs].index(HandMode.RELAX) == pytest.approx(
             2 * LEASE_S / jamia.period, abs=0.1 / jamia.period
         )
         text = "client one has been silent for"
         assert client.run.state.failure.startswith(text)
         assert [event.startswith(text) for event in lease_events(client)] == [True, True]
-        assert client.run.until(lambda out: out.mode == Mode.DONE, 5.0)
+        assert client.run.until(lambda out: out.mode == HandMode.DONE, 5.0)
         assert client.run.state.unconfirmed == ()
         assert client.reported_faults == set()
 
@@ -66,7 +71,7 @@ def test_a_moving_digit_comes_to_rest_and_goes_on_with_the_next_command(jamia: H
         assert at < 60.0, "on the way"
         client.wait(0.2 * LEASE_S)
         assert np.degrees(client.goal_history("q_goal")[-1]) == pytest.approx(at, abs=1e-9)
-        client.tick(alive_text("one"))
+        client.tick(alive_request_text("one"))
         assert lease_events(client)[-1] == "one answers again"
         assert (
             client.send_command("move", angle_deg={"index": 70.0}, lease_s=LEASE_S)
@@ -74,7 +79,7 @@ def test_a_moving_digit_comes_to_rest_and_goes_on_with_the_next_command(jamia: H
         )
         run_with_signs_of_life(client, 1.2)
         assert np.degrees(client.goal_history("q_goal")[-1]) == pytest.approx(70.0)
-        assert client.tick_outputs[-1].mode == Mode.ACTIVE
+        assert client.tick_outputs[-1].mode == HandMode.ACTIVE
 
 
 def test_targets_of_a_stream_are_signs_of_life(jamia: HandModel) -> None:
@@ -82,7 +87,7 @@ def test_targets_of_a_stream_are_signs_of_life(jamia: HandModel) -> None:
         client.open_stream(lease_s=0.2)
         client.stream_motion(lambda t: 20.0 * t, 1.0)
         assert lease_events(client) == []
-        assert client.tick_outputs[-1].mode == Mode.ACTIVE
+        assert client.tick_outputs[-1].mode == HandMode.ACTIVE
 
 
 @pytest.mark.parametrize("after", ["no lease", "leave", "another"])
@@ -95,10 +100,10 @@ def test_a_lease_ends(jamia: HandModel, after: str) -> None:
         else:
             client.name = "two" if after == "another" else "one"
             client.send_command("stay", take_over=True)
-        client.tick(alive_text("one"))
+        client.tick(alive_request_text("one"))
         client.wait(3.0 * LEASE_S)
         assert lease_events(client) == []
-        assert client.tick_outputs[-1].mode == Mode.ACTIVE
+        assert client.tick_outputs[-1].mode == HandMode.ACTIVE
 
 
 def test_other_clients_do_not_renew_a_lease(jamia: HandModel) -> None:
@@ -106,7 +111,7 @@ def test_other_clients_do_not_renew_a_lease(jamia: HandModel) -> None:
         client.send_command("move", angle_deg={"index": 20.0}, duration_s=0.3, lease_s=LEASE_S)
         client.name = "two"
         run_with_signs_of_life(client, 2.2 * LEASE_S)
-        assert client.tick_outputs[-1].mode >= Mode.RELAX
+        assert client.tick_outputs[-1].mode >= HandMode.RELAX
 
 
 def test_a_task_goes_on_to_its_hold_before_the_hand_relaxes(jamia: HandModel) -> None:
@@ -122,7 +127,7 @@ def test_a_task_goes_on_to_its_hold_before_the_hand_relaxes(jamia: HandModel) ->
         assert client.tick_outputs[-1].phase == "stay"
         assert np.degrees(client.goal_history("q_goal")[-1]) == pytest.approx(20.0, abs=1.0)
         client.wait(0.4 * LEASE_S)
-        assert client.tick_outputs[-1].mode >= Mode.RELAX
+        assert client.tick_outputs[-1].mode >= HandMode.RELAX
 
 
 def test_the_ticks_of_a_lost_client_repeat_to_the_last_bit(jamia: HandModel) -> None:
@@ -132,13 +137,15 @@ def test_the_ticks_of_a_lost_client_repeat_to_the_last_bit(jamia: HandModel) -> 
         run_with_signs_of_life(client, LEASE_S)
         middle, at = snapshot_bytes(client.run.state), len(client.run.recorded)
         client.wait(2.2 * LEASE_S)
-        assert client.tick_outputs[-1].mode >= Mode.RELAX
+        assert client.tick_outputs[-1].mode >= HandMode.RELAX
         check_ticks_repeat(client.run, middle, at)
 
 
 def test_alive_messages_are_requests() -> None:
-    assert parse_request(alive_text("client-1-2")) == AliveRequest(do="alive", client="client-1-2")
-    assert is_routine(alive_text("client-1-2"))
-    assert not is_routine(json.dumps({"do": "stop"}))
+    assert parse_request(alive_request_text("client-1-2")) == AliveRequest(
+        do="alive", client="client-1-2"
+    )
+    assert is_routine_request(alive_request_text("client-1-2"))
+    assert not is_routine_request(json.dumps({"do": "stop"}))
     assert isinstance(parse_request('{"do": "alive"}'), str)
     assert isinstance(parse_request('{"do": "stay", "lease_s": 0.1}'), str)

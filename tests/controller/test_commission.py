@@ -7,18 +7,18 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from handctl.core.control_law.digit_goal import GoalKind
 from handctl.core.gains.gains import Gains
-from handctl.core.law.goal import GoalKind
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode
 from handctl.drives.frame import Frame
 from handctl.errors import ConfigError
-from handctl.hand.load import hand_from_content, load_hand
+from handctl.hand.hand_loading import hand_from_content, load_hand
 from handctl.programs.calibration import Calibration, load_calibration
 from handctl.programs.commission import (
     MAX_CROSSTALK_FRACTION,
     PULL_FORCE_LIMIT_N,
-    PULL_N,
+    PULL_TENSION_N,
     CommissionProgram,
     calibration_of_result,
 )
@@ -38,12 +38,12 @@ def jamia() -> HandModel:
 
     The low rate makes the tests fast, and all times are in seconds.
     """
-    return HandModel.of(load_hand("jamia"), Gains(), 50.0)
+    return HandModel.from_hand(load_hand("jamia"), Gains(), 50.0)
 
 
 @pytest.fixture(scope="module")
 def jamia11() -> HandModel:
-    return HandModel.of(load_hand("jamia11"), Gains(), 50.0)
+    return HandModel.from_hand(load_hand("jamia11"), Gains(), 50.0)
 
 
 CELL_BIAS_N, TAUT_TRAVEL_M = 0.7, 1.2e-3
@@ -54,7 +54,7 @@ TensionByPull = Callable[[int], np.ndarray]
 
 
 def tensions_without_fault(model: HandModel) -> TensionByPull:
-    return lambda i: np.where(np.arange(model.tendon_count) == i, PULL_N, 0.0)
+    return lambda i: np.where(np.arange(model.tendon_count) == i, PULL_TENSION_N, 0.0)
 
 
 def run_commissioning(
@@ -73,7 +73,7 @@ def run_commissioning(
     The zero of each load cell drifts as a random walk of ``cell_drift_N`` [N] rms in 100 s.
     """
     rng, program = np.random.default_rng(seed), CommissionProgram()
-    progress, n = program.initial(model), model.tendon_count
+    progress, n = program.initial_progress(model), model.tendon_count
     walked, step = np.zeros(n), cell_drift_N * np.sqrt(model.period / 100.0)
     for k in range(round(60.0 / model.period)):
         walked += step * rng.normal(size=n) if cell_drift_N else 0.0
@@ -89,7 +89,7 @@ def run_commissioning(
             measured = empty_readings(model)
         estimate = slack_hand_estimate(model)
         if pulled and i != slack_tendon and k * model.period - progress.since > 0.2:
-            estimate = estimate_under_tension(model, PULL_N)
+            estimate = estimate_under_tension(model, PULL_TENSION_N)
         progress, _ = program.advance(model, progress, estimate, measured, k * model.period)
         if pulled and not progress.finished and progress.phase.startswith("pull"):
             pulls = [d for d, goal in enumerate(progress.goals) if goal.kind != GoalKind.LIMP]
@@ -99,7 +99,9 @@ def run_commissioning(
             goal = progress.goals[pulls[0]]
             assert goal.force_limit == PULL_FORCE_LIMIT_N
             assert goal.tension is not None
-            assert goal.tension.sum() == goal.tension.max() == PULL_N, "one tendon at a time"
+            assert goal.tension.sum() == goal.tension.max() == PULL_TENSION_N, (
+                "one tendon at a time"
+            )
         if progress.finished:
             return progress
     raise AssertionError("commissioning does not end")
@@ -113,7 +115,7 @@ def test_tares_and_zeros_are_found(model: HandModel, lost_fraction: float) -> No
     np.testing.assert_allclose(found.tare(model.hand), CELL_BIAS_N, atol=0.15)
     np.testing.assert_allclose(found.zero(model.hand) * model.space.spool, TAUT_TRAVEL_M, atol=5e-6)
     for row in found.tendon.values():
-        assert row.answer_N == pytest.approx(PULL_N, abs=0.25)
+        assert row.answer_N == pytest.approx(PULL_TENSION_N, abs=0.25)
         assert row.crosstalk_N < 0.3, "noise is no crosstalk"
     assert (found.hand, found.identity) == (model.hand.name, model.hand.identity)
 
@@ -142,7 +144,7 @@ def test_two_load_cells_that_answer_together_are_refused(model: HandModel) -> No
     def tension_by_pull(i: int) -> np.ndarray:
         tension = tensions_without_fault(model)(i)
         if i == 1:
-            tension[0] = 0.5 * PULL_N
+            tension[0] = 0.5 * PULL_TENSION_N
         return tension
 
     progress = run_commissioning(model, tension_by_pull)
@@ -152,7 +154,9 @@ def test_two_load_cells_that_answer_together_are_refused(model: HandModel) -> No
 
 @pytest.fixture(scope="module")
 def fifteen_motor_model() -> HandModel:
-    return HandModel.of(hand_from_content(fifteen_motors(), "a hand of 15 motors"), Gains(), 50.0)
+    return HandModel.from_hand(
+        hand_from_content(fifteen_motors(), "a hand of 15 motors"), Gains(), 50.0
+    )
 
 
 @pytest.mark.parametrize("seed", NOISE_SEEDS)
@@ -171,8 +175,8 @@ def test_many_load_cells_may_drift_while_one_tendon_after_the_other_is_pulled(
     )
     assert not progress.failure
     found = calibration_of_result(fifteen_motor_model, progress, "2024-01-01T00:00:00+00:00").tendon
-    assert max(row.crosstalk_N for row in found.values()) < MAX_CROSSTALK_FRACTION * PULL_N
-    assert [row.answer_N for row in found.values()] == pytest.approx([PULL_N] * 15, abs=1.0)
+    assert max(row.crosstalk_N for row in found.values()) < MAX_CROSSTALK_FRACTION * PULL_TENSION_N
+    assert [row.answer_N for row in found.values()] == pytest.approx([PULL_TENSION_N] * 15, abs=1.0)
 
 
 def test_each_tare_is_measured_just_before_its_pull(jamia: HandModel) -> None:
@@ -201,7 +205,7 @@ def test_each_tare_is_measured_just_before_its_pull(jamia: HandModel) -> None:
 def test_crosstalk_is_found_while_load_cells_drift(fifteen_motor_model: HandModel) -> None:
     def tension_by_pull(i: int) -> np.ndarray:
         tension = tensions_without_fault(fifteen_motor_model)(i)
-        tension[2] += 0.6 * PULL_N * (i == 9)
+        tension[2] += 0.6 * PULL_TENSION_N * (i == 9)
         return tension
 
     progress = run_commissioning(fifteen_motor_model, tension_by_pull, cell_drift_N=1.0)
@@ -218,7 +222,7 @@ def test_tension_that_friction_holds_after_a_pull_is_no_crosstalk(jamia: HandMod
 
     def tension_by_pull(i: int) -> np.ndarray:
         held[:] = np.maximum(
-            held - 2.0 * jamia.period, PULL_N * (np.arange(jamia.tendon_count) == i)
+            held - 2.0 * jamia.period, PULL_TENSION_N * (np.arange(jamia.tendon_count) == i)
         )
         return held.copy()
 
@@ -232,7 +236,7 @@ def test_a_load_cell_that_falls_below_its_tare_in_another_pull_is_refused(jamia:
     """The tension of a relaxing tendon cannot fall by more than the last pull has left in it."""
 
     def tension_by_pull(i: int) -> np.ndarray:
-        return tensions_without_fault(jamia)(i) - 0.5 * PULL_N * (i == 2) * (
+        return tensions_without_fault(jamia)(i) - 0.5 * PULL_TENSION_N * (i == 2) * (
             np.arange(jamia.tendon_count) == 0
         )
 
@@ -249,7 +253,7 @@ def test_an_inverted_load_cell_is_refused(model: HandModel) -> None:
 @pytest.fixture(scope="module")
 def fast_rate_jamia() -> HandModel:
     """Return the model of ``jamia`` at a control rate at which its tension loop does not oscillate."""
-    return HandModel.of(load_hand("jamia"), Gains(), 200.0)
+    return HandModel.from_hand(load_hand("jamia"), Gains(), 200.0)
 
 
 @pytest.fixture
@@ -269,7 +273,7 @@ def test_load_cells_that_were_never_tared_are_no_hindrance(
     Raw readings would add their bias to the pull.
     """
     commissioning_bench.peer.cell_bias[:] = np.array([1.0, -1.0, 0.5, 0.0]) + bias
-    commissioning_bench.run_until_mode(Mode.DONE, 30.0)
+    commissioning_bench.run_until_mode(HandMode.DONE, 30.0)
     assert not commissioning_bench.state.failure
     model = commissioning_bench.controller.model
     found = calibration_of_result(
@@ -283,7 +287,7 @@ def test_load_cells_that_were_never_tared_are_no_hindrance(
 
 def test_a_load_cell_beyond_taring_is_named(commissioning_bench: ControllerBench) -> None:
     commissioning_bench.peer.cell_bias[2] = 25.0
-    commissioning_bench.run_until_mode(Mode.DONE, 30.0)
+    commissioning_bench.run_until_mode(HandMode.DONE, 30.0)
     expected = (
         "ring_tendon: load cell reads 25.0 N without tension, which can be tared from -4 to 6 N"
     )
@@ -318,7 +322,7 @@ def test_a_tare_too_near_to_an_end_of_the_range_is_refused(
 
 def program_after_tare(model: HandModel, tension_by_pull: TensionByPull) -> ProgramProgress:
     """Return the progress of the commissioning program just after its tare."""
-    program, progress, k = CommissionProgram(), CommissionProgram().initial(model), 0
+    program, progress, k = CommissionProgram(), CommissionProgram().initial_progress(model), 0
     while progress.step == 0 and not progress.finished:
         measured = empty_readings(model)._replace(tension=tension_by_pull(-1) + CELL_BIAS_N)
         progress, _ = program.advance(
@@ -330,7 +334,7 @@ def program_after_tare(model: HandModel, tension_by_pull: TensionByPull) -> Prog
 
 def test_swapped_load_cells_are_found_and_both_named(commissioning_bench: ControllerBench) -> None:
     commissioning_bench.peer.tendon_of_channel = [1, 0, 2, 3]
-    commissioning_bench.run_until_mode(Mode.DONE, 30.0)
+    commissioning_bench.run_until_mode(HandMode.DONE, 30.0)
     assert commissioning_bench.state.failure.startswith("index_tendon")
     assert "middle_tendon" in commissioning_bench.state.failure
     assert "swapped" in commissioning_bench.state.failure
@@ -358,7 +362,7 @@ def test_a_motor_that_turns_the_other_way_is_found(commissioning_bench: Controll
         return real(t_ns, turned)
 
     commissioning_bench.peer.step = reversed_motor  # type: ignore[method-assign]
-    commissioning_bench.run_until_mode(Mode.DONE, 30.0)
+    commissioning_bench.run_until_mode(HandMode.DONE, 30.0)
     assert commissioning_bench.state.failure == "fault N17 index_motor", (
         "safety is there before the rope would have to be taut"
     )

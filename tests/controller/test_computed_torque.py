@@ -12,14 +12,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from handctl.core.control_law.computed_torque import INTEGRAL_LIMIT_N, UNWIND_FRACTION
+from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
+from handctl.core.control_law.trajectory import MinimumJerk
 from handctl.core.estimation.filter_stack import STATE_COUNT, S, V, W, X
 from handctl.core.gains.gains import Gains, MotionGains
-from handctl.core.law.computed_torque import INTEGRAL_LIMIT_N, UNWIND_FRACTION
-from handctl.core.law.goal import DigitGoal, GoalKind
-from handctl.core.law.trajectory import MinimumJerk
-from handctl.core.model import HandModel, _torque_limit
-from handctl.hand.load import load_hand
-from handctl.safety.action import Action
+from handctl.core.hand_model import HandModel, _torque_limit
+from handctl.hand.hand_loading import load_hand
+from handctl.safety.action import SafetyAction
 from tests.controller.digit_goals import holding_goals, moving_goals
 from tests.controller.law_runs import LawState, run_control_law, run_law_tick
 from tests.controller.synthetic_states import (
@@ -60,12 +60,15 @@ def test_torque_is_within_its_limits_for_any_finite_input(
 ) -> None:
     n = jamia.tendon_count
     column = st.lists(finite_number, min_size=n, max_size=n).map(np.array)
-    names = ("tension", "travel", "speed", "excursion", "rate", "disturbance", "external", "offset")
+    names = (
+        "tension", "travel", "tendon_speed", "excursion", "excursion_rate", "motor_disturbance", "external_tension",
+        "stretch_offset",
+    )  # fmt: skip
     estimate = exact_estimate(jamia, np.zeros((n, STATE_COUNT)))._replace(
         **{name: data.draw(column) for name in names}
     )
     estimate = estimate._replace(
-        slack=np.array(data.draw(st.lists(st.booleans(), min_size=n, max_size=n)))
+        is_slack=np.array(data.draw(st.lists(st.booleans(), min_size=n, max_size=n)))
     )
     state = LawState(*(data.draw(column) for _ in range(5)))
     angle = st.floats(-0.5, 2.6)
@@ -161,13 +164,13 @@ def test_a_pull_never_uses_more_force_than_its_limit(model: HandModel) -> None:
 def test_no_integral_while_the_tendon_is_slack(model: HandModel) -> None:
     law = LawState.before_first_command(model.tendon_count)
     slack = exact_estimate(model, np.zeros((model.tendon_count, STATE_COUNT)))._replace(
-        slack=np.ones(model.tendon_count, dtype=bool)
+        is_slack=np.ones(model.tendon_count, dtype=bool)
     )
     for k in range(50):
         law, _ = run_law_tick(model, law, slack, holding_goals(model, 20.0), k * model.period)
     assert not law.integral.any()
     law, _ = run_law_tick(
-        model, law, slack._replace(slack=~slack.slack), holding_goals(model, 20.0), 0.0
+        model, law, slack._replace(is_slack=~slack.is_slack), holding_goals(model, 20.0), 0.0
     )
     assert (law.integral > 0).all()
 
@@ -176,7 +179,7 @@ def test_a_slack_tendon_is_wound_against_the_friction_of_its_motor(model: HandMo
     """Even with a soft tension loop, a commanded tension of 3 N makes a slack tendon taut."""
     law = LawState.idle_at_tensions(np.zeros(model.tendon_count))
     loose = exact_estimate(model, np.zeros((model.tendon_count, STATE_COUNT)))._replace(
-        slack=np.ones(model.tendon_count, dtype=bool)
+        is_slack=np.ones(model.tendon_count, dtype=bool)
     )
     for k in range(round(0.1 / model.period)):
         law, command = run_law_tick(model, law, loose, holding_goals(model, 3.0), k * model.period)
@@ -291,7 +294,7 @@ def test_with_perfect_knowledge_the_digit_follows(jamia: HandModel) -> None:
     )
     for k in range(round(1.2 / jamia.period)):
         plant.tick(goals, k)
-        wanted = goals[0].trajectory.at((k + 1) * jamia.period)[0][0]  # type: ignore[union-attr]
+        wanted = goals[0].trajectory.motion_at((k + 1) * jamia.period)[0][0]  # type: ignore[union-attr]
         worst = max(worst, float(np.abs(plant.joint_angles() - wanted).max()))
         assert (plant.command.tension >= jamia.floor).all()
     assert math.degrees(worst) < 1.0
@@ -335,9 +338,9 @@ def test_a_goal_without_values_leaves_the_digit_limp(jamia: HandModel, kind: Goa
     )
     assert not command.torque.any()
     state = state_with_estimate(jamia, estimate)
-    run_control_law(jamia, state, holding_goals(jamia, 30.0, rate=1e6), 0.0, Action.PASS)
+    run_control_law(jamia, state, holding_goals(jamia, 30.0, rate=1e6), 0.0, SafetyAction.PASS)
     assert (state.view("torque") > 0.0).all()
-    run_control_law(jamia, state, (DigitGoal(kind),) * 4, 0.0, Action.PASS)
+    run_control_law(jamia, state, (DigitGoal(kind),) * 4, 0.0, SafetyAction.PASS)
     assert not state.view("torque").any(), "whatever was there before"
 
 

@@ -12,12 +12,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handctl.controller.state import State
+from handctl.controller.controller_state import ControllerState
 from handctl.core import constants as h
-from handctl.core.estimation.contact import DRIFT_S, MEAN_S
-from handctl.core.model import HandModel
-from handctl.programs.grasp import TaskProgram
+from handctl.core.estimation.contact_force import (
+    TIP_FORCE_DRIFT_TIME_CONSTANT_S,
+    TIP_FORCE_MEAN_TIME_CONSTANT_S,
+)
+from handctl.core.hand_model import HandModel
 from handctl.programs.task import Task
+from handctl.programs.task_program import TaskProgram
 from tests.controller.plant_run import model_of, run_on_plant
 from tests.controller.synthetic_states import (
     active_state,
@@ -112,7 +115,7 @@ def test_ten_minutes_of_free_motion_have_no_contact(hand: str, tmp_path: Path) -
 
 def closing_hand(
     model: HandModel, force: float, ticks: int = 1, closing: int = 1, **remembered: float
-) -> State:
+) -> ControllerState:
     """Return the state of a hand whose first ``closing`` digits close with a force at the tips [N].
 
     ``remembered`` sets other fields of the state, which earlier ticks would have written.
@@ -120,7 +123,7 @@ def closing_hand(
     state, unit = (
         active_state(model),
         exact_estimate(model, balanced_state(model, 0.3))._replace(
-            external=np.ones(model.tendon_count)
+            external_tension=np.ones(model.tendon_count)
         ),
     )
     state.view("closing")[...] = 1
@@ -130,7 +133,7 @@ def closing_hand(
         state.view(name)[...] = value
     state.view("closing")[closing:] = 0
     for _ in range(ticks):
-        detect_contacts(model, state, unit._replace(external=each[list(model.digit_of)]))
+        detect_contacts(model, state, unit._replace(external_tension=each[list(model.digit_of)]))
     return state
 
 
@@ -152,13 +155,22 @@ def test_drift_of_all_closing_digits_is_no_contact_force(jamia: HandModel) -> No
 
 
 def test_means_of_a_closing_digit_follow_with_their_time_constants(jamia: HandModel) -> None:
-    """A closing digit's mean tip force follows with ``MEAN_S``, its drift with ``DRIFT_S``.
+    """The mean tip force of a closing digit and its drift follow with their time constants.
 
     Other digits have no mean.
     """
-    state = closing_hand(jamia, 0.0, round(MEAN_S / jamia.period), felt=0.0, usual=-0.3, drift=-0.3)
+    state = closing_hand(
+        jamia,
+        0.0,
+        round(TIP_FORCE_MEAN_TIME_CONSTANT_S / jamia.period),
+        felt=0.0,
+        usual=-0.3,
+        drift=-0.3,
+    )
     assert state.view("usual")[0] == pytest.approx(-0.3 * math.exp(-1.0), rel=1e-6)
-    assert state.view("drift")[0] == pytest.approx(-0.3 * math.exp(-MEAN_S / DRIFT_S), rel=1e-6)
+    assert state.view("drift")[0] == pytest.approx(
+        -0.3 * math.exp(-TIP_FORCE_MEAN_TIME_CONSTANT_S / TIP_FORCE_DRIFT_TIME_CONSTANT_S), rel=1e-6
+    )
     assert np.isnan(state.view("usual")[1:]).all()
     assert (state.view("drift")[1:] == -0.3).all()
     assert not state.view("felt")[1:].any()

@@ -6,34 +6,40 @@ The motors of the hand are scripted.
 import numpy as np
 import pytest
 
-from handctl.controller.modes import (
+from handctl.controller.hand_modes import (
     ARMING_TIMEOUT_S,
-    CUT_S,
+    CUT_DURATION_S,
     DISARM_TIMEOUT_S,
     INVENTORY_TIMEOUT_S,
-    LISTEN_S,
-    READY_S,
+    LISTENING_DURATION_S,
+    READY_DURATION_S,
 )
 from handctl.controller.tick import Controller
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.types import IoEvent, Mode
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode, IoEvent
 from handctl.drives.frame import Frame
-from handctl.hand.load import load_hand
-from handctl.programs.live import LiveProgram
-from handctl.safety.action import Action
+from handctl.hand.hand_loading import load_hand
+from handctl.programs.live_session import LiveProgram
+from handctl.safety.action import SafetyAction
 from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
 STOP_REQUEST, CUT_REQUEST, ARM_REQUEST = '{"do": "stop"}', '{"do": "cut"}', '{"do": "arm"}'
-MODES_TO_ACTIVE = [Mode.SILENT, Mode.INVENTORY, Mode.READY, Mode.ARMING, Mode.ACTIVE]
-MODES_TO_DONE = [Mode.RELAX, Mode.DISARM, Mode.DONE]
+MODES_TO_ACTIVE = [
+    HandMode.SILENT,
+    HandMode.INVENTORY,
+    HandMode.READY,
+    HandMode.ARMING,
+    HandMode.ACTIVE,
+]
+MODES_TO_DONE = [HandMode.RELAX, HandMode.DISARM, HandMode.DONE]
 ENABLE_PAYLOAD, DISABLE_PAYLOAD = b"\xff" * 7 + b"\xfc", b"\xff" * 7 + b"\xfd"
 
 
 @pytest.fixture(scope="module")
 def low_rate_jamia() -> HandModel:
     """Return a model at a low control rate. The low rate makes the tests fast, and all times are in seconds."""
-    return HandModel.of(load_hand("jamia"), Gains(), 200.0)
+    return HandModel.from_hand(load_hand("jamia"), Gains(), 200.0)
 
 
 @pytest.fixture
@@ -41,7 +47,7 @@ def hand_bench(low_rate_jamia: HandModel) -> ControllerBench:
     return make_controller_bench(low_rate_jamia, LiveProgram())
 
 
-def duration_in_mode(run: ControllerBench, mode: Mode) -> float:
+def duration_in_mode(run: ControllerBench, mode: HandMode) -> float:
     return sum(out.mode == mode for _, _, out in run.tick_history) * run.controller.model.period
 
 
@@ -58,12 +64,16 @@ def all_motors_disabled(run: ControllerBench) -> bool:
 
 def test_a_hand_goes_through_all_modes_and_ends_disabled(model: HandModel) -> None:
     run = make_controller_bench(model, LiveProgram())
-    run.run_until_mode(Mode.ACTIVE)
+    run.run_until_mode(HandMode.ACTIVE)
     assert run.mode_history == MODES_TO_ACTIVE
-    assert duration_in_mode(run, Mode.SILENT) == pytest.approx(LISTEN_S, abs=1.5 * model.period)
-    assert duration_in_mode(run, Mode.READY) == pytest.approx(READY_S, abs=1.5 * model.period)
+    assert duration_in_mode(run, HandMode.SILENT) == pytest.approx(
+        LISTENING_DURATION_S, abs=1.5 * model.period
+    )
+    assert duration_in_mode(run, HandMode.READY) == pytest.approx(
+        READY_DURATION_S, abs=1.5 * model.period
+    )
     for _, _, out in run.tick_history:
-        if out.mode == Mode.SILENT:
+        if out.mode == HandMode.SILENT:
             assert out.frames == (), "silent means silent"
     assert ids_sent(run, ENABLE_PAYLOAD) == [motor.node_id for motor in run.peer.motors], (
         "each drive is enabled once"
@@ -72,7 +82,7 @@ def test_a_hand_goes_through_all_modes_and_ends_disabled(model: HandModel) -> No
     run.run(2.0)
     assert run.state.progress.phase == "live"
     run.tick(STOP_REQUEST)
-    run.run_until_mode(Mode.DONE)
+    run.run_until_mode(HandMode.DONE)
     assert run.mode_history == MODES_TO_ACTIVE + MODES_TO_DONE
     assert all_motors_disabled(run)
     assert (run.state.failure, run.state.unconfirmed) == ("", ())
@@ -82,7 +92,7 @@ def test_a_hand_goes_through_all_modes_and_ends_disabled(model: HandModel) -> No
 def test_registers_are_written_before_any_torque(hand_bench: ControllerBench) -> None:
     for motor in hand_bench.peer.motors:
         motor.registers[23] = 1.0
-    hand_bench.run_until_mode(Mode.ACTIVE)
+    hand_bench.run_until_mode(HandMode.ACTIVE)
     assert all(motor.written_registers for motor in hand_bench.peer.motors)
     assert all(motor.registers[9] == 1000 for motor in hand_bench.peer.motors), (
         "watchdog of 50 ms, in units of 50 us"
@@ -94,72 +104,82 @@ def test_registers_are_written_before_any_torque(hand_bench: ControllerBench) ->
 
 def test_hand_waits_without_an_arm_request(low_rate_jamia: HandModel) -> None:
     run = make_controller_bench(low_rate_jamia, LiveProgram(), arm=False)
-    run.run_until_mode(Mode.READY)
+    run.run_until_mode(HandMode.READY)
     run.run(2.0)
-    assert run.state.mode == Mode.READY
+    assert run.state.mode == HandMode.READY
     assert ids_sent(run, ENABLE_PAYLOAD) == []
     run.tick(ARM_REQUEST)
-    run.run_until_mode(Mode.ACTIVE, 1.0)
+    run.run_until_mode(HandMode.ACTIVE, 1.0)
 
 
 @pytest.mark.parametrize(
     ("mode", "way"),
     [
-        (Mode.SILENT, [Mode.DONE]),
-        (Mode.INVENTORY, [Mode.DONE]),
-        (Mode.READY, [Mode.DONE]),
-        (Mode.ARMING, [Mode.DISARM, Mode.DONE]),
-        (Mode.ACTIVE, MODES_TO_DONE),
+        (HandMode.SILENT, [HandMode.DONE]),
+        (HandMode.INVENTORY, [HandMode.DONE]),
+        (HandMode.READY, [HandMode.DONE]),
+        (HandMode.ARMING, [HandMode.DISARM, HandMode.DONE]),
+        (HandMode.ACTIVE, MODES_TO_DONE),
     ],
 )
-def test_stop_from_every_mode(hand_bench: ControllerBench, mode: Mode, way: list[Mode]) -> None:
+def test_stop_from_every_mode(
+    hand_bench: ControllerBench, mode: HandMode, way: list[HandMode]
+) -> None:
     hand_bench.run_until_mode(mode)
     hand_bench.tick(STOP_REQUEST)
-    hand_bench.run_until_mode(Mode.DONE)
+    hand_bench.run_until_mode(HandMode.DONE)
     assert hand_bench.mode_history == MODES_TO_ACTIVE[: MODES_TO_ACTIVE.index(mode) + 1] + way
     assert all_motors_disabled(hand_bench)
     assert not hand_bench.state.failure
-    if mode < Mode.ARMING:
+    if mode < HandMode.ARMING:
         assert ids_sent(hand_bench, ENABLE_PAYLOAD) == []
 
 
 @pytest.mark.parametrize(
-    "mode", [Mode.SILENT, Mode.INVENTORY, Mode.READY, Mode.ARMING, Mode.ACTIVE, Mode.RELAX]
+    "mode",
+    [
+        HandMode.SILENT,
+        HandMode.INVENTORY,
+        HandMode.READY,
+        HandMode.ARMING,
+        HandMode.ACTIVE,
+        HandMode.RELAX,
+    ],
 )
-def test_cut_from_every_mode(hand_bench: ControllerBench, mode: Mode) -> None:
-    if mode == Mode.RELAX:
-        hand_bench.run_until_mode(Mode.ACTIVE)
+def test_cut_from_every_mode(hand_bench: ControllerBench, mode: HandMode) -> None:
+    if mode == HandMode.RELAX:
+        hand_bench.run_until_mode(HandMode.ACTIVE)
         hand_bench.run(2.0)
         hand_bench.tick('{"do": "hold", "tension_N": {"index": 40}, "rate_N_per_s": 1000}')
         hand_bench.run(0.5)
         hand_bench.tick(STOP_REQUEST)
-        assert hand_bench.state.mode == Mode.RELAX
+        assert hand_bench.state.mode == HandMode.RELAX
     else:
         hand_bench.run_until_mode(mode)
     first = hand_bench.tick(CUT_REQUEST)
-    if mode < Mode.ARMING:
-        assert first.mode == Mode.DONE
+    if mode < HandMode.ARMING:
+        assert first.mode == HandMode.DONE
         return
-    assert first.mode == Mode.CUT
+    assert first.mode == HandMode.CUT
     ids = [motor.node_id for motor in hand_bench.peer.motors]
     assert [(f.can_id, f.data) for f in first.frames[: len(ids)]] == [
         (i, DISABLE_PAYLOAD) for i in ids
     ], "before all else"
     assert all_motors_disabled(hand_bench), "without a ramp, in the same tick"
-    hand_bench.run_until_mode(Mode.DONE)
-    assert hand_bench.mode_history[-3:] == [Mode.CUT, Mode.DISARM, Mode.DONE]
-    assert duration_in_mode(hand_bench, Mode.CUT) == pytest.approx(
-        CUT_S, abs=1.5 * hand_bench.controller.model.period
+    hand_bench.run_until_mode(HandMode.DONE)
+    assert hand_bench.mode_history[-3:] == [HandMode.CUT, HandMode.DISARM, HandMode.DONE]
+    assert duration_in_mode(hand_bench, HandMode.CUT) == pytest.approx(
+        CUT_DURATION_S, abs=1.5 * hand_bench.controller.model.period
     )
     assert not hand_bench.state.failure, "a person wanted it"
 
 
 def test_a_second_stop_does_not_lengthen_the_first(hand_bench: ControllerBench) -> None:
-    hand_bench.run_until_mode(Mode.ACTIVE)
+    hand_bench.run_until_mode(HandMode.ACTIVE)
     hand_bench.run(0.5)
     hand_bench.tick(STOP_REQUEST)
     hand_bench.tick(STOP_REQUEST)
-    hand_bench.run_until_mode(Mode.DONE, 2.0)
+    hand_bench.run_until_mode(HandMode.DONE, 2.0)
 
 
 def foreign_command(hand_bench: ControllerBench) -> Frame:
@@ -172,28 +192,28 @@ def foreign_command(hand_bench: ControllerBench) -> Frame:
 def test_a_second_controller_that_is_heard_first_is_left_alone(hand_bench: ControllerBench) -> None:
     hand_bench.run(0.2)
     hand_bench.tick(extra_frames=(foreign_command(hand_bench),))
-    hand_bench.run_until_mode(Mode.DONE, 1.0)
+    hand_bench.run_until_mode(HandMode.DONE, 1.0)
     assert "another controller" in hand_bench.state.failure
     assert "0x001" in hand_bench.state.failure
     assert all(out.frames == () for _, _, out in hand_bench.tick_history)
 
 
-@pytest.mark.parametrize("mode", [Mode.INVENTORY, Mode.READY])
+@pytest.mark.parametrize("mode", [HandMode.INVENTORY, HandMode.READY])
 def test_a_second_controller_that_comes_before_arming_prevents_it(
-    hand_bench: ControllerBench, mode: Mode
+    hand_bench: ControllerBench, mode: HandMode
 ) -> None:
     hand_bench.run_until_mode(mode)
     hand_bench.tick(extra_frames=(foreign_command(hand_bench),))
-    assert hand_bench.state.mode == Mode.DONE
+    assert hand_bench.state.mode == HandMode.DONE
     assert "another controller" in hand_bench.state.failure
     assert ids_sent(hand_bench, ENABLE_PAYLOAD) == []
 
 
 def test_a_second_controller_in_active_mode_causes_relax(hand_bench: ControllerBench) -> None:
-    hand_bench.run_until_mode(Mode.ACTIVE)
+    hand_bench.run_until_mode(HandMode.ACTIVE)
     hand_bench.run(1.0)
-    assert hand_bench.tick(extra_frames=(foreign_command(hand_bench),)).action == Action.RELAX
-    hand_bench.run_until_mode(Mode.DONE)
+    assert hand_bench.tick(extra_frames=(foreign_command(hand_bench),)).action == SafetyAction.RELAX
+    hand_bench.run_until_mode(HandMode.DONE)
     assert hand_bench.mode_history == MODES_TO_ACTIVE + MODES_TO_DONE
     assert "H13" in hand_bench.state.failure
     assert all_motors_disabled(hand_bench)
@@ -202,7 +222,7 @@ def test_a_second_controller_in_active_mode_causes_relax(hand_bench: ControllerB
 def test_the_sync_of_another_host_is_foreign_too(hand_bench: ControllerBench) -> None:
     hand_bench.run(0.1)
     hand_bench.tick(extra_frames=(Frame(0x080, b"\0"),))
-    hand_bench.run_until_mode(Mode.DONE, 1.0)
+    hand_bench.run_until_mode(HandMode.DONE, 1.0)
     assert "0x080" in hand_bench.state.failure
 
 
@@ -212,15 +232,15 @@ def test_unknown_identifiers_are_not_signs_of_a_second_controller(
     hand_bench.run(0.1)
     for can_id in (0x555, 0x1A0 | 1 << 31, 0x001 | 1 << 31):
         hand_bench.tick(extra_frames=(Frame(can_id, bytes(8)),))
-    hand_bench.run_until_mode(Mode.ACTIVE)
+    hand_bench.run_until_mode(HandMode.ACTIVE)
 
 
 def test_a_missing_motor_is_named(hand_bench: ControllerBench) -> None:
     hand_bench.peer.motors[2].sends_nothing = True
-    hand_bench.run_until_mode(Mode.DONE)
+    hand_bench.run_until_mode(HandMode.DONE)
     assert hand_bench.state.failure == "no answer from ring_motor"
     assert ids_sent(hand_bench, ENABLE_PAYLOAD) == []
-    assert duration_in_mode(hand_bench, Mode.INVENTORY) == pytest.approx(
+    assert duration_in_mode(hand_bench, HandMode.INVENTORY) == pytest.approx(
         INVENTORY_TIMEOUT_S, abs=0.05
     )
 
@@ -230,7 +250,7 @@ def test_two_missing_motors_and_a_missing_sensor_node_are_all_named(
 ) -> None:
     hand_bench.peer.motors[0].sends_nothing = hand_bench.peer.motors[3].sends_nothing = True
     hand_bench.peer.silent_sensors = True
-    hand_bench.run_until_mode(Mode.DONE)
+    hand_bench.run_until_mode(HandMode.DONE)
     for name in ("index_motor", "thumb_motor", "sensor node"):
         assert name in hand_bench.state.failure
     assert "ring_motor" not in hand_bench.state.failure
@@ -240,13 +260,13 @@ def test_silent_joint_encoders_are_reported_as_missing(jamia11: HandModel) -> No
     run = make_controller_bench(jamia11, LiveProgram())
     joint_ids = {0x1B0, 0x1B1, 0x1B2}
     run.to_host = lambda frames: [frame for frame in frames if frame.can_id not in joint_ids]
-    run.run_until_mode(Mode.DONE)
+    run.run_until_mode(HandMode.DONE)
     assert run.state.failure == "no answer from the sensor node"
 
 
 def test_a_motor_that_reports_an_error_is_named_with_it(hand_bench: ControllerBench) -> None:
     hand_bench.peer.motors[1].state_nibble = 0xB
-    hand_bench.run_until_mode(Mode.DONE)
+    hand_bench.run_until_mode(HandMode.DONE)
     assert "middle_motor" in hand_bench.state.failure
     assert ids_sent(hand_bench, ENABLE_PAYLOAD) == []
 
@@ -254,7 +274,7 @@ def test_a_motor_that_reports_an_error_is_named_with_it(hand_bench: ControllerBe
 def test_a_register_that_does_not_read_back_is_named(hand_bench: ControllerBench) -> None:
     hand_bench.peer.motors[1].registers[23] = 1.25
     hand_bench.peer.motors[1].fixed_registers.add(23)
-    hand_bench.run_until_mode(Mode.DONE)
+    hand_bench.run_until_mode(HandMode.DONE)
     assert "middle_motor" in hand_bench.state.failure
     assert "1.25" in hand_bench.state.failure
 
@@ -263,32 +283,36 @@ def test_a_motor_that_does_not_enable_is_named_and_all_are_disabled_again(
     hand_bench: ControllerBench,
 ) -> None:
     hand_bench.peer.motors[1].ignored_commands.add(0xFC)
-    hand_bench.run_until_mode(Mode.DONE)
+    hand_bench.run_until_mode(HandMode.DONE)
     assert hand_bench.state.failure == "not enabled: middle_motor"
-    assert hand_bench.mode_history == [*MODES_TO_ACTIVE[:4], Mode.DISARM, Mode.DONE]
-    assert duration_in_mode(hand_bench, Mode.ARMING) == pytest.approx(ARMING_TIMEOUT_S, abs=0.05)
+    assert hand_bench.mode_history == [*MODES_TO_ACTIVE[:4], HandMode.DISARM, HandMode.DONE]
+    assert duration_in_mode(hand_bench, HandMode.ARMING) == pytest.approx(
+        ARMING_TIMEOUT_S, abs=0.05
+    )
     assert all_motors_disabled(hand_bench)
 
 
 def test_a_motor_that_does_not_confirm_disabling_needs_its_power_removed(
     hand_bench: ControllerBench,
 ) -> None:
-    hand_bench.run_until_mode(Mode.ACTIVE)
+    hand_bench.run_until_mode(HandMode.ACTIVE)
     hand_bench.peer.motors[3].ignored_commands.add(0xFD)
     hand_bench.tick(STOP_REQUEST)
-    hand_bench.run_until_mode(Mode.DONE)
+    hand_bench.run_until_mode(HandMode.DONE)
     assert hand_bench.state.unconfirmed == ("thumb_motor",)
     assert hand_bench.state.failure == "REMOVE POWER: not confirmed disabled: thumb_motor"
-    assert duration_in_mode(hand_bench, Mode.DISARM) == pytest.approx(DISARM_TIMEOUT_S, abs=0.05)
+    assert duration_in_mode(hand_bench, HandMode.DISARM) == pytest.approx(
+        DISARM_TIMEOUT_S, abs=0.05
+    )
 
 
 def test_a_silent_motor_relaxes_the_others_and_both_faults_are_reported(
     hand_bench: ControllerBench,
 ) -> None:
-    hand_bench.run_until_mode(Mode.ACTIVE)
+    hand_bench.run_until_mode(HandMode.ACTIVE)
     hand_bench.run(1.0)
     hand_bench.peer.motors[0].sends_nothing = True
-    hand_bench.run_until_mode(Mode.DONE)
+    hand_bench.run_until_mode(HandMode.DONE)
     assert hand_bench.mode_history == MODES_TO_ACTIVE + MODES_TO_DONE
     assert hand_bench.state.unconfirmed == ("index_motor",)
     assert "B17 index_motor" in hand_bench.state.failure
@@ -297,66 +321,66 @@ def test_a_silent_motor_relaxes_the_others_and_both_faults_are_reported(
 
 
 def test_a_drive_error_in_action(hand_bench: ControllerBench) -> None:
-    hand_bench.run_until_mode(Mode.ACTIVE)
+    hand_bench.run_until_mode(HandMode.ACTIVE)
     hand_bench.run(1.0)
     hand_bench.peer.motors[2].state_nibble = 0xC
-    hand_bench.run_until_mode(Mode.DONE)
+    hand_bench.run_until_mode(HandMode.DONE)
     assert "N11 ring_motor" in hand_bench.state.failure
     assert hand_bench.mode_history == MODES_TO_ACTIVE + MODES_TO_DONE
     assert hand_bench.state.unconfirmed == ()
 
 
 def test_a_lost_bus_causes_a_cut(hand_bench: ControllerBench) -> None:
-    hand_bench.run_until_mode(Mode.ACTIVE)
+    hand_bench.run_until_mode(HandMode.ACTIVE)
     out = hand_bench.tick(io_events=(IoEvent("enodev", "local:x"),))
-    assert (out.mode, out.action) == (Mode.CUT, Action.CUT)
-    hand_bench.run_until_mode(Mode.DONE)
+    assert (out.mode, out.action) == (HandMode.CUT, SafetyAction.CUT)
+    hand_bench.run_until_mode(HandMode.DONE)
     assert "B16" in hand_bench.state.failure
 
 
-@pytest.mark.parametrize("mode", [Mode.SILENT, Mode.INVENTORY, Mode.READY])
-def test_a_lost_bus_before_arming_ends_the_run(hand_bench: ControllerBench, mode: Mode) -> None:
+@pytest.mark.parametrize("mode", [HandMode.SILENT, HandMode.INVENTORY, HandMode.READY])
+def test_a_lost_bus_before_arming_ends_the_run(hand_bench: ControllerBench, mode: HandMode) -> None:
     hand_bench.run_until_mode(mode)
-    assert hand_bench.tick(io_events=(IoEvent("enodev", "local:x"),)).mode == Mode.DONE
+    assert hand_bench.tick(io_events=(IoEvent("enodev", "local:x"),)).mode == HandMode.DONE
     assert "B16" in hand_bench.state.failure
     assert ids_sent(hand_bench, ENABLE_PAYLOAD) == []
 
 
 def test_a_fault_while_arming_disarms(hand_bench: ControllerBench) -> None:
-    hand_bench.run_until_mode(Mode.ARMING)
+    hand_bench.run_until_mode(HandMode.ARMING)
     hand_bench.tick(extra_frames=(foreign_command(hand_bench),))
-    hand_bench.run_until_mode(Mode.DONE)
+    hand_bench.run_until_mode(HandMode.DONE)
     assert "H13" in hand_bench.state.failure
     assert all_motors_disabled(hand_bench)
 
 
 def test_a_cut_during_relax_wins(hand_bench: ControllerBench) -> None:
-    hand_bench.run_until_mode(Mode.ACTIVE)
+    hand_bench.run_until_mode(HandMode.ACTIVE)
     hand_bench.run(2.0)
     hand_bench.tick('{"do": "hold", "tension_N": {"index": 60}, "rate_N_per_s": 1000}')
     hand_bench.run(0.5)
-    assert hand_bench.tick(extra_frames=(foreign_command(hand_bench),)).mode == Mode.RELAX
-    assert hand_bench.tick(io_events=(IoEvent("bus_off", "local:x"),)).mode == Mode.CUT
-    hand_bench.run_until_mode(Mode.DONE)
+    assert hand_bench.tick(extra_frames=(foreign_command(hand_bench),)).mode == HandMode.RELAX
+    assert hand_bench.tick(io_events=(IoEvent("bus_off", "local:x"),)).mode == HandMode.CUT
+    hand_bench.run_until_mode(HandMode.DONE)
     assert "H13" in hand_bench.state.failure, "what began it"
 
 
 def test_relax_lowers_the_tension_slowly_and_ends_in_time(hand_bench: ControllerBench) -> None:
-    hand_bench.run_until_mode(Mode.ACTIVE)
+    hand_bench.run_until_mode(HandMode.ACTIVE)
     hand_bench.run(2.0)
     hand_bench.tick('{"do": "hold", "tension_N": {"index": 60, "thumb": 50}, "rate_N_per_s": 1000}')
     hand_bench.run(1.0)
     held = hand_bench.peer.tension.copy()
     assert held[0] > 55.0
     hand_bench.tick(STOP_REQUEST)
-    while hand_bench.state.mode == Mode.RELAX:
+    while hand_bench.state.mode == HandMode.RELAX:
         hand_bench.tick()
-    assert 0.05 < duration_in_mode(hand_bench, Mode.RELAX) < 0.5, "500 N/s from 60 N"
+    assert 0.05 < duration_in_mode(hand_bench, HandMode.RELAX) < 0.5, "500 N/s from 60 N"
     goals = np.array(
         [
             out.telemetry.tension_goal
             for _, _, out in hand_bench.tick_history
-            if out.mode == Mode.RELAX
+            if out.mode == HandMode.RELAX
         ]
     )
     assert (np.diff(goals, axis=0) <= 1e-9).all(), "no tension rises"
@@ -369,25 +393,25 @@ def test_a_program_that_fails_relaxes_the_hand_and_gives_a_reason(
 ) -> None:
     run = make_controller_bench(low_rate_jamia, LiveProgram())
     run.peer.tear_tendon(1)  # the load cell of a torn tendon reads zero
-    run.run_until_mode(Mode.DONE, 20.0)
+    run.run_until_mode(HandMode.DONE, 20.0)
     assert run.state.failure == "not taut after 4 s: middle_tendon"
     assert run.mode_history == MODES_TO_ACTIVE + MODES_TO_DONE
 
 
 def test_clear_resets_latched_faults_and_arms_no_drive(hand_bench: ControllerBench) -> None:
-    hand_bench.run_until_mode(Mode.ACTIVE)
+    hand_bench.run_until_mode(HandMode.ACTIVE)
     hand_bench.tick(extra_frames=(foreign_command(hand_bench),))
     assert hand_bench.state.latched
     hand_bench.tick('{"do": "clear"}')
     assert not hand_bench.state.latched
-    hand_bench.run_until_mode(Mode.DONE)
+    hand_bench.run_until_mode(HandMode.DONE)
     assert hand_bench.mode_history == MODES_TO_ACTIVE + MODES_TO_DONE
 
 
 def test_every_mode_change_is_reported_once(hand_bench: ControllerBench) -> None:
-    hand_bench.run_until_mode(Mode.ACTIVE)
+    hand_bench.run_until_mode(HandMode.ACTIVE)
     hand_bench.tick(STOP_REQUEST)
-    hand_bench.run_until_mode(Mode.DONE)
+    hand_bench.run_until_mode(HandMode.DONE)
     mode_changes = [
         event.text.partition(":")[0] for event in hand_bench.events if event.name == "mode"
     ]
@@ -400,15 +424,15 @@ def test_every_mode_change_is_reported_once(hand_bench: ControllerBench) -> None
 def test_the_time_of_a_program_stops_during_a_hold_by_safety(
     hand_bench: ControllerBench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    hand_bench.run_until_mode(Mode.ACTIVE)
+    hand_bench.run_until_mode(HandMode.ACTIVE)
     hand_bench.run(1.0)
     before = hand_bench.state
-    real = Controller._judge
+    real = Controller._judge_faults
     monkeypatch.setattr(
-        Controller, "_judge", lambda self, *words: (Action.HOLD, real(self, *words)[1])
+        Controller, "_judge_faults", lambda self, *words: (SafetyAction.HOLD, real(self, *words)[1])
     )
     hand_bench.run(0.5)
-    assert hand_bench.state.mode == Mode.ACTIVE
+    assert hand_bench.state.mode == HandMode.ACTIVE
     assert hand_bench.state.goal_time == before.goal_time
     assert hand_bench.state.progress == before.progress
     monkeypatch.undo()

@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handctl.core import block as s
+from handctl.core import state_block as s
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.types import TELEMETRY_AXES, IoEvent, Mode, TickIn, TickOut
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import TELEMETRY_AXES, HandMode, IoEvent, TickIn, TickOut
 from handctl.drives.frame import Frame
-from handctl.hand.load import hand_content, hand_from_content, load_hand
-from handctl.programs.live import LiveProgram
-from handctl.safety.action import Action
+from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand
+from handctl.programs.live_session import LiveProgram
+from handctl.safety.action import SafetyAction
 from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
 
@@ -27,8 +27,8 @@ def run_session(name: str) -> ControllerBench:
     The hand is armed, moves, holds, loses a frame, has a fault, and relaxes.
     """
     rate = {"jamia": 200.0, "jamia11": 200.0}[name]
-    run = make_controller_bench(HandModel.of(load_hand(name), Gains(), rate), LiveProgram())
-    run.run_until_mode(Mode.ACTIVE)
+    run = make_controller_bench(HandModel.from_hand(load_hand(name), Gains(), rate), LiveProgram())
+    run.run_until_mode(HandMode.ACTIVE)
     run.run(1.0)
     run.tick('{"do": "move", "angle_deg": {"middle": 20}, "duration_s": 0.3}')
     run.run(0.2)
@@ -40,7 +40,7 @@ def run_session(name: str) -> ControllerBench:
     run.tick(io_events=(IoEvent("dropped", "local:x", 3),), late_ns=run.period_ns // 2)
     run.tick(missed_ticks=1)
     run.tick(extra_frames=(Frame(0x001, bytes(8), t_ns=run.k * run.period_ns),))
-    run.run_until_mode(Mode.DONE)
+    run.run_until_mode(HandMode.DONE)
     return run
 
 
@@ -70,9 +70,9 @@ def test_another_controller_of_the_same_hand_repeats_the_run(
 ) -> None:
     model = session_bench.controller.model
     other = make_controller_bench(
-        HandModel.of(model.hand, model.gains, 1.0 / model.period), LiveProgram()
+        HandModel.from_hand(model.hand, model.gains, 1.0 / model.period), LiveProgram()
     ).controller
-    state = other.initial()
+    state = other.initial_state()
     for _, entry, out in session_bench.tick_history:
         state, again = other.tick(state, entry)
         assert again.state_hash == out.state_hash, entry.k
@@ -115,19 +115,19 @@ def test_the_origin_of_time_does_not_matter() -> None:
 
     Only its SYNC counter and its order of register reads may differ.
     """
-    model = HandModel.of(load_hand("jamia"), Gains(), 200.0)
+    model = HandModel.from_hand(load_hand("jamia"), Gains(), 200.0)
     runs = []
     for first in (0, 2560):
         run = make_controller_bench(model, LiveProgram())
         run.k = first
-        run.state.set_whole(s.K, first - 1)
+        run.state.set_run_integer(s.K, first - 1)
         run.state.mode_since = first * model.period
-        run.run_until_mode(Mode.ACTIVE)
+        run.run_until_mode(HandMode.ACTIVE)
         run.run(0.5)
         run.tick('{"do": "hold", "tension_N": {"index": 15}}')
         run.run(0.3)
         run.tick('{"do": "stop"}')
-        run.run_until_mode(Mode.DONE)
+        run.run_until_mode(HandMode.DONE)
         runs.append(run)
     early, late = (run.tick_history for run in runs)
     assert len(early) == len(late)
@@ -140,7 +140,7 @@ def test_the_origin_of_time_does_not_matter() -> None:
         )
         commands = [[f for f in out.frames if f.can_id < 0x080] for out in (a, b)]
         assert commands[0] == commands[1]
-        assert commands[0] or a.mode < Mode.ARMING or a.mode == Mode.DONE
+        assert commands[0] or a.mode < HandMode.ARMING or a.mode == HandMode.DONE
 
 
 def test_telemetry_has_the_declared_shapes_and_its_fields_change(
@@ -167,8 +167,10 @@ def test_telemetry_has_the_declared_shapes_and_its_fields_change(
 
 def test_old_values_have_no_new_time_stamp() -> None:
     """In a tick without frames the telemetry shows NaN for every measurement. The age of the last one grows."""
-    run = make_controller_bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
-    run.run_until_mode(Mode.ACTIVE)
+    run = make_controller_bench(
+        HandModel.from_hand(load_hand("jamia"), Gains(), 200.0), LiveProgram()
+    )
+    run.run_until_mode(HandMode.ACTIVE)
     run.run(0.5)
     run.to_host = lambda frames: []
     ages = []
@@ -190,16 +192,18 @@ def test_old_values_have_no_new_time_stamp() -> None:
 
 
 def test_missed_ticks_are_reported_and_many_of_them_relax() -> None:
-    run = make_controller_bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
-    run.run_until_mode(Mode.ACTIVE)
+    run = make_controller_bench(
+        HandModel.from_hand(load_hand("jamia"), Gains(), 200.0), LiveProgram()
+    )
+    run.run_until_mode(HandMode.ACTIVE)
     run.run(0.5)
-    assert run.tick(missed_ticks=1).action == Action.WARN
+    assert run.tick(missed_ticks=1).action == SafetyAction.WARN
     run.run(0.1)
     stalled = run.controller.limits.stalled_ticks
-    assert run.tick(missed_ticks=stalled - 1).action == Action.WARN
+    assert run.tick(missed_ticks=stalled - 1).action == SafetyAction.WARN
     run.run(0.1)
     out = run.tick(missed_ticks=stalled)
-    assert (out.action, out.mode) == (Action.RELAX, Mode.RELAX)
+    assert (out.action, out.mode) == (SafetyAction.RELAX, HandMode.RELAX)
     assert "H03" in run.state.failure
 
 
@@ -211,16 +215,16 @@ def test_load_cells_wired_in_another_order_belong_to_their_tendons() -> None:
     content = hand_content("jamia11")
     content["sensor_node"]["tendons"] = content["sensor_node"]["tendons"][::-1]
     run = make_controller_bench(
-        HandModel.of(hand_from_content(content, "reversed"), Gains(), 200.0), LiveProgram()
+        HandModel.from_hand(hand_from_content(content, "reversed"), Gains(), 200.0), LiveProgram()
     )
     run.peer.tendon_of_channel = list(range(11))[::-1]
     run.peer.cell_bias[:] = np.linspace(0.0, 2.0, 11)
-    run.run_until_mode(Mode.ACTIVE)
+    run.run_until_mode(HandMode.ACTIVE)
     np.testing.assert_allclose(
         run.tick_history[-1][2].telemetry.tension_raw, run.peer.cell_bias, atol=0.05
     )
     run.to_host = lambda frames: [frame for frame in frames if frame.can_id != 0x1A1]
-    run.run_until_mode(Mode.DONE)
+    run.run_until_mode(HandMode.DONE)
     lost = {mark.instance for mark in run.state.latched if mark.id == "N02"}
     assert lost == set(run.controller.model.hand.tendon_names[::-1][5:10])
 
@@ -285,10 +289,12 @@ def test_no_request_event_or_delay_can_stop_the_tick(
 
 def test_a_hand_armed_under_tension_is_not_jerked() -> None:
     """The tension loop starts at the tension that tendons have when they are armed, for example from a held object."""
-    run = make_controller_bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
+    run = make_controller_bench(
+        HandModel.from_hand(load_hand("jamia"), Gains(), 200.0), LiveProgram()
+    )
     run.peer.spool_travel[:] = 0.3e-3 + 20.0 / run.peer.tendon_stiffness
     run.peer.locked_when_disabled = True
-    run.run_until_mode(Mode.ACTIVE)
+    run.run_until_mode(HandMode.ACTIVE)
     first = run.tick_history[-1][2].telemetry
     np.testing.assert_allclose(first.tension, 20.0, atol=6.0)
     assert (first.motor_torque_goal > 0.0).all(), "no kick backwards"

@@ -7,7 +7,7 @@ import pytest
 
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
-from handctl.hand.load import hand_content, hand_from_content, load_hand, packaged_hands
+from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand, packaged_hands
 from handctl.hand.readiness import coordinate_range_deg
 from handctl.programs.default_task import default_scene, default_task, grasp_warnings
 from handctl.programs.task import ClosePhase, HoldPhase, load_task
@@ -34,7 +34,7 @@ def test_the_default_task_suits_every_hand_and_reads_back_from_text(
         assert isinstance(close.angle_deg, dict)
         assert isinstance(hold.tension_N, dict)
         angle = np.array(close.angle_deg[digit.name])
-        sideways = DigitModel.of(hand, digit.name).sideways_coordinates
+        sideways = DigitModel.from_hand(hand, digit.name).sideways_coordinates
         assert (sideways | ((angle > 0.5 * np.minimum(high, 120.0)) & (angle < high))).all()
         assert (angle[sideways] == 0.0).all()
         limits = [tendon.tension_max_N for tendon in hand.tendon[hand.digit_tendons[digit.name]]]

@@ -11,13 +11,13 @@ import pytest
 
 from handctl.campaign.scenarios import GRASP_STAGE
 from handctl.campaign.stage import advance_to, hand_with_protocol, homed_run
-from handctl.controller.state import State
-from handctl.core import block as s
-from handctl.core import stages
-from handctl.core.law.computed_torque import HOLD_MARGIN_N
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
-from handctl.safety.action import Action
+from handctl.controller.controller_state import ControllerState
+from handctl.core import state_block as s
+from handctl.core import tick_stages
+from handctl.core.control_law.computed_torque import HOLD_MARGIN_N
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode
+from handctl.safety.action import SafetyAction
 from tests.controller.digit_goals import holding_goals, moving_goals
 from tests.controller.law_runs import LawState, run_law_tick, tension_limits_of
 from tests.controller.synthetic_states import active_state, estimate_under_tension
@@ -118,7 +118,7 @@ def test_derating_affects_the_warm_drive_only(warm_grasp) -> None:
     assert after[0] < 14.0 + 2.0 * warm_grasp.controller.model.space.coulomb[0]
     assert min(after[1:]) > 20.0
     assert any(event.text.startswith("N09a") for event in events)
-    assert warm_grasp.out.mode == Mode.ACTIVE
+    assert warm_grasp.out.mode == HandMode.ACTIVE
 
 
 def test_no_tension_grows_during_a_hold_by_safety(warm_grasp) -> None:
@@ -130,23 +130,30 @@ def test_no_tension_grows_during_a_hold_by_safety(warm_grasp) -> None:
     tension = np.array(warm_grasp.peer.truth()["tension"])
 
     def state_of_limited_goals(
-        before: State, action: Action, tension: np.ndarray, mode: Mode = Mode.ACTIVE
-    ) -> State:
+        before: ControllerState,
+        action: SafetyAction,
+        tension: np.ndarray,
+        mode: HandMode = HandMode.ACTIVE,
+    ) -> ControllerState:
         after = before.copy()
         after.mode = mode
         after.view("tension")[...] = tension
-        stages.evaluate_goals(after.block, after.layout.places, *controller._constants, int(action))
+        tick_stages.evaluate_goals(
+            after.block, after.layout.places, *controller._constants, int(action)
+        )
         return after
 
-    held = state_of_limited_goals(state, Action.HOLD, tension)
-    assert held.whole(s.HOLDING)
+    held = state_of_limited_goals(state, SafetyAction.HOLD, tension)
+    assert held.run_integer(s.HOLDING)
     assert held.view("limit_held") == pytest.approx(np.maximum(tension, 5.0) + HOLD_MARGIN_N)
-    again = state_of_limited_goals(held, Action.HOLD, tension + 50.0)
+    again = state_of_limited_goals(held, SafetyAction.HOLD, tension + 50.0)
     np.testing.assert_array_equal(again.view("limit_held"), held.view("limit_held"))
     assert (tension_limits_of(controller.model, again) <= held.view("limit_held")).all()
-    for action in (Action.PASS, Action.WARN, Action.RELAX):
-        assert not state_of_limited_goals(again, action, tension).whole(s.HOLDING)
-    assert not state_of_limited_goals(again, Action.HOLD, tension, Mode.RELAX).whole(s.HOLDING)
+    for action in (SafetyAction.PASS, SafetyAction.WARN, SafetyAction.RELAX):
+        assert not state_of_limited_goals(again, action, tension).run_integer(s.HOLDING)
+    assert not state_of_limited_goals(
+        again, SafetyAction.HOLD, tension, HandMode.RELAX
+    ).run_integer(s.HOLDING)
 
 
 def test_a_hold_keeps_the_hand_as_it_is(warm_grasp) -> None:
@@ -158,11 +165,11 @@ def test_a_hold_keeps_the_hand_as_it_is(warm_grasp) -> None:
     before, seen = warm_grasp.peer.truth()["tension"], []
     for _ in range(300):
         out = warm_grasp.tick()
-        seen.append((out.action, bool(warm_grasp.state.whole(s.HOLDING))))
-        if out.mode != Mode.ACTIVE:
+        seen.append((out.action, bool(warm_grasp.state.run_integer(s.HOLDING))))
+        if out.mode != HandMode.ACTIVE:
             break
-    held = [kept for action, kept in seen if action == Action.HOLD]
+    held = [kept for action, kept in seen if action == SafetyAction.HOLD]
     assert held
     assert all(held)
-    assert not any(kept for action, kept in seen if action < Action.HOLD)
+    assert not any(kept for action, kept in seen if action < SafetyAction.HOLD)
     assert max(warm_grasp.peer.truth()["tension"]) < max(before) + 5.0

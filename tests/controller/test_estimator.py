@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from handctl.core import stages
+from handctl.core import tick_stages
 from handctl.core.estimation.filter_stack import STATE_COUNT, O, S, TendonRegime, W, X
 from handctl.core.estimation.take_up import SLACK_TICKS, TAUT_ABOVE_N
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode
 from tests.controller.filter_oracle import FILTER_STATE_UNITS
 from tests.controller.filter_runs import (
     FilterState,
@@ -178,7 +178,9 @@ def test_becoming_taut_takes_the_tension_from_the_load_cell(model: HandModel) ->
             (np.abs(estimate.tension) < 1e-9) | (np.abs(estimate.tension - cell) < 2.0)
         ).all(), "no overshoot"
     np.testing.assert_allclose(estimates[-1], cell, atol=0.5)
-    np.testing.assert_allclose(estimate.offset, x[:, X] - cell / model.space.stiffness, atol=1e-5)
+    np.testing.assert_allclose(
+        estimate.stretch_offset, x[:, X] - cell / model.space.stiffness, atol=1e-5
+    )
     np.testing.assert_allclose(estimate.excursion, 0.0, atol=2e-5)
 
 
@@ -245,14 +247,16 @@ def test_load_of_an_object_is_external_tension(model: HandModel) -> None:
             tension,
             (True,) * len(model.digits),
         )
-    np.testing.assert_allclose(estimate.external, 10.0, atol=0.5)
+    np.testing.assert_allclose(estimate.external_tension, 10.0, atol=0.5)
     x0, rest = np.zeros((n, STATE_COUNT)), np.full(n, 4.0)
     x0[:, X] = rest / model.space.stiffness
     state = all_in_regime(model, TendonRegime.HELD, x0)._replace(stopped=(True,) * n)
     state, estimate = run_unplanned_filter_tick(
         model, state, noiseless_readings(model, x0, rest), rest, no_contact(model)
     )
-    np.testing.assert_allclose(estimate.external, 0.0, err_msg="the open stop is no contact")
+    np.testing.assert_allclose(
+        estimate.external_tension, 0.0, err_msg="the open stop is no contact"
+    )
 
 
 def test_joint_encoders_distinguish_excursion_from_offset(jamia11: HandModel) -> None:
@@ -283,10 +287,10 @@ def test_joint_encoders_distinguish_excursion_from_offset(jamia11: HandModel) ->
 def excursion_of(model: HandModel, joints: np.ndarray) -> np.ndarray:
     """Return tendon excursions (N,) from joint encoder readings (J,) [rad], NaN where a reading is missing."""
     state = active_state(model)
-    state.mode = Mode.SILENT
+    state.mode = HandMode.SILENT
     state.view("joint_fresh")[...] = ~np.isnan(joints)
     state.view("joint_angle")[...] = joints
-    stages.observe_tick(state.block, state.layout.places, *stage_constants(model))
+    tick_stages.observe_tick(state.block, state.layout.places, *stage_constants(model))
     return state.view("measured_excursion")
 
 
@@ -372,11 +376,11 @@ def test_friction_whose_direction_is_known_is_no_contact(model: HandModel) -> No
         assert set(after.regimes) == {TendonRegime.FREE}
         touching, other = run_filter_tick(*args, (True,) * len(model.digits), friction_state=known)
         assert set(touching.regimes) == {TendonRegime.HELD}
-        np.testing.assert_allclose(other.external, estimate.external, atol=0.02)
+        np.testing.assert_allclose(other.external_tension, estimate.external_tension, atol=0.02)
         pull = load_statics(model, x, force, known).pull
         resistance = load_statics(model, x, force, known).resistance
-        np.testing.assert_allclose(estimate.external, pull - resistance, atol=0.02)
-        found.append(estimate.external)
+        np.testing.assert_allclose(estimate.external_tension, pull - resistance, atol=0.02)
+        found.append(estimate.external_tension)
     assert (found[1] < found[0] - 0.5).all(), (
         "winding, friction takes from what the load cell shows"
     )

@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from handctl.core.block import state_tables
 from handctl.core.constants import constant_tables
 from handctl.core.estimation.filter_stack import (
     MEASUREMENT_COUNT,
@@ -22,8 +21,9 @@ from handctl.core.estimation.filter_stack import (
 )
 from handctl.core.estimation.kalman import _is_measurement_missing
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.hand.load import hand_content, hand_from_content
+from handctl.core.hand_model import HandModel
+from handctl.core.state_block import state_tables
+from handctl.hand.hand_loading import hand_content, hand_from_content
 from tests.controller.filter_oracle import (
     FILTER_STATE_UNITS,
     assert_same_covariance,
@@ -57,7 +57,7 @@ def frictionless_model_of(name: str, rate_hz: float) -> HandModel:
     content["mount"]["gravity_m_s2"] = [0.0, 0.0, 0.0]
     for tendon in content["tendon"]:
         tendon["friction_coefficient"] = 0.0
-    return HandModel.of(hand_from_content(content, "plain"), Gains(), rate_hz)
+    return HandModel.from_hand(hand_from_content(content, "plain"), Gains(), rate_hz)
 
 
 @pytest.fixture(scope="module")
@@ -144,7 +144,7 @@ def run_monte_carlo(
         inputs = np.column_stack((force, rate))
         truth = (F @ truth[..., None])[..., 0] + (B @ inputs[..., None])[..., 0] + noise
         error = estimate.tension - (tension_rows * truth).sum(axis=1)
-        rows.append((error, estimate.sigma, estimate.innovation, estimate.nis))
+        rows.append((error, estimate.tension_sigma, estimate.innovation, estimate.nis))
         regimes.add(state.regimes)
     kept = rows[ticks // 10 :]
     return FilterRun(*(np.array([row[i] for row in kept]) for i in range(4)), regimes=regimes)
@@ -209,7 +209,7 @@ def test_the_covariance_is_updated_only_until_it_is_steady(model: HandModel) -> 
         )
         if state.covariance is not None:
             assert k == 20 + len(sigma), "in one piece, from the first that is missing on"
-            sigma.append(estimate.sigma)
+            sigma.append(estimate.tension_sigma)
     steady = np.sqrt(design_arrays_by_tendon(model, state.regimes, "tension_variance"))
     assert 5 < len(sigma) < 200
     assert sigma[4][0] > 1.01 * steady[0]

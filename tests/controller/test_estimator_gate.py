@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from handctl.core.estimation.consistency import consistency_events
+from handctl.core.estimation.consistency_events import consistency_events
 from handctl.core.estimation.filter_stack import STATE_COUNT, E, S, TendonRegime, V, X
-from handctl.core.estimation.kalman import MEAN_NIS_S, SLACK_LENGTH_M
-from handctl.core.model import HandModel
-from handctl.core.types import TickEvent
+from handctl.core.estimation.kalman import NIS_AVERAGING_TIME_S, SLACK_LENGTH_M
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import TickEvent
 from tests.controller.filter_runs import (
     FilterState,
     design_arrays_by_tendon,
@@ -142,13 +142,13 @@ def test_the_error_stays_as_it_is_while_the_tendon_is_taut(model: HandModel) -> 
 def test_a_model_that_does_not_fit_is_reported_once(model: HandModel) -> None:
     hand = HeldHand(model).settle()
     names, events = model.hand.tendon_names, list[TickEvent]()
-    for k in range(round(3 * MEAN_NIS_S / model.period)):
+    for k in range(round(3 * NIS_AVERAGING_TIME_S / model.period)):
         before = hand.state
         hand.run_sample(HELD_TENSION_N, travel=4e-5 * (-1) ** k)
         events += consistency_events(model, state_of(model, before), state_of(model, hand.state))
     assert sorted(event.where for event in events) == sorted(names), "every tendon, each once"
     assert {event.level for event in events} == {"warn"}
-    for _ in range(round(5 * MEAN_NIS_S / model.period)):
+    for _ in range(round(5 * NIS_AVERAGING_TIME_S / model.period)):
         before = hand.state
         hand.run_sample(HELD_TENSION_N)
         events += consistency_events(model, state_of(model, before), state_of(model, hand.state))
@@ -211,4 +211,4 @@ def test_occasional_positions_do_not_make_the_filter_oscillate(
     for _ in range(200):
         estimate = held.run_sample(HELD_TENSION_N)
     np.testing.assert_allclose(estimate.travel, held.travel, atol=1e-4)
-    np.testing.assert_allclose(estimate.speed, 0.0, atol=2e-3)
+    np.testing.assert_allclose(estimate.tendon_speed, 0.0, atol=2e-3)

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from handctl.core.block import state_tables
 from handctl.core.estimation.filter_stack import STATE_COUNT, O, S, TendonRegime, W, X
 from handctl.core.estimation.kalman import (
     SLACK_LENGTH_M,
@@ -25,7 +24,8 @@ from handctl.core.estimation.take_up import (
     POSSIBLE_ABOVE_N,
     TAUT_ABOVE_N,
 )
-from handctl.core.model import HandModel
+from handctl.core.hand_model import HandModel
+from handctl.core.state_block import state_tables
 from tests.controller.filter_runs import (
     FilterState,
     corrected_state,

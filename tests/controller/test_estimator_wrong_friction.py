@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from handctl.compiled import kernel
-from handctl.core.block import state_tables
+from handctl.core.block_schema import BlockArray, TablePlaces
 from handctl.core.constants import constant_tables
 from handctl.core.estimation import kalman
 from handctl.core.estimation.filter_stack import STATE_COUNT, TendonRegime
@@ -17,12 +17,12 @@ from handctl.core.estimation.kalman import (
     NOISE_NIS_S,
 )
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.schema import BlockArray, TablePlaces
+from handctl.core.hand_model import HandModel
+from handctl.core.state_block import state_tables
 from handctl.document import validate_content
-from handctl.hand.load import load_hand
-from handctl.programs.grasp import TaskProgram
+from handctl.hand.hand_loading import load_hand
 from handctl.programs.task import Task
+from handctl.programs.task_program import TaskProgram
 from tests.controller.filter_runs import (
     all_in_regime,
     no_contact,
@@ -99,7 +99,7 @@ def test_the_warning_uses_the_original_model_in_doubt(hand: str) -> None:
     assert after.nis_mean == pytest.approx(after_doubt.nis_mean)
     assert after.nis_lately == pytest.approx(after_doubt.nis_lately)
     assert (estimate_doubt.nis < estimate.nis).all()
-    assert (estimate_doubt.sigma > estimate.sigma).all()
+    assert (estimate_doubt.tension_sigma > estimate.tension_sigma).all()
     assert (estimate_doubt.tension > estimate.tension + 0.05).all(), "the load cell counts for more"
 
 
@@ -136,7 +136,7 @@ def averages_and_doubts(
 
 def test_a_slow_loop_does_not_adapt() -> None:
     lately, wary = np.full(4, 2.0), np.zeros(4)
-    model = HandModel.of(load_hand("jamia"), Gains(), 100.0)
+    model = HandModel.from_hand(load_hand("jamia"), Gains(), 100.0)
     for _ in range(300):
         lately, wary = averages_and_doubts(model, lately, wary, np.full(4, 50.0))
     assert not wary.any()

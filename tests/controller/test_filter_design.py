@@ -19,8 +19,8 @@ from handctl.core.estimation.filter_stack import (
 )
 from handctl.core.gains.filter_design import design_filter
 from handctl.core.gains.gains import FilterGains, Gains
-from handctl.core.model import HandModel, _joint_period
-from handctl.hand.load import load_hand
+from handctl.core.hand_model import HandModel, _joint_period
+from handctl.hand.hand_loading import load_hand
 from tests.controller.filter_oracle import (
     FILTER_STATE_UNITS,
     assumed_measurements,
@@ -159,7 +159,7 @@ def test_the_transition_of_all_tendons_is_that_of_its_blocks(
 def test_the_constants_of_the_kernels_are_the_blocks(model: HandModel) -> None:
     """The kernels get all parts of the filter design, and the variances that are derived from them."""
     design = constant_tables_of(model).design
-    assert design.shape == (model.tendon_count, h.KINDS, h.ELEMENTS)
+    assert design.shape == (model.tendon_count, h.FILTER_DESIGN_COUNT, h.DESIGN_ELEMENT_COUNT)
     parts = {
         "F": h.F_AT,
         "B": h.B_AT,
@@ -205,8 +205,8 @@ def test_transitions_of_many_regimes_use_bounded_memory(jamia: HandModel) -> Non
 
 def test_asking_for_other_gains_gives_other_filters() -> None:
     hand = load_hand("jamia")
-    calm = HandModel.of(hand, Gains(), 500.0)
-    wild = HandModel.of(hand, Gains(filter=FilterGains(free_rate_N_per_s=900.0)), 500.0)
+    calm = HandModel.from_hand(hand, Gains(), 500.0)
+    wild = HandModel.from_hand(hand, Gains(filter=FilterGains(free_rate_N_per_s=900.0)), 500.0)
     free = [m.filter.blocks[0][TendonRegime.FREE].tension_variance for m in (calm, wild)]
     assert free[1] > free[0], "who trusts the model less knows the tension less"
 

@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.core.law.friction_band import MIN_SLIDING_SPEED, tension_after_period
-from handctl.core.model import HandModel
+from handctl.core.control_law.friction_band import MIN_SLIDING_SPEED_M_S, tension_after_period
+from handctl.core.hand_model import HandModel
 from handctl.document import validate_content
-from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
+from handctl.programs.task_program import TaskProgram
 from tests.controller.digit_goals import moving_goals
 from tests.controller.law_runs import LawState, run_law_tick
 from tests.controller.plant_run import CONTROL_RATE_HZ, run_on_plant
@@ -25,7 +25,7 @@ def tensions_at_speeds(model: HandModel, speeds: list[float], begin: float) -> n
     The command is 12 N, and friction takes 20 %.
     """
     n = model.tendon_count
-    now, found, crept = [begin] * n, [], MIN_SLIDING_SPEED * model.period
+    now, found, crept = [begin] * n, [], MIN_SLIDING_SPEED_M_S * model.period
     for speed in speeds:
         wound = speed * model.period
         now = [

@@ -9,23 +9,28 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
+from handctl.controller.controller_state import ControllerState
+from handctl.controller.gain_change import CACHE_SIZE, DesignCache
 from handctl.controller.pending_gains import PendingGains
-from handctl.controller.retune import CACHE_SIZE, DesignCache
-from handctl.controller.state import State
 from handctl.controller.tick import Controller
-from handctl.core import block as s
-from handctl.core.gains.bounds import checked_bound, gain_bounds, values_by_key, with_values
+from handctl.core import state_block as s
+from handctl.core.gains.gain_bounds import (
+    bounds_after_check,
+    gain_bounds,
+    values_by_key,
+    with_values,
+)
 from handctl.core.gains.gains import Gains, TensionGains
 from handctl.core.gains.motion_design import design_motion, design_piece_count
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode
 from handctl.errors import ConfigError
-from handctl.hand.load import hand_path
+from handctl.hand.hand_loading import hand_path
 from handctl.programs.commission import CommissionProgram
-from handctl.programs.live import LiveProgram
+from handctl.programs.live_session import LiveProgram
 from handctl.programs.requests import parse_request
 from handctl.runtime.clocks.lockstep import load_peer
-from handctl.safety.action import Action
+from handctl.safety.action import SafetyAction
 from tests.controller.controller_bench import (
     ControllerBench,
     make_controller_bench,
@@ -47,9 +52,9 @@ def noiseless_hand(model: HandModel) -> ControllerBench:
     Its tendons are taut, and it waits for requests.
     """
     options = {"hand_path": str(hand_path("jamia")), "homed": True, "perturb": {"noise": 0.0}}
-    peer = load_peer("firmware_sim.rig:LockstepHand", **options)
+    peer = load_peer("firmware_sim.lockstep_hand:LockstepHand", **options)
     desk = ControllerBench(uncommissioned_controller(model, LiveProgram()), peer)
-    desk.run_until_mode(Mode.ACTIVE)
+    desk.run_until_mode(HandMode.ACTIVE)
     while desk.state.progress.phase != "live":
         desk.tick()
     return desk
@@ -95,7 +100,7 @@ def test_weights_from_which_no_gains_follow_are_refused_and_the_run_goes_on(
     assert (decisions.gains, decisions.pending, holding_bench.state.mode) == (
         before,
         None,
-        Mode.ACTIVE,
+        HandMode.ACTIVE,
     )
     holding_bench.tick(gain_request({"tension.force_N": 6.0}))
     holding_bench.run(0.1)
@@ -107,9 +112,9 @@ def test_a_hand_that_is_commissioned_keeps_its_gains(jamia: HandModel) -> None:
     """A change of gains is refused while a hand is commissioned, because the next run would not have the new gains."""
     desk = ControllerBench(
         uncommissioned_controller(jamia, CommissionProgram()),
-        load_peer("firmware_sim.rig:LockstepHand", hand_path=str(hand_path("jamia"))),
+        load_peer("firmware_sim.lockstep_hand:LockstepHand", hand_path=str(hand_path("jamia"))),
     )
-    desk.run_until_mode(Mode.ACTIVE)
+    desk.run_until_mode(HandMode.ACTIVE)
     out = desk.tick(gain_request({"motion.force_N": 20.0}))
     assert "refused: the hand is being commissioned" in [event.text for event in out.events]
     assert desk.state.decisions.pending is None
@@ -130,7 +135,7 @@ def test_a_change_is_taken_over_when_every_piece_is_designed(
     assert len(hashes) == len(outs)
 
 
-LawCall = tuple[Controller, State, State, Action, int]
+LawCall = tuple[Controller, ControllerState, ControllerState, SafetyAction, int]
 
 
 def record_law_calls(monkeypatch: pytest.MonkeyPatch) -> list[LawCall]:
@@ -141,7 +146,9 @@ def record_law_calls(monkeypatch: pytest.MonkeyPatch) -> list[LawCall]:
     """
     calls, real = list[LawCall](), Controller._compute_torques
 
-    def record_call(self: Controller, state: State, action: Action, ticks: int) -> None:
+    def record_call(
+        self: Controller, state: ControllerState, action: SafetyAction, ticks: int
+    ) -> None:
         before = state.copy()
         real(self, state, action, ticks)
         calls.append((self, before, state.copy(), action, ticks))
@@ -172,11 +179,11 @@ def test_a_change_makes_no_step_in_torque(
     calls = record_law_calls(monkeypatch)
     out = desk.tick()
     assert any(event.name == "gain" for event in out.events)
-    assert desk.state.whole(s.TRIMMED)
+    assert desk.state.run_integer(s.TRIMMED)
     (_, before, _, action, ticks), (other, _, without, *_) = calls
     with_trim = before.copy()
     with_trim.view("trim")[...] = desk.state.view("trim")
-    with_trim.set_whole(s.TRIMMED, 1)
+    with_trim.set_run_integer(s.TRIMMED, 1)
     other._compute_torques(with_trim, action, ticks)
     np.testing.assert_allclose(
         with_trim.view("torque"), out.telemetry.motor_torque_goal, atol=1e-12
@@ -191,9 +198,11 @@ def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
     desk = noiseless_hand(jamia)
     desk.tick(MOVE_REQUEST)
     desk.run(0.05)
-    judge = Controller._judge
+    judge = Controller._judge_faults
     monkeypatch.setattr(
-        Controller, "_judge", lambda self, *words: (Action.HOLD, judge(self, *words)[1])
+        Controller,
+        "_judge_faults",
+        lambda self, *words: (SafetyAction.HOLD, judge(self, *words)[1]),
     )
     calls = record_law_calls(monkeypatch)
     desk.tick(gain_request({"motion.force_N": 60.0}))
@@ -202,7 +211,7 @@ def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
         desk.tick()
     (own, _, old, *_), (other, _, new, *_) = calls
     assert own is not other
-    assert old.whole(s.HOLDING) == new.whole(s.HOLDING) == 1
+    assert old.run_integer(s.HOLDING) == new.run_integer(s.HOLDING) == 1
     np.testing.assert_array_equal(new.view("limit_held"), old.view("limit_held"))
     limit = old.view("limit_held")
     for state in (old, new):
@@ -215,7 +224,7 @@ def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
 def test_the_trim_fades_and_the_goal_is_reached(holding_bench: ControllerBench) -> None:
     holding_bench.tick(gain_request({"tension.tension_error_N": 1.4}))
     holding_bench.run(2.5)
-    assert not holding_bench.state.whole(s.TRIMMED)
+    assert not holding_bench.state.run_integer(s.TRIMMED)
     assert not holding_bench.state.view("trim").any()
     tension = np.array([out.telemetry.tension for *_, out in holding_bench.tick_history[-200:]])
     np.testing.assert_allclose(tension.mean(axis=0), 14.0, atol=1.0)
@@ -264,11 +273,11 @@ def test_impossible_gains_are_refused_in_one_line_without_effect(
 
 def test_a_hand_that_is_not_armed_takes_gains_without_a_trim(jamia: HandModel) -> None:
     desk = make_controller_bench(jamia, LiveProgram(), arm=False)
-    desk.run_until_mode(Mode.READY)
+    desk.run_until_mode(HandMode.READY)
     desk.tick(gain_request({"motion.force_N": 40.0}))
     desk.run(0.1)
     assert desk.state.decisions.gains is not None
-    assert not desk.state.whole(s.TRIMMED)
+    assert not desk.state.run_integer(s.TRIMMED)
     assert not desk.state.view("trim").any()
 
 
@@ -278,9 +287,9 @@ def test_every_key_has_bounds_and_its_default_is_within(jamia: HandModel) -> Non
     assert len(known) > 20
     for key, bound in known.items():
         assert np.isfinite([bound.low, bound.high]).all(), key
-        assert checked_bound(key, bound.default, "test") is bound
+        assert bounds_after_check(key, bound.default, "test") is bound
         with pytest.raises(ConfigError):
-            checked_bound(key, bound.high * 1.01, "test")
+            bounds_after_check(key, bound.high * 1.01, "test")
 
 
 @pytest.mark.parametrize("high", [False, True])

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handctl.core.gains.bounds import gain_bounds, with_values
+from handctl.core.gains.gain_bounds import gain_bounds, with_values
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
+from handctl.core.hand_model import HandModel
 from handctl.errors import ConfigError
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 
 EXTREME_GAINS = {
     "motion.force_N": 1e-9,
@@ -32,7 +32,7 @@ WEIGHT_KEYS = [
 def test_solver_failure_is_one_line(key: str) -> None:
     gains = with_values(Gains(), {key: EXTREME_GAINS[key]}, "test")
     with pytest.raises(ConfigError, match=f"gains: {key.partition('.')[0]}: no controller follows"):
-        HandModel.of(load_hand("jamia"), gains, 500.0)
+        HandModel.from_hand(load_hand("jamia"), gains, 500.0)
 
 
 @settings(max_examples=12)
@@ -43,7 +43,7 @@ def test_gains_within_bounds_are_designed_or_refused(powers: dict[str, float]) -
         Gains(), {key: known[key].high * math.exp(power) for key, power in powers.items()}, "test"
     )
     with suppress(ConfigError):
-        model = HandModel.of(load_hand("jamia_bench"), gains, 500.0)
+        model = HandModel.from_hand(load_hand("jamia_bench"), gains, 500.0)
         found = [
             model.motion.stiffness,
             model.motion.damping,

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from handctl.controller.state import State
-from handctl.core import stages
-from handctl.core.model import HandModel
-from handctl.core.types import Vector
+from handctl.controller.controller_state import ControllerState
+from handctl.core import tick_stages
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Vector
 from tests.controller.synthetic_states import active_state, stage_constants
 
 
@@ -14,7 +14,7 @@ def arms_of(model: HandModel) -> np.ndarray:
     return np.asarray(model.hand.moment_arms.sum(axis=1))
 
 
-def hand_with_equal_readings(model: HandModel, goal: float | Vector, ticks: int) -> State:
+def hand_with_equal_readings(model: HandModel, goal: float | Vector, ticks: int) -> ControllerState:
     """Return the state of a hand with the targets ``goal`` [m].
 
     Its motors have had equal readings for some ticks.
@@ -26,8 +26,8 @@ def hand_with_equal_readings(model: HandModel, goal: float | Vector, ticks: int)
 
 
 def targets_after_command(
-    model: HandModel, before: State, angle: float, at_goal: float | Vector = np.nan
-) -> State:
+    model: HandModel, before: ControllerState, angle: float, at_goal: float | Vector = np.nan
+) -> ControllerState:
     """Return the state after a command of one angle for all joints [rad].
 
     The tendons are at the excursions ``at_goal`` [m].
@@ -35,15 +35,15 @@ def targets_after_command(
     state = before.copy()
     state.view("q_goal")[...] = angle
     state.view("excursion")[...] = at_goal
-    stages.store_commands(state.block, state.layout.places, *stage_constants(model))
+    tick_stages.store_commands(state.block, state.layout.places, *stage_constants(model))
     return state
 
 
-def filtered_goal_of(state: State) -> np.ndarray:
+def filtered_goal_of(state: ControllerState) -> np.ndarray:
     return state.view("followed")
 
 
-def target_motion_of(state: State) -> np.ndarray:
+def target_motion_of(state: ControllerState) -> np.ndarray:
     """Return how far the targets have moved [m] since the readings of the motors became constant."""
     return np.abs(filtered_goal_of(state) - state.view("motor_anchor")[0])
 
@@ -51,7 +51,9 @@ def target_motion_of(state: State) -> np.ndarray:
 def test_filtered_goal_moves_as_fast_as_a_motor(jamia: HandModel) -> None:
     arms, armed = arms_of(jamia), hand_with_equal_readings(jamia, np.nan, 1)
 
-    def state_after_goals(angle: float, ticks: int, state: State = armed) -> State:
+    def state_after_goals(
+        angle: float, ticks: int, state: ControllerState = armed
+    ) -> ControllerState:
         for _ in range(ticks):
             state = targets_after_command(jamia, state, angle)
         return state

@@ -7,21 +7,21 @@ import numpy as np
 import pytest
 
 from handctl.core import constants as h
-from handctl.core.estimation.contact import SMOOTH_S
+from handctl.core.control_law.digit_goal import GoalKind
+from handctl.core.estimation.contact_force import TIP_FORCE_TIME_CONSTANT_S
 from handctl.core.estimation.filter_stack import STATE_COUNT, S, X
-from handctl.core.estimation.tip import joint_lever, tip_force
-from handctl.core.law.goal import GoalKind
-from handctl.core.model import HandModel
-from handctl.core.types import TickEvent
+from handctl.core.estimation.tip_force import joint_lever, tip_force
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import TickEvent
 from handctl.hand.dynamics import static_torque
-from handctl.programs.grasp import (
+from handctl.programs.program import TIGHTEN_TIMEOUT_S, ProgramProgress
+from handctl.programs.task import Task
+from handctl.programs.task_program import (
     RELEASE_TIMEOUT_S,
     RELEASED_WITHIN_N,
     SETTLE_AFTER_CLOSE_S,
     TaskProgram,
 )
-from handctl.programs.program import TIGHTEN_TIMEOUT_S, ProgramProgress
-from handctl.programs.task import Task
 from tests.controller.synthetic_states import (
     SyntheticEstimate,
     active_state,
@@ -74,7 +74,7 @@ class ProgramRun:
 
     def __init__(self, model: HandModel, task: dict[str, object] = GRASP_TASK) -> None:
         self.model, self.program = model, TaskProgram(Task.model_validate_json(json.dumps(task)))
-        self.progress: ProgramProgress = self.program.initial(model)
+        self.progress: ProgramProgress = self.program.initial_progress(model)
         self.events: list[TickEvent] = []
         self.t, self.state = 0.0, active_state(model)
 
@@ -90,7 +90,10 @@ class ProgramRun:
 
     def run_until_contact(self, estimate: SyntheticEstimate) -> None:
         """Run so many ticks with an estimate that contact detection has time to find its contact."""
-        for _ in range(round(5 * SMOOTH_S / self.model.period) + self.model.gains.contact.ticks):
+        for _ in range(
+            round(5 * TIP_FORCE_TIME_CONSTANT_S / self.model.period)
+            + self.model.gains.contact.ticks
+        ):
             self.tick(estimate)
 
     def run_until_phase(
@@ -126,7 +129,7 @@ def hand_in_contact(
     force = np.zeros(model.tendon_count)
     for name, value in external.items():
         force[model.digit_tendons[model.hand.digit_names.index(name)]] = value
-    return estimate._replace(external=force)
+    return estimate._replace(external_tension=force)
 
 
 def test_phases_come_in_the_order_of_the_task_and_last_as_long(
@@ -160,7 +163,7 @@ def test_phases_come_in_the_order_of_the_task_and_last_as_long(
 
 def test_a_tendon_that_stays_loose_ends_the_run_with_its_name(model: HandModel) -> None:
     loose = estimate_under_tension(model, 5.0)
-    loose.slack[1] = True
+    loose.is_slack[1] = True
     run = ProgramRun(model)
     while not run.progress.finished:
         run.tick(loose)
@@ -256,7 +259,9 @@ def tension_for_tip_force(model: HandModel, newtons: float) -> float:
     """Return the unexplained tension of each index tendon [N] that shows a force at the index tip [N]."""
     found = tip_forces_while_closing(
         model,
-        estimate_under_tension(model, 15.0, 0.5)._replace(external=np.ones(model.tendon_count)),
+        estimate_under_tension(model, 15.0, 0.5)._replace(
+            external_tension=np.ones(model.tendon_count)
+        ),
     )
     return newtons / float(found[model.hand.digit_names.index("index")])
 
@@ -307,7 +312,10 @@ def test_tip_force_estimate_equals_the_applied_force(model: HandModel) -> None:
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = x[:, X] = model.hand.moment_arms @ q
     np.testing.assert_allclose(
-        tip_forces_while_closing(model, exact_estimate(model, x)._replace(external=balance)), forces
+        tip_forces_while_closing(
+            model, exact_estimate(model, x)._replace(external_tension=balance)
+        ),
+        forces,
     )
 
 

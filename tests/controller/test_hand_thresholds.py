@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from handctl.controller.monitor.thresholds import max_frames_per_tick
-from handctl.controller.setup import make_drives, make_sensors
-from handctl.hand.load import load_hand
+from handctl.controller.monitor.safety_thresholds import max_frames_per_tick
+from handctl.controller.run_setup import make_drives, make_sensors
+from handctl.hand.hand_loading import load_hand
 from tests.drives.protocol_bench import OPTIONS_TEXT_BY_PROTOCOL, hand_file
 
 TORQUE_FEEDBACK_OPTION = "torque_feedback = true\n"
@@ -20,5 +20,5 @@ def test_the_flood_limit_grows_with_the_number_of_motors(protocol: str, tmp_path
     drives, node = make_drives(hand), make_sensors(hand)
     assert max_frames_per_tick(drives, node) == 64
     many = drives * 10
-    answers = sum(len(drive.exchange) // 2 for drive in many) + len(node.node_ids)
+    answers = sum(len(drive.frames_per_tick) // 2 for drive in many) + len(node.node_ids)
     assert 1.5 * answers < max_frames_per_tick(many, node) < 4 * answers

@@ -7,15 +7,15 @@ import math
 
 import pytest
 
-from handctl.controller.modes import INVENTORY_TIMEOUT_S, OperatorRequests, next_mode
-from handctl.controller.state import State
-from handctl.core import block as s
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
+from handctl.controller.controller_state import ControllerState
+from handctl.controller.hand_modes import INVENTORY_TIMEOUT_S, OperatorRequests, next_mode
+from handctl.core import state_block as s
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode
 from handctl.drives.contract import DrivePhase
 from handctl.drives.frame import Frame
-from handctl.programs.live import LiveProgram
-from handctl.safety.action import Action
+from handctl.programs.live_session import LiveProgram
+from handctl.safety.action import SafetyAction
 from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
 READ_REGISTER, WRITE_REGISTER = 0x33, 0x55
@@ -39,10 +39,10 @@ def test_motors_that_reply_in_alternate_ticks_are_armed(hand_bench: ControllerBe
         )
 
     hand_bench.to_host = lambda frames: [frame for frame in frames if replies_in_this_tick(frame)]
-    hand_bench.run_until_mode(Mode.READY)
+    hand_bench.run_until_mode(HandMode.READY)
     assert hand_bench.state.failure == ""
     hand_bench.to_host = lambda frames: frames
-    hand_bench.run_until_mode(Mode.ACTIVE)
+    hand_bench.run_until_mode(HandMode.ACTIVE)
 
 
 def test_the_inventory_waits_for_load_cells_that_reply_in_alternate_ticks(
@@ -51,7 +51,7 @@ def test_the_inventory_waits_for_load_cells_that_reply_in_alternate_ticks(
     run = make_controller_bench(jamia11, LiveProgram())
     first, *others = run.controller.sensors.ids[: run.controller.sensors.tension_frames]
     run.to_host = lambda frames: [frame for frame in frames if frame.can_id not in others]
-    run.run_until_mode(Mode.INVENTORY)
+    run.run_until_mode(HandMode.INVENTORY)
     run.run(0.5)
     assert not run.state.started
     run.to_host = lambda frames: [frame for frame in frames if frame.can_id != first]
@@ -60,21 +60,23 @@ def test_the_inventory_waits_for_load_cells_that_reply_in_alternate_ticks(
     assert run.state.started
 
 
-def hand_in_inventory(hand_bench: ControllerBench, seconds: float) -> State:
+def hand_in_inventory(hand_bench: ControllerBench, seconds: float) -> ControllerState:
     """Return the state of a complete hand some time after its inventory started. Tests then remove parts of it."""
-    hand_bench.run_until_mode(Mode.READY)
+    hand_bench.run_until_mode(HandMode.READY)
     state = hand_bench.state.copy()
-    state.mode, state.mode_since = Mode.INVENTORY, -seconds
+    state.mode, state.mode_since = HandMode.INVENTORY, -seconds
     return state
 
 
-def mode_after_inventory(hand_bench: ControllerBench, state: State) -> tuple[Mode, str]:
+def mode_after_inventory(
+    hand_bench: ControllerBench, state: ControllerState
+) -> tuple[HandMode, str]:
     after = state.copy()
     next_mode(
         hand_bench.controller.model,
         hand_bench.controller.drives,
         after,
-        Action.PASS,
+        SafetyAction.PASS,
         OperatorRequests(),
         (),
         0.0,
@@ -91,15 +93,18 @@ def test_a_ready_drive_that_never_reports_its_position_is_named(
     """
     known = hand_in_inventory(hand_bench, INVENTORY_TIMEOUT_S + 0.1)
     blind, unread = known.drives[1]._replace(position=math.nan), known.copy()
-    hand_bench.controller.keep(unread, 1, blind)
-    unread.set_whole(s.FILTER_STARTED, 0)
-    assert mode_after_inventory(hand_bench, unread) == (Mode.DONE, "no position from middle_motor")
+    hand_bench.controller.store_drive_state(unread, 1, blind)
+    unread.set_run_integer(s.FILTER_STARTED, 0)
+    assert mode_after_inventory(hand_bench, unread) == (
+        HandMode.DONE,
+        "no position from middle_motor",
+    )
     late = unread.copy()
-    hand_bench.controller.keep(late, 1, blind._replace(phase=DrivePhase.CONFIGURING))
+    hand_bench.controller.store_drive_state(late, 1, blind._replace(phase=DrivePhase.CONFIGURING))
     assert mode_after_inventory(hand_bench, late) == (
-        Mode.DONE,
+        HandMode.DONE,
         "middle_motor: not configured in time",
     )
     unread.mode_since = 0.0
-    assert mode_after_inventory(hand_bench, unread)[0] == Mode.INVENTORY
-    assert mode_after_inventory(hand_bench, known) == (Mode.READY, "")
+    assert mode_after_inventory(hand_bench, unread)[0] == HandMode.INVENTORY
+    assert mode_after_inventory(hand_bench, known) == (HandMode.READY, "")

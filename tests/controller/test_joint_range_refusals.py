@@ -9,7 +9,7 @@ import pytest
 from handctl.cli.main import main
 from handctl.errors import ConfigError
 from handctl.hand.digit import DigitModel
-from handctl.hand.load import load_hand, packaged_hands
+from handctl.hand.hand_loading import load_hand, packaged_hands
 from handctl.programs.task import Task
 from handctl.programs.task_checks import check_joint_range, check_tip_force
 
@@ -32,7 +32,9 @@ def task_with_phase(kind: str, angle: object, **more: object) -> Task:
 )
 def test_angle_beyond_the_joint_range_is_refused(hand, kind, angle, said):
     with pytest.raises(ConfigError) as refused:
-        check_joint_range(task_with_phase(kind, angle), hand, "t.toml", DigitModel.all_of(hand))
+        check_joint_range(
+            task_with_phase(kind, angle), hand, "t.toml", DigitModel.all_from_hand(hand)
+        )
     assert str(refused.value) == f"t.toml: phase[0].angle_deg: {said}"
 
 
@@ -43,23 +45,25 @@ def test_curve_point_beyond_the_joint_range_is_refused():
             task_with_phase("follow", curve, time_s=(0.0, 1.0, 2.0)),
             JAMIA,
             "t.toml",
-            DigitModel.all_of(JAMIA),
+            DigitModel.all_from_hand(JAMIA),
         )
 
 
 @pytest.mark.parametrize("angle", [0.0, 100.0, {"index": 50.0}, {"thumb": 100.0}])
 def test_the_ends_of_the_range_are_within_it(angle):
-    check_joint_range(task_with_phase("move", angle), JAMIA, "t.toml", DigitModel.all_of(JAMIA))
     check_joint_range(
-        task_with_phase("close", angle), JAMIA11, "t.toml", DigitModel.all_of(JAMIA11)
+        task_with_phase("move", angle), JAMIA, "t.toml", DigitModel.all_from_hand(JAMIA)
+    )
+    check_joint_range(
+        task_with_phase("close", angle), JAMIA11, "t.toml", DigitModel.all_from_hand(JAMIA11)
     )
 
 
 def test_reach_is_that_of_the_mean_angle_where_one_tendon_moves_three_joints():
-    low, high = DigitModel.of(JAMIA, "index").reach
+    low, high = DigitModel.from_hand(JAMIA, "index").reach
     assert np.degrees(low) == pytest.approx([0.0], abs=1e-9)
     assert np.degrees(high) == pytest.approx([100.0])
-    assert DigitModel.of(JAMIA11, "index").reach[1].shape == (3,)
+    assert DigitModel.from_hand(JAMIA11, "index").reach[1].shape == (3,)
 
 
 def test_a_run_is_refused_before_its_bus_is_opened(

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handctl.core.law.trajectory import CurveTrajectory
+from handctl.core.control_law.trajectory import CurveTrajectory
 from handctl.document import validate_content
 from handctl.errors import ConfigError
 from handctl.hand.digit import DigitModel
-from handctl.hand.load import load_hand
-from handctl.programs.grasp import TaskProgram
+from handctl.hand.hand_loading import load_hand
 from handctl.programs.task import Task, trajectory_from
 from handctl.programs.task_checks import check_task_for_hand
+from handctl.programs.task_program import TaskProgram
 from handctl.session.simulate import SimulatorSettings, homed_controller
 from tests.controller.plant_run import model_of
 
@@ -100,17 +100,19 @@ def test_a_trajectory_can_name_single_joints() -> None:
 
 
 def test_a_joint_of_a_one_tendon_digit_stands_for_all() -> None:
-    by_joint = DigitModel.of(load_hand("t42"), "left").with_joint_angles({1: 10.0}, [0.0])
+    by_joint = DigitModel.from_hand(load_hand("t42"), "left").with_joint_angles({1: 10.0}, [0.0])
     assert by_joint.tolist() == pytest.approx([40.0])
 
 
 def test_a_curve_for_each_coordinate_is_that_of_each() -> None:
     times = (0.0, 0.4, 1.0, 1.7)
     points = np.array([[0.0, 0.1], [0.5, 0.0], [0.2, 0.7], [0.9, 0.3]])
-    both = CurveTrajectory.through(times, points, 2)
-    ones = [CurveTrajectory.through(times, tuple(column), 1) for column in points.T]
+    both = CurveTrajectory.through_points(times, points, 2)
+    ones = [CurveTrajectory.through_points(times, tuple(column), 1) for column in points.T]
     for t in (-0.1, 0.0, 0.3, 0.4, 1.2, 1.7, 2.0):
-        assert both.at(t) == pytest.approx(np.hstack([one.at(t) for one in ones]), abs=1e-12)
+        assert both.motion_at(t) == pytest.approx(
+            np.hstack([one.motion_at(t) for one in ones]), abs=1e-12
+        )
     assert both.peak_speed() == pytest.approx(max(one.peak_speed() for one in ones))
     assert both.duration == 1.7
 

@@ -6,19 +6,21 @@ They are no sign of a second node.
 import pytest
 
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.types import Mode, TickOut
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode, TickOut
 from handctl.drives.frame import Frame
-from handctl.hand.load import load_hand
-from handctl.programs.live import LiveProgram
+from handctl.hand.hand_loading import load_hand
+from handctl.programs.live_session import LiveProgram
 from handctl.safety.faults.bus import LOSS_WINDOW_TICKS
 from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
 
 def test_replies_that_a_busy_host_reads_late_are_no_second_node() -> None:
     """The host reads the replies of one tick two ticks later, together with replies of the following ticks."""
-    run = make_controller_bench(HandModel.of(load_hand("jamia"), Gains(), 500.0), LiveProgram())
-    run.run_until_mode(Mode.ACTIVE)
+    run = make_controller_bench(
+        HandModel.from_hand(load_hand("jamia"), Gains(), 500.0), LiveProgram()
+    )
+    run.run_until_mode(HandMode.ACTIVE)
     run.run(0.5)
     held: list[list[Frame]] = []
 
@@ -36,7 +38,7 @@ def test_replies_that_a_busy_host_reads_late_are_no_second_node() -> None:
         fault_texts += [event.text for event in out.events if event.name == "fault"]
     assert any("B01" in text for text in fault_texts)
     assert not [text for text in fault_texts if "B05" in text or "B06" in text]
-    assert out.mode == Mode.ACTIVE
+    assert out.mode == HandMode.ACTIVE
 
 
 def test_late_replies_without_time_stamps_are_no_second_node() -> None:
@@ -44,8 +46,10 @@ def test_late_replies_without_time_stamps_are_no_second_node() -> None:
 
     After a pause, the simulator replies to two ticks at once.
     """
-    run = make_controller_bench(HandModel.of(load_hand("jamia"), Gains(), 500.0), LiveProgram())
-    run.run_until_mode(Mode.ACTIVE)
+    run = make_controller_bench(
+        HandModel.from_hand(load_hand("jamia"), Gains(), 500.0), LiveProgram()
+    )
+    run.run_until_mode(HandMode.ACTIVE)
     waiting: list[Frame] = []
 
     def remove_stamps(frames: list[Frame]) -> list[Frame]:
@@ -63,7 +67,7 @@ def test_late_replies_without_time_stamps_are_no_second_node() -> None:
         for event in out.events
         if event.name == "fault" and ("B05" in event.text or "B06" in event.text)
     ]
-    assert out.mode == Mode.ACTIVE
+    assert out.mode == HandMode.ACTIVE
     run.to_host = lambda frames: remove_stamps([*frames, *[f for f in frames if f.can_id == 0x11]])
     out = run.tick()
     assert any("B05" in event.text for event in out.events), "positive control: one answer too many"
@@ -80,13 +84,15 @@ def test_replies_after_a_pause_longer_than_the_reply_limit_are_no_second_node(be
     run.run(2 * run.period_ns * 1e-9)
     run.to_host = lambda frames: with_time_stamps(run, [*waiting, *frames])
     assert not second_node_reports(run.tick())
-    assert run.state.mode == Mode.ACTIVE
+    assert run.state.mode == HandMode.ACTIVE
 
 
 def active_on_a_bus_without_stamps() -> ControllerBench:
     """Return a bench whose hand is active. Its frames get their time stamps only when the host reads them."""
-    run = make_controller_bench(HandModel.of(load_hand("jamia"), Gains(), 500.0), LiveProgram())
-    run.run_until_mode(Mode.ACTIVE)
+    run = make_controller_bench(
+        HandModel.from_hand(load_hand("jamia"), Gains(), 500.0), LiveProgram()
+    )
+    run.run_until_mode(HandMode.ACTIVE)
     run.to_host = lambda frames: with_time_stamps(run, frames)
     run.run(0.5)
     return run

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handctl.core import block as s
-from handctl.core import stages
-from handctl.core.law.computed_torque import MOTOR_FRICTION_SPEED
-from handctl.core.law.goal import DigitGoal, GoalKind
-from handctl.core.law.trajectory import MinimumJerk
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
+from handctl.core import state_block as s
+from handctl.core import tick_stages
+from handctl.core.control_law.computed_torque import MOTOR_FRICTION_SPEED_M_S
+from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
+from handctl.core.control_law.trajectory import MinimumJerk
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode
 from tests.controller.digit_goals import holding_goals, moving_goals
 from tests.controller.law_runs import LawState, command_of, law_state_of, run_law_tick
 from tests.controller.synthetic_states import (
@@ -55,9 +55,9 @@ def test_motion_feedback_applies_each_gain(
     mass = space.motor_mass + space.load_mass
     before = motor_force_of(model, estimate, motion_goals)
     for name, size, slope in (
-        ("disturbance", 0.5, -gains.disturbance_rejection),
+        ("motor_disturbance", 0.5, -gains.disturbance_rejection),
         ("tension", 0.4, -gains.tension_feedback),
-        ("speed", 1e-3, gains.friction_share * space.motor_damping - mass * design.damping),
+        ("tendon_speed", 1e-3, gains.friction_share * space.motor_damping - mass * design.damping),
         ("excursion", 2e-5, -mass * design.stiffness),
     ):
         after = motor_force_of(
@@ -74,7 +74,9 @@ def test_the_planned_acceleration_is_fed_forward(
     other = replace(model, gains=model.gains.model_copy(update={"motion": without}))
     acceleration = np.zeros(model.tendon_count)
     for digit, tendons, goal in zip(model.digits, model.digit_tendons, motion_goals, strict=True):
-        acceleration[tendons] = digit.reduced_moment_arms @ goal.trajectory.at(EVALUATION_TIME_S)[2]
+        acceleration[tendons] = (
+            digit.reduced_moment_arms @ goal.trajectory.motion_at(EVALUATION_TIME_S)[2]
+        )
     found = motor_force_of(model, estimate, motion_goals) - motor_force_of(
         other, estimate, motion_goals
     )
@@ -86,7 +88,7 @@ def test_the_planned_acceleration_is_fed_forward(
 
 def test_the_disturbance_estimate_is_subtracted_in_a_hold(model: HandModel) -> None:
     estimate = estimate_under_tension(model, 20.0)
-    off = estimate._replace(disturbance=np.full(model.tendon_count, 0.5))
+    off = estimate._replace(motor_disturbance=np.full(model.tendon_count, 0.5))
     change = motor_force_of(model, off, holding_goals(model, 20.0)) - motor_force_of(
         model, estimate, holding_goals(model, 20.0)
     )
@@ -108,10 +110,10 @@ def test_an_idle_control_law_forgets_earlier_commands(model: HandModel) -> None:
     ):
         state.view(name)[...] = 7.0
     state.view("tension")[...] = tension
-    state.set_whole(s.TRIMMED, 1)
-    state.set_whole(s.HOLDING, 1)
-    state.mode = Mode.READY
-    stages.compute_motor_torques(
+    state.set_run_integer(s.TRIMMED, 1)
+    state.set_run_integer(s.HOLDING, 1)
+    state.mode = HandMode.READY
+    tick_stages.compute_motor_torques(
         state.block, state.layout.places, *stage_constants(model), 0.0, 0, 1
     )
     law, command = law_state_of(state), command_of(state)
@@ -154,7 +156,7 @@ def test_the_hold_law_opposes_speed_and_tension_error(model: HandModel) -> None:
     )
     integral = 1.0 + model.gains.tension.integral_per_s * model.period / design.tension
     for name, size, slope in (
-        ("speed", 1e-3, -design.tension_speed),
+        ("tendon_speed", 1e-3, -design.tension_speed),
         ("tension", 0.4, -design.tension * integral),
     ):
         off = estimate._replace(**{name: getattr(estimate, name) + size})
@@ -178,9 +180,11 @@ def test_rotor_forces_of_a_planned_motion_are_fed_forward_in_a_hold(model: HandM
     speed, acceleration = np.zeros((2, model.tendon_count))
     for digit, tendons, one in zip(model.digits, model.digit_tendons, ways, strict=True):
         speed[tendons], acceleration[tendons] = (
-            one.at(EVALUATION_TIME_S - since)[1:] @ digit.reduced_moment_arms.T
+            one.motion_at(EVALUATION_TIME_S - since)[1:] @ digit.reduced_moment_arms.T
         )
-    needed = space.coulomb * np.tanh(speed / MOTOR_FRICTION_SPEED) + space.motor_mass * acceleration
+    needed = (
+        space.coulomb * np.tanh(speed / MOTOR_FRICTION_SPEED_M_S) + space.motor_mass * acceleration
+    )
     needed += (model.motion.tension_speed + space.motor_damping) * speed
     np.testing.assert_allclose(
         motor_force_of(model, estimate, goals) - motor_force_of(model, estimate, still),
@@ -198,7 +202,7 @@ def test_a_slack_tendon_with_a_small_setpoint_still_gets_friction_compensation(
     model: HandModel,
 ) -> None:
     slack_estimate = slack_hand_estimate(model)
-    taut_estimate = slack_estimate._replace(slack=np.zeros(model.tendon_count, dtype=bool))
+    taut_estimate = slack_estimate._replace(is_slack=np.zeros(model.tendon_count, dtype=bool))
     state = LawState.idle_at_tensions(np.full(model.tendon_count, 0.5))
     goals = holding_goals(model, 0.5)
     loose = run_law_tick(model, state, slack_estimate, goals, EVALUATION_TIME_S)[1].torque

@@ -7,9 +7,9 @@ change of gains.
 import numpy as np
 import pytest
 
-from handctl.core.law.computed_torque import MIN_TRIM_N, TRIM_TIME_S
-from handctl.core.law.goal import DigitGoal, GoalKind
-from handctl.core.model import HandModel
+from handctl.core.control_law.computed_torque import MIN_TRIM_N, TRIM_TIME_S
+from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
+from handctl.core.hand_model import HandModel
 from tests.controller.digit_goals import holding_goals, moving_goals
 from tests.controller.law_runs import LawState, run_law_tick
 from tests.controller.synthetic_states import estimate_under_tension

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handctl.core.law.goal import GoalKind
-from handctl.core.model import HandModel
-from handctl.programs.live import JogProgram, LiveProgram, apply_goal
+from handctl.core.control_law.digit_goal import GoalKind
+from handctl.core.hand_model import HandModel
+from handctl.programs.live_session import JogProgram, LiveProgram, apply_goal
 from handctl.programs.program import TIGHTEN_TIMEOUT_S, ProgramProgress
 from handctl.programs.requests import HoldTension, MoveDigits, parse_request
 from tests.controller.synthetic_states import (
@@ -30,7 +30,7 @@ def begin_live_program(
 ) -> tuple[LiveProgram, ProgramProgress]:
     """Return a live program and its progress at the moment at which it waits for requests."""
     program = LiveProgram()
-    progress, t = program.initial(model), 0.0
+    progress, t = program.initial_progress(model), 0.0
     while progress.phase != "live":
         t += model.period
         assert t < TIGHTEN_TIMEOUT_S
@@ -102,7 +102,7 @@ def test_a_request_with_one_mistake_changes_nothing(model: HandModel, text: str,
 
 def test_nothing_is_accepted_before_the_tendons_are_taut(model: HandModel) -> None:
     estimate, program = slack_hand_estimate(model), LiveProgram()
-    progress = program.initial(model)
+    progress = program.initial_progress(model)
     for t in (0.0, 0.1):
         after, events = apply_goal(
             model,
@@ -119,8 +119,8 @@ def test_nothing_is_accepted_before_the_tendons_are_taut(model: HandModel) -> No
 
 def test_a_live_session_with_a_loose_tendon_gives_up(model: HandModel) -> None:
     loose, program, t = estimate_under_tension(model, 5.0), LiveProgram(), 0.0
-    loose.slack[2] = True
-    progress = program.initial(model)
+    loose.is_slack[2] = True
+    progress = program.initial_progress(model)
     while not progress.finished:
         t += model.period
         assert t < 2 * TIGHTEN_TIMEOUT_S
@@ -143,7 +143,7 @@ def test_a_jog_keeps_its_goal_for_its_time(model: HandModel) -> None:
         JogProgram(goal_of_request('{"do": "hold", "tension_N": {"thumb": 8}}'), 0.5),
         0.0,
     )  # type: ignore[arg-type]
-    progress, began = jog.initial(model), -1.0
+    progress, began = jog.initial_progress(model), -1.0
     while not progress.finished:
         t += model.period
         assert t < 10.0
@@ -163,7 +163,7 @@ def test_impossible_jog_fails(model: HandModel) -> None:
         JogProgram(goal_of_request('{"do": "move", "angle_deg": {"index": 101}}'), 0.5),
         0.0,
     )  # type: ignore[arg-type]
-    progress = jog.initial(model)
+    progress = jog.initial_progress(model)
     while not progress.finished:
         t += model.period
         assert t < 2.0

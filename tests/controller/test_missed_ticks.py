@@ -5,9 +5,9 @@ Motions continue meanwhile. test_estimator_gate tests the effect on the filter.
 
 import pytest
 
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
-from handctl.programs.live import LiveProgram
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode
+from handctl.programs.live_session import LiveProgram
 from tests.controller.controller_bench import make_controller_bench
 
 FAST_RAD_S = 28.0
@@ -19,7 +19,7 @@ def test_a_fast_rotor_does_not_jump_because_ticks_were_skipped(
     jamia: HandModel, missed_ticks: int
 ) -> None:
     run = make_controller_bench(jamia, LiveProgram())
-    run.run_until_mode(Mode.ACTIVE)
+    run.run_until_mode(HandMode.ACTIVE)
     run.run(0.2)
     advance_tendons = run.peer._advance_tendons
 

@@ -9,7 +9,7 @@ from scipy.signal import cont2discrete
 
 from handctl.core.gains.gains import Gains, MotionGains, TensionGains
 from handctl.core.gains.motion_design import design_motion
-from handctl.core.model import HandModel
+from handctl.core.hand_model import HandModel
 
 CONTROL_RATES_HZ = [200.0, 500.0, 1000.0]
 

@@ -6,7 +6,7 @@ import pytest
 
 from handctl.errors import ConfigError
 from handctl.hand.digit import DigitModel
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.programs.task import Task
 from handctl.programs.task_checks import check_speed
 
@@ -44,7 +44,7 @@ FOLLOW_PHASE = {"kind": "follow", "time_s": (0.0, 1.0), "angle_deg": {"index": (
 )  # fmt: skip
 def test_a_move_without_time_is_refused(phases: tuple[dict[str, Any], ...], line: str) -> None:
     with pytest.raises(ConfigError, match=line):
-        check_speed(task_of_phases(*phases), DigitModel.all_of(JAMIA11), "t")
+        check_speed(task_of_phases(*phases), DigitModel.all_from_hand(JAMIA11), "t")
 
 
 def test_the_time_that_is_named_is_enough() -> None:
@@ -56,7 +56,7 @@ def test_the_time_that_is_named_is_enough() -> None:
     )
     check_speed(
         task_of_phases(move_phase(70.0, 0.19), move_phase(70.0, 0.05), *short_ways),
-        DigitModel.all_of(JAMIA11),
+        DigitModel.all_from_hand(JAMIA11),
         "t",
     )
 

@@ -8,14 +8,14 @@ from functools import cache
 import numpy as np
 import pytest
 
-from handctl.controller.setup import make_controller
+from handctl.controller.run_setup import make_controller
 from handctl.controller.tick import Controller
 from handctl.core.gains.gains import Gains
-from handctl.core.types import Mode, TickEvent
+from handctl.core.tick_types import HandMode, TickEvent
 from handctl.document import validate_content
-from handctl.hand.load import load_hand
-from handctl.programs.grasp import TaskProgram
+from handctl.hand.hand_loading import load_hand
 from handctl.programs.task import Task
+from handctl.programs.task_program import TaskProgram
 from handctl.session.simulate import SimulatorSettings
 from tests.conftest import NIGHTLY
 
@@ -52,7 +52,7 @@ def mean_nis_and_events(hand: str, rate_hz: float, seed: int) -> tuple[float, li
     ) as run:
         for _, out in run.ticks(3.0):
             events += [event for event in out.events if event.name in ("estimate", "fault")]
-            if out.mode == Mode.ACTIVE:
+            if out.mode == HandMode.ACTIVE:
                 nis.append(out.telemetry.nis)
     assert len(nis) > rate_hz, events
     return float(np.nanmean(nis)) / 2.0, events

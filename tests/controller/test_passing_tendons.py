@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode
 from handctl.hand.description import Hand
-from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
+from handctl.programs.task_program import TaskProgram
 from handctl.session.simulate import SimulatorSettings, homed_controller
 from tests.conftest import NIGHTLY
 from tests.hand.hand_on_wrist import mount_on_wrist
@@ -57,7 +57,7 @@ def simulate_control_errors(known: Hand, hand: Hand, seed: int) -> ControlErrors
 
     The result is None if a fault ended the run.
     """
-    model = HandModel.of(known, Gains(), RATE_HZ)
+    model = HandModel.from_hand(known, Gains(), RATE_HZ)
     # In a digit with one tendon, only the mean angle of the joints is controlled.
     along = hand.own_arms / np.abs(hand.own_arms).sum(axis=1, keepdims=True)
     apart = list[np.ndarray]()
@@ -68,12 +68,12 @@ def simulate_control_errors(known: Hand, hand: Hand, seed: int) -> ControlErrors
         for _, out in run.ticks(10.0):
             if [event for event in out.events if event.level == "error"]:
                 return None
-            if run.state.mode == Mode.ACTIVE and run.state.progress.phase.startswith("move"):
+            if run.state.mode == HandMode.ACTIVE and run.state.progress.phase.startswith("move"):
                 apart.append(
                     np.degrees(along @ (run.state.view("q_goal") - run.peer.world.plant.engine.q))
                 )
                 external.append(run.state.view("external")[0])
-        assert run.state.mode == Mode.DONE
+        assert run.state.mode == HandMode.DONE
     squares = np.mean(np.square(apart), axis=0)
     return ControlErrors(
         float(np.sqrt(squares[1:].mean())),

@@ -18,20 +18,20 @@ import pytest
 from firmware_sim.nodes.mit.codec import FrameRanges, decode_command
 from handctl.campaign.scenarios import FREE_STAGE, GRASP_STAGE
 from handctl.campaign.stage import advance_to, hand_with_protocol, homed_run
-from handctl.controller.monitor.thresholds import servo_steps
-from handctl.controller.setup import make_controller, make_drives
-from handctl.core import block as s
+from handctl.controller.monitor.safety_thresholds import servo_resolutions
+from handctl.controller.run_setup import make_controller, make_drives
+from handctl.core import state_block as s
+from handctl.core.control_law.servo_commands import LIMIT_MARGIN_N
+from handctl.core.cyclic_frames import WireTables
 from handctl.core.gains.gains import packaged_gains
 from handctl.core.hand_constants import servo_constants
-from handctl.core.law.servo import LIMIT_MARGIN_N
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
-from handctl.core.wire import WireTables
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_content, hand_from_content, load_hand
-from handctl.programs.grasp import TaskProgram
+from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand
 from handctl.programs.task import Task
+from handctl.programs.task_program import TaskProgram
 from handctl.runtime.mailbox import STOP_REQUEST
 from handctl.session.simulate import SimulatedRun, SimulatorSettings
 from tests.faults.test_relaxing import check_relaxing
@@ -68,7 +68,7 @@ def hand_with_position_loop(
     if protocol != "moteus":
         return hand
     other = hand_with_position_loop(name, "mit", kp)
-    gains = servo_constants(HandModel.of(other, packaged_gains(name), RATE_HZ))
+    gains = servo_constants(HandModel.from_hand(other, packaged_gains(name), RATE_HZ))
     stiffness, damping = (
         [float(gains[key][0])] * len(hand.motor) for key in ("servo_stiffness", "servo_damping")
     )
@@ -266,10 +266,10 @@ def test_a_grasp_with_position_loops_has_no_position_commands_in_contact(
         assert not sent_stiffness(run).any()
         np.testing.assert_allclose(run.state.view("servo_torque"), run.state.view("torque"))
         for _ in range(round(RATE_HZ)):
-            assert run.tick().mode == Mode.ACTIVE
+            assert run.tick().mode == HandMode.ACTIVE
             assert not sent_stiffness(run).any()
         run.tick(requests=(STOP_REQUEST,))
-        while run.state.mode != Mode.DONE:
+        while run.state.mode != HandMode.DONE:
             run.tick()
             assert not sent_stiffness(run).any()
         assert run.state.latched == ()
@@ -335,7 +335,7 @@ def test_missed_ticks_are_no_fault_of_a_drive_that_moves_its_target(seed: int) -
             run.tick(skip=int(draw.integers(0, 4)) if draw.random() < 0.1 else 0)
             apart.append(run.state.view("servo_report") - run.state.view("measured_force"))
         assert run.state.latched == ()
-        assert run.state.mode == Mode.ACTIVE
+        assert run.state.mode == HandMode.ACTIVE
         assert np.nanmax(np.abs(apart)) < 2.0
 
 
@@ -382,7 +382,7 @@ def test_faults_are_found_with_a_position_loop(fault: str, protocol: str, seed: 
             run.tick()
         run.peer.inject(fault)
         peak = 0.0
-        while run.tick().mode < Mode.DISARM and run.k < 5.0 * RATE_HZ:
+        while run.tick().mode < HandMode.DISARM and run.k < 5.0 * RATE_HZ:
             peak = max(peak, *run.peer.truth()["tension"])
         assert {mark.id for mark in run.state.latched} & EXPECTED_FAULTS[fault], run.state.latched
         assert peak < TENSION_TRIP_N
@@ -393,7 +393,7 @@ def test_a_drive_that_ignores_kp_is_found(protocol: str, seed: int) -> None:
     with begin_to_and_fro(hand_with_position_loop("jamia", protocol), seed) as run:
         lose_gains(run, "index_motor")
         peak = 0.0
-        while run.tick().mode == Mode.ACTIVE and run.k < 6.0 * RATE_HZ:
+        while run.tick().mode == HandMode.ACTIVE and run.k < 6.0 * RATE_HZ:
             peak = max(peak, *run.peer.truth()["tension"])
         assert {mark.id for mark in run.state.latched} & {"N14", "N17"}
         assert peak < TENSION_TRIP_N
@@ -455,12 +455,12 @@ def test_a_moteus_without_gains_is_refused(key: str) -> None:
 def test_fractions_of_the_gains_of_a_moteus_are_at_most_1(gain: float, rate_hz: float) -> None:
     """An identified torque per command below 1 requires more than the gains in the drive: kp and kd are limited."""
     hand = hand_with_position_loop(protocol="moteus")
-    model = HandModel.of(hand, packaged_gains("jamia"), rate_hz, np.full(4, gain))
+    model = HandModel.from_hand(hand, packaged_gains("jamia"), rate_hz, np.full(4, gain))
     controller = make_controller(
         hand, packaged_gains("jamia"), rate_hz, to_and_fro_program(hand, 1, 1.0), None, True
     )
     drives = make_drives(hand)
-    steps, loop = servo_steps(model, drives), servo_constants(model)
+    steps, loop = servo_resolutions(model, drives), servo_constants(model)
     wire = WireTables(drives, controller.sensors, [True] * 4, model.torque_gain)
     for n in range(4):
         rows = wire.servo_reals[wire.servos[n, 0] : wire.servos[n, 1]]
@@ -513,7 +513,7 @@ def test_a_hand_without_position_loops_has_no_servo_table_and_keeps_its_identity
         for one in (hand, loop)
     ]
     assert [layout.axes["servo"] for layout in layouts] == [0, 4]
-    assert layouts[1].size - layouts[0].size == 4 * s.STATE.rows("servo")
+    assert layouts[1].size - layouts[0].size == 4 * s.STATE_SCHEMA.rows("servo")
 
 
 def print_tracking(protocol: str, seeds: int) -> None:

@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 
 from handctl.compiled import kernel
-from handctl.controller.state import State
-from handctl.core import block as s
+from handctl.controller.controller_state import ControllerState
 from handctl.core import constants as h
-from handctl.core.block import state_tables
+from handctl.core import state_block as s
+from handctl.core.block_schema import BlockArray, TablePlaces
 from handctl.core.constants import constant_tables
 from handctl.core.estimation import posture
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.schema import BlockArray, TablePlaces
-from handctl.core.types import Mode
-from handctl.hand.load import PACKAGED_HANDS_FOLDER, load_hand
-from handctl.programs.grasp import TaskProgram
+from handctl.core.hand_model import HandModel
+from handctl.core.state_block import state_tables
+from handctl.core.tick_types import HandMode
+from handctl.hand.hand_loading import PACKAGED_HANDS_FOLDER, load_hand
+from handctl.programs.task_program import TaskProgram
 from handctl.session.simulate import SimulatorSettings, homed_controller
 from handctl.session.tasks import find_task
 from tests.controller.synthetic_states import (
@@ -76,7 +76,7 @@ def hand_file_with_encoders(folder: Path, joints: int | None = None) -> Path:
 
 def run_grasp(path: Path, task: str, scene: str, seed: int) -> Iterator[PostureTick]:
     """Yield the values of each tick of a simulated grasp."""
-    model = HandModel.of(load_hand(str(path)), Gains(), RATE_HZ)
+    model = HandModel.from_hand(load_hand(str(path)), Gains(), RATE_HZ)
     program = TaskProgram(find_task(Path(task), model.hand)[0])
     with SimulatorSettings(path, scene, seed, homed=True).against(
         homed_controller(model, program)
@@ -87,7 +87,7 @@ def run_grasp(path: Path, task: str, scene: str, seed: int) -> Iterator[PostureT
             force = np.linalg.norm(np.reshape(plant.contact_forces(), (-1, 3)), axis=1)
             free = model.excursion_to_joints @ numbers.excursion
             yield PostureTick(out.phase, real, numbers.q, numbers.q_sigma, free, force)
-            if run.state.mode == Mode.RELAX:
+            if run.state.mode == HandMode.RELAX:
                 break
 
 
@@ -138,22 +138,26 @@ class JointAngles(NamedTuple):
 
 
 def angles_of_tick(
-    model: HandModel, state: State, estimate: SyntheticEstimate, touched: np.ndarray, k: int
+    model: HandModel,
+    state: ControllerState,
+    estimate: SyntheticEstimate,
+    touched: np.ndarray,
+    k: int,
 ) -> JointAngles:
     """Return the joint angles that are estimated in tick k with unexplained tensions (D,) [N].
 
     The state then contains the tick.
     """
     state.view("touch")[...] = touched
-    state.set_whole(s.K, k)
-    detect_contacts(model, state, estimate._replace(external=touched[list(model.digit_of)]))
+    state.set_run_integer(s.K, k)
+    detect_contacts(model, state, estimate._replace(external_tension=touched[list(model.digit_of)]))
     np.testing.assert_allclose(state.view("touch"), touched, err_msg="it lasts")
     return JointAngles(state.view("q").copy(), state.view("q_sigma").copy())
 
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia_bench", "jamia11"])
 def test_contact_turns_joints_and_keeps_the_excursion(hand: str) -> None:
-    model = HandModel.of(load_hand(hand), Gains(), RATE_HZ)
+    model = HandModel.from_hand(load_hand(hand), Gains(), RATE_HZ)
     estimate, state = estimate_under_tension(model, 30.0, 0.6), active_state(model)
     touched = np.full(len(model.digits), 15.0)
     for k in range(200):
@@ -209,8 +213,8 @@ def _fuse_encoders(
 
 
 def state_after_fusion(
-    model: HandModel, state: State, columns: np.ndarray, spread: np.ndarray, t_ns: int
-) -> State:
+    model: HandModel, state: ControllerState, columns: np.ndarray, spread: np.ndarray, t_ns: int
+) -> ControllerState:
     """Return a state after joint encoders were fused. Columns (C, J) and spread (J, N) give the prior covariance."""
     after = state.copy()
     _fuse_encoders(
@@ -230,7 +234,7 @@ def test_encoders_are_fused_as_a_kalman_filter_does(tmp_path: Path) -> None:
     Covariances weight its prior and its reading. The angles of other joints follow by their
     correlation.
     """
-    model = HandModel.of(
+    model = HandModel.from_hand(
         load_hand(str(hand_file_with_encoders(tmp_path, joints=1))), Gains(), RATE_HZ
     )
     joints, state = len(model.hand.joints), active_state(model)
@@ -262,7 +266,7 @@ def test_sequential_encoder_updates_equal_one_matrix_update(tmp_path: Path, seed
 
     The result is that of the matrix form, although some frames are too old.
     """
-    model = HandModel.of(load_hand(str(hand_file_with_encoders(tmp_path))), Gains(), RATE_HZ)
+    model = HandModel.from_hand(load_hand(str(hand_file_with_encoders(tmp_path))), Gains(), RATE_HZ)
     rng, constants, state = (
         np.random.default_rng(seed),
         constant_tables_of(model),

@@ -15,10 +15,10 @@ import pytest
 from numpy.typing import NDArray
 
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
-from handctl.hand.load import load_hand, packaged_hands
-from handctl.programs.live import LiveProgram
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode
+from handctl.hand.hand_loading import load_hand, packaged_hands
+from handctl.programs.live_session import LiveProgram
 from handctl.session.plan import default_rate
 from handctl.session.simulate import SimulatorSettings, homed_controller
 from tests.controller.test_target_streams import StreamClient
@@ -34,7 +34,7 @@ STREAM_RATE_HZ = 100.0
 def model_of(name: str) -> HandModel:
     """Return the model of a packaged hand at its own rate."""
     hand = load_hand(name)
-    return HandModel.of(hand, Gains(), min(default_rate(hand), 500.0))
+    return HandModel.from_hand(hand, Gains(), min(default_rate(hand), 500.0))
 
 
 def white_noise_targets(rng: np.random.Generator, low: Array, high: Array, t: Array) -> Array:
@@ -149,5 +149,5 @@ def test_random_targets_cause_no_fault(
             client.tick(
                 *([client.target_request(*targets[i // every].tolist())] if i % every == 0 else [])
             )
-            assert run.state.mode == Mode.ACTIVE, client.reported_faults
+            assert run.state.mode == HandMode.ACTIVE, client.reported_faults
             assert (np.array(list(run.peer.world.plant.tensions())) < trip).all()

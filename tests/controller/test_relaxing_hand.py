@@ -8,14 +8,14 @@ from handctl.controller.relaxing import (
     RELAX_RATE_N_PER_S,
     SETPOINT_MARGIN_N,
 )
+from handctl.core.control_law.computed_torque import RELAX_FLOOR_N
 from handctl.core.gains.gains import Gains
-from handctl.core.law.computed_torque import RELAX_FLOOR_N
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode
 from handctl.drives.frame import Frame
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.programs.commission import CommissionProgram
-from handctl.programs.live import LiveProgram
+from handctl.programs.live_session import LiveProgram
 from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
 STOP_REQUEST, CUT_REQUEST = '{"do": "stop"}', '{"do": "cut"}'
@@ -26,12 +26,12 @@ MOVE_REQUEST = '{"do": "move", "angle_deg": {"index": 60}}'
 @pytest.fixture(scope="module")
 def low_rate_jamia() -> HandModel:
     """Return a model of ``jamia`` at a low control rate, which makes the tests fast."""
-    return HandModel.of(load_hand("jamia"), Gains(), 200.0)
+    return HandModel.from_hand(load_hand("jamia"), Gains(), 200.0)
 
 
 def holding_bench(model: HandModel) -> ControllerBench:
     run = make_controller_bench(model, LiveProgram())
-    run.run_until_mode(Mode.ACTIVE)
+    run.run_until_mode(HandMode.ACTIVE)
     run.run(1.0)
     return run
 
@@ -52,21 +52,21 @@ def test_no_request_raises_the_tension_during_relax(
         *() if fault else (STOP_REQUEST,), extra_frames=(foreign_command(run),) if fault else ()
     )
     since, before = len(run.tick_history), run.peer.tension.max()
-    while run.state.mode == Mode.RELAX:
+    while run.state.mode == HandMode.RELAX:
         run.tick(request_)
         assert run.peer.tension.max() < before + 0.5
     goals = np.array(
         [
             out.telemetry.tension_goal
             for _, _, out in run.tick_history[since:]
-            if out.mode == Mode.RELAX
+            if out.mode == HandMode.RELAX
         ]
     )
     assert (np.diff(goals, axis=0) <= 1e-9).all()
     assert len(goals) * low_rate_jamia.period < 0.2
     texts = [event.text for event in run.events if event.text.startswith("refused")]
     assert texts == ["refused: the hand is letting go"] * len(texts)
-    run.run_until_mode(Mode.DONE)
+    run.run_until_mode(HandMode.DONE)
     assert run.state.failure == ("fault H13 0x001" if fault else ""), (
         "a goal that comes too late is no fault"
     )
@@ -80,7 +80,7 @@ def test_a_tension_that_is_still_growing_is_not_waited_for(low_rate_jamia: HandM
     out = run.tick(STOP_REQUEST)
     present = np.maximum(out.telemetry.tension, RELAX_FLOOR_N) + SETPOINT_MARGIN_N
     assert (run.state.view("setpoint") <= present).all()
-    while run.tick().mode == Mode.RELAX:
+    while run.tick().mode == HandMode.RELAX:
         assert run.state.view("setpoint").max() <= present.max()
 
 
@@ -89,7 +89,7 @@ def fastest_setpoint_fall(run: ControllerBench, index: int = 0) -> float:
     goals = [
         out.telemetry.tension_goal[index]
         for _, _, out in run.tick_history
-        if out.mode == Mode.RELAX
+        if out.mode == HandMode.RELAX
     ]
     return float(-np.diff(goals).min() / run.controller.model.period)
 
@@ -107,7 +107,7 @@ def test_over_tension_is_relaxed_four_times_as_fast(low_rate_jamia: HandModel, l
     run.peer.cell_bias[0] = 150.0 - run.peer.tension[0]
     run.run(2 * low_rate_jamia.period)
     run.peer.cell_bias[0] = 0.0
-    run.run_until_mode(Mode.DISARM)
+    run.run_until_mode(HandMode.DISARM)
     assert next(event.text for event in run.events if event.name == "fault").startswith("T03 ")
     assert fastest_setpoint_fall(run) == pytest.approx(OVER_TENSION_RATE_N_PER_S)
 
@@ -120,10 +120,10 @@ def test_a_fault_during_relax_makes_the_run_fail(low_rate_jamia: HandModel, aske
     if asked == STOP_REQUEST:
         run.tick(asked)
         run.tick(extra_frames=(foreign_command(run),))
-        assert run.state.mode == Mode.RELAX
+        assert run.state.mode == HandMode.RELAX
     else:
         run.tick(asked, extra_frames=(foreign_command(run),))
-    run.run_until_mode(Mode.DONE)
+    run.run_until_mode(HandMode.DONE)
     assert run.state.failure == "fault H13 0x001"
     assert any(
         event.level == "error" and "fault H13" in event.text
@@ -135,11 +135,11 @@ def test_a_fault_during_relax_makes_the_run_fail(low_rate_jamia: HandModel, aske
 def test_after_a_fault_during_arming_no_further_drive_is_enabled(low_rate_jamia: HandModel) -> None:
     run = make_controller_bench(low_rate_jamia, LiveProgram())
     run.peer.motors[1].ignored_commands.add(0xFC)
-    run.run_until_mode(Mode.ARMING)
+    run.run_until_mode(HandMode.ARMING)
     run.tick(extra_frames=(foreign_command(run),))
-    assert run.state.mode == Mode.DISARM
+    assert run.state.mode == HandMode.DISARM
     since = len(run.tick_history)
-    run.run_until_mode(Mode.DONE)
+    run.run_until_mode(HandMode.DONE)
     enable = b"\xff" * 7 + b"\xfc"
     assert not [
         frame
@@ -159,7 +159,7 @@ def test_a_run_with_its_own_goals_refuses_goals_of_clients(
     A tare under tension would shift readings of later runs.
     """
     run = make_controller_bench(low_rate_jamia, CommissionProgram())
-    run.run_until_mode(Mode.ACTIVE)
+    run.run_until_mode(HandMode.ACTIVE)
     run.run(0.05)
     goals = run.state.progress.goals
     out = run.tick(request_)
@@ -176,4 +176,4 @@ def test_a_hand_refuses_goals_before_active_mode(low_rate_jamia: HandModel) -> N
     assert "refused: the hand is not ready yet" in [
         event.text for event in run.tick_history[-1][2].events
     ]
-    assert out.mode < Mode.ACTIVE
+    assert out.mode < HandMode.ACTIVE

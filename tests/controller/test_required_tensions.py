@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handctl.core.law.allocation import tensions_for_torque
-from handctl.core.law.goal import DigitGoal, GoalKind
-from handctl.core.model import HandModel
+from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
+from handctl.core.control_law.tension_allocation import tensions_for_torque
+from handctl.core.hand_model import HandModel
 from tests.controller.digit_goals import moving_goals
 from tests.controller.law_runs import joint_motion_at, required_tensions_of
 

@@ -6,9 +6,9 @@ import pytest
 
 from handctl.campaign.stage import homed_run
 from handctl.controller.shutdown import shutdown_step
-from handctl.core.types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.drives.frame import Frame
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from tests.drives.protocol_bench import OPTIONS_TEXT_BY_PROTOCOL, hand_file
 
 PERIOD_NS = 2_000_000
@@ -21,7 +21,7 @@ def test_shutdown_waits_until_each_motor_reports_off(
 ) -> None:
     hand = load_hand(str(hand_file(tmp_path, [protocol])))
     with homed_run(hand, 500.0, 1) as course:
-        assert course.until(lambda out: out.mode == Mode.ACTIVE, 3.0), course.state.failure
+        assert course.until(lambda out: out.mode == HandMode.ACTIVE, 3.0), course.state.failure
         course.peer.step(course.k * PERIOD_NS, list(course.controller.cut_frames()))
         state, frames, enabled = shutdown_step(
             course.controller, course.state, course.k * PERIOD_NS, []

@@ -2,7 +2,6 @@
 
 import pytest
 
-from handctl.core.block import state_tables
 from handctl.core.estimation.filter_stack import TendonRegime
 from handctl.core.estimation.take_up import (
     NEARLY_TAUT_M,
@@ -10,7 +9,8 @@ from handctl.core.estimation.take_up import (
     is_regime_over,
     regime_evidence,
 )
-from handctl.core.model import HandModel
+from handctl.core.hand_model import HandModel
+from handctl.core.state_block import state_tables
 from tests.controller.synthetic_states import active_state, uncompiled_function
 
 SLACK_REGIME = int(TendonRegime.SLACK)

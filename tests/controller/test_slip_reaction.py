@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.core import block as s
-from handctl.core.law.goal import DigitGoal, GoalKind
-from handctl.core.model import HandModel
-from handctl.core.types import TickEvent
+from handctl.core import state_block as s
+from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import TickEvent
 from handctl.programs import grip
-from handctl.programs.grasp import TaskProgram
 from handctl.programs.grip import SLIP_EXCURSION_M, GripPlan, GripState, advance_grip
 from handctl.programs.task import Task
+from handctl.programs.task_program import TaskProgram
 from tests.controller.plant_run import run_on_plant
 from tests.controller.synthetic_states import (
     SyntheticEstimate,
@@ -44,16 +44,16 @@ class GraspRun:
         self.goals: tuple[DigitGoal, ...] = (*held[:-1], DigitGoal())
         self.plan = GripPlan(stiffness, np.full(model.tendon_count, limit))
         self.t = 0.0
-        self.grip = GripState.of(model, self.goals, self.resting_estimate, self.t)
+        self.grip = GripState.at_hold_start(model, self.goals, self.resting_estimate, self.t)
         self.state = active_state(model)
         detect_contacts(model, self.state, self.resting_estimate)
-        self.state.set_whole(s.GRIPPING, 1)
+        self.state.set_run_integer(s.GRIPPING, 1)
         self.events: list[TickEvent] = []
 
     def tick(self, estimate: SyntheticEstimate, seconds: float) -> None:
         for _ in range(round(seconds / self.model.period)):
             self.state.goal_time = self.t
-            self.state.set_number(s.SLIP_JUDGED_FROM, self.grip.ready)
+            self.state.set_run_number(s.SLIP_JUDGED_FROM, self.grip.ready)
             felt = detect_contacts(self.model, self.state, estimate)
             self.t += self.model.period
             self.grip, self.goals, events = advance_grip(

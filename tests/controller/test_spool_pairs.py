@@ -11,29 +11,29 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.controller.setup import make_controller
-from handctl.core import block as s
-from handctl.core.estimate import Estimate, TickMeasurements
+from handctl.controller.run_setup import make_controller
+from handctl.core import state_block as s
+from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
+from handctl.core.control_law.tendon_redundancy import tendon_directions
 from handctl.core.estimation.spool_pair import net_tension_at_joint, net_tension_at_spool
 from handctl.core.gains.gains import Gains
-from handctl.core.law.goal import DigitGoal, GoalKind
-from handctl.core.law.redundancy import tendon_directions
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
+from handctl.core.hand_estimate import HandEstimate, TickMeasurements
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
-from handctl.hand.load import hand_content, hand_from_content, load_hand, validate_content
+from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand, validate_content
 from handctl.hand.readiness import reasons_not_ready
 from handctl.log.header import RunHeader
 from handctl.log.topics.message_streams import TopicRegistry
 from handctl.log.topics.state_topics import SPOOL_PAIRS_TOPIC, StateTopics
 from handctl.log.topics.topic_set import TopicSet
 from handctl.programs.calibration import Calibration
-from handctl.programs.commission import PULL_N, CommissionProgram, calibration_of_result
+from handctl.programs.commission import PULL_TENSION_N, CommissionProgram, calibration_of_result
 from handctl.programs.default_task import default_task
-from handctl.programs.grasp import TaskProgram
 from handctl.programs.program import Program, ProgramProgress, ProgressAndEvents
 from handctl.programs.task import ClosePhase, HoldPhase, Task
+from handctl.programs.task_program import TaskProgram
 from handctl.session.calibration import homed_calibration
 from handctl.session.simulate import SimulatedHand, SimulatedRun, SimulatorSettings
 from tests.controller.synthetic_states import uncompiled_function
@@ -127,7 +127,7 @@ def begin_run(
     run = SimulatedRun.of(controller, peer)
     run.k = first_tick
     run.record = False
-    run.state.set_whole(s.K, first_tick - 1)
+    run.state.set_run_integer(s.K, first_tick - 1)
     return run
 
 
@@ -163,7 +163,8 @@ def test_it_commissions_tracks_and_relaxes_from_a_cold_start(seed: int) -> None:
             run.controller.model, run.state.progress, "2026-01-01T00:00:00+00:00"
         )
         assert all(
-            row.answer_N == pytest.approx(PULL_N, abs=0.8) for row in calibration.tendon.values()
+            row.answer_N == pytest.approx(PULL_TENSION_N, abs=0.8)
+            for row in calibration.tendon.values()
         )
         # Without load cells and joint encoders, friction leaves each motor zero uncertain by 0.1
         # mm, which is half a degree.
@@ -179,11 +180,11 @@ def test_it_commissions_tracks_and_relaxes_from_a_cold_start(seed: int) -> None:
         for _, out in run.ticks(run.k / RATE_HZ + 30.0):
             assert not [event for event in out.events if event.level == "error"]
             largest = max(largest, *plant.pair_tensions())
-            if run.state.mode == Mode.ACTIVE and run.state.progress.phase.startswith("move"):
+            if run.state.mode == HandMode.ACTIVE and run.state.progress.phase.startswith("move"):
                 errors.append(np.degrees(run.state.view("q_goal") - plant.engine.q))
         assert np.sqrt(np.mean(np.square(errors))) < 1.0
         assert largest < hand.tendon[0].tension_max_N
-        assert run.state.mode == Mode.DONE
+        assert run.state.mode == HandMode.DONE
         assert np.abs(plant.tensions()).max() < 6.0, "friction alone holds the joints"
 
 
@@ -193,14 +194,14 @@ class PullProgram:
 
     tension: float
 
-    def initial(self, model: HandModel) -> ProgramProgress:
+    def initial_progress(self, model: HandModel) -> ProgramProgress:
         return ProgramProgress.initial(len(model.digits), "pull")
 
     def advance(
         self,
         model: HandModel,
         progress: ProgramProgress,
-        estimate: Estimate,
+        estimate: HandEstimate,
         measured: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
@@ -245,7 +246,7 @@ def test_a_tendon_that_snaps_under_load_is_found(tension: float, tendon: str) ->
         ]
         assert faults
         assert "finger_mcp" in faults[0]
-        assert run.state.mode in (Mode.RELAX, Mode.DISARM, Mode.DONE)
+        assert run.state.mode in (HandMode.RELAX, HandMode.DISARM, HandMode.DONE)
 
 
 # --- hand files ---------------------------------------------------------------------------------------------------
@@ -340,10 +341,10 @@ def test_orca_like_closes_its_fingers_and_does_not_spread_them() -> None:
     assert isinstance(close.angle_deg, dict)
     assert set(close.angle_deg) == {"index", "middle", "ring", "pinky", "thumb"}
     for name in ("index", "middle", "ring", "pinky"):
-        digit = DigitModel.of(hand, name)
+        digit = DigitModel.from_hand(hand, name)
         assert tendon_directions(digit, hand.is_pair[digit.tendons]).tolist() == [0.0, 1.0, 1.0]
         assert close.angle_deg[name] == (0.0, 85.0, 91.0)
-    thumb = DigitModel.of(hand, "thumb")
+    thumb = DigitModel.from_hand(hand, "thumb")
     assert tendon_directions(thumb, hand.is_pair[thumb.tendons]).tolist() == [1.0, 0.0, 1.0, 1.0]
 
 

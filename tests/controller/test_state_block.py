@@ -13,29 +13,39 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handctl.controller.monitor import thresholds
+from handctl.controller.controller_state import (
+    ClientLease,
+    ControllerDecisions,
+    ControllerState,
+    layout_of_state,
+)
+from handctl.controller.monitor import safety_thresholds
 from handctl.controller.pending_gains import PendingGains
-from handctl.controller.setup import make_drives, make_sensors
-from handctl.controller.state import ClientLease, Decisions, State, layout_of_state
-from handctl.core import block as state_block
+from handctl.controller.run_setup import make_drives, make_sensors
 from handctl.core import constants, hand_constants
-from handctl.core.block import STATE, state_tables
-from handctl.core.constants import ELEMENTS, HAND, KINDS, constant_tables
-from handctl.core.gains.bounds import with_values
+from handctl.core import state_block as state_block
+from handctl.core.block_schema import INTEGER_TABLE_SUFFIX, BlockField, BlockSchema
+from handctl.core.constants import (
+    CONSTANT_SCHEMA,
+    DESIGN_ELEMENT_COUNT,
+    FILTER_DESIGN_COUNT,
+    constant_tables,
+)
+from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
+from handctl.core.control_law.trajectory import MinimumJerk
+from handctl.core.gains.gain_bounds import with_values
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_constants import HandConstants
-from handctl.core.law.goal import DigitGoal, GoalKind
-from handctl.core.law.trajectory import MinimumJerk
-from handctl.core.model import HandModel
-from handctl.core.schema import INTEGER_TABLE_SUFFIX, BlockField, BlockSchema
+from handctl.core.hand_model import HandModel
+from handctl.core.state_block import STATE_SCHEMA, state_tables
 from handctl.drives.cia404.amplifier import AmplifierState
 from handctl.drives.contract import DrivePhase, DriveState
 from handctl.drives.readback import ReadbackCursor
-from handctl.hand.load import hand_content, hand_from_content, load_hand, packaged_hands
+from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand, packaged_hands
 from handctl.programs.grip import GripState
 from handctl.programs.program import ProgramProgress
-from handctl.programs.streams import StreamPlan
-from handctl.safety.judge import CountedFault, LatchedFault
+from handctl.programs.stream_plans import StreamPlan
+from handctl.safety.tick_verdict import CountedFault, LatchedFault
 from handctl.session.tasks import find_task
 from tests.conftest import NIGHTLY
 from tests.controller.controller_bench import ControllerBench
@@ -55,11 +65,11 @@ def field_names(block_fields: list[BlockField]) -> list[str]:
 def small_schema() -> tuple[BlockSchema, dict[str, int]]:
     """Return a schema of three tables, and the lengths of its axes."""
     schema = BlockSchema("tendon", "joint*tendon", "run", "tendon_int")
-    schema.real("tension", "tendon", "N", "of a tendon", initial=2.5)
-    schema.real("past", "tendon", "N", "the last ones", rows=3)
-    schema.real("arms", "joint*tendon", "m", "moment arms")
-    schema.real("t", "run", "s", "time")
-    schema.whole("regime", "tendon", "", "of a tendon", initial=-1)
+    schema.real_field("tension", "tendon", "N", "of a tendon", initial=2.5)
+    schema.real_field("past", "tendon", "N", "the last ones", rows=3)
+    schema.real_field("arms", "joint*tendon", "m", "moment arms")
+    schema.real_field("t", "run", "s", "time")
+    schema.integer_field("regime", "tendon", "", "of a tendon", initial=-1)
     return schema, {"tendon": 4, "joint": 2, "run": 1}
 
 
@@ -78,7 +88,7 @@ def test_a_field_has_its_rows_its_shape_and_its_initial_value() -> None:
 def test_new_field_needs_one_line() -> None:
     """A new field gets the next row of its table. The existing fields of the table keep their names and shapes."""
     (before, axes), (after, _) = small_schema(), small_schema()
-    row = after.real("speed", "tendon", "m/s", "of a tendon", initial=7.0)
+    row = after.real_field("speed", "tendon", "m/s", "of a tendon", initial=7.0)
     old, new = before.layout(axes), after.layout(axes)
     assert row == before.rows("tendon") == after.rows("tendon") - 1
     assert new.size == old.size + axes["tendon"]
@@ -107,20 +117,22 @@ def test_fields_do_not_overlap_and_leave_no_gap() -> None:
 
 
 @pytest.fixture(params=["jamia", "jamia11"])
-def state(request: pytest.FixtureRequest) -> State:
+def state(request: pytest.FixtureRequest) -> ControllerState:
     """Return a controller's state of random numbers. No two of its integers or floats are equal."""
     model: HandModel = request.getfixturevalue(request.param)
     # A drive of this hand closes a position loop, so that no table of the state is empty.
     axes = layout_of_state(model, 3).axes | {"servo": model.tendon_count}
-    layout, rng = STATE.layout(axes), np.random.default_rng(5)
+    layout, rng = STATE_SCHEMA.layout(axes), np.random.default_rng(5)
     block = layout.initial.copy()
-    for field in STATE.fields:
+    for field in STATE_SCHEMA.fields:
         part = layout.view(block, field.name)
         whole = field.table.endswith(INTEGER_TABLE_SUFFIX)
         part[...] = (
             rng.integers(-(2**40), 2**40, part.shape) if whole else rng.normal(size=part.shape)
         )
-    return State(layout, block, Decisions((), ProgramProgress.initial(len(model.digits), "test")))
+    return ControllerState(
+        layout, block, ControllerDecisions((), ProgramProgress.initial(len(model.digits), "test"))
+    )
 
 
 def constants_by_field(module: Any) -> dict[str, str]:
@@ -142,7 +154,9 @@ def constants_by_field(module: Any) -> dict[str, str]:
     return declared
 
 
-@pytest.mark.parametrize(("schema", "module"), [(STATE, state_block), (HAND, constants)])
+@pytest.mark.parametrize(
+    ("schema", "module"), [(STATE_SCHEMA, state_block), (CONSTANT_SCHEMA, constants)]
+)
 def test_every_field_is_declared_once_and_found_by_its_name(
     schema: BlockSchema, module: Any
 ) -> None:
@@ -156,9 +170,9 @@ def test_every_field_is_declared_once_and_found_by_its_name(
         assert field.meaning, field.name
 
 
-def test_kernels_see_every_field_where_the_layout_has_it(state: State) -> None:
+def test_kernels_see_every_field_where_the_layout_has_it(state: ControllerState) -> None:
     seen = uncompiled_function(state_tables)(state.block, state.layout.places)
-    for field in STATE.fields:
+    for field in STATE_SCHEMA.fields:
         rows = getattr(seen, field.table)[field.first : field.first + field.rows]
         np.testing.assert_array_equal(
             rows.ravel(), state.view(field.name).ravel(), err_msg=field.name
@@ -169,17 +183,17 @@ def test_kernels_see_every_field_where_the_layout_has_it(state: State) -> None:
         ), field.name
 
 
-def test_a_copy_is_another_block_of_the_same_numbers(state: State) -> None:
+def test_a_copy_is_another_block_of_the_same_numbers(state: ControllerState) -> None:
     copy = state.copy()
     assert copy.digest() == state.digest()
     assert state.layout.difference(copy.block, state.block) is None
-    for field in STATE.fields:
+    for field in STATE_SCHEMA.fields:
         copy.view(field.name)[...] = 77
-    assert not any((state.view(field.name) == 77).all() for field in STATE.fields)
+    assert not any((state.view(field.name) == 77).all() for field in STATE_SCHEMA.fields)
 
 
-@pytest.mark.parametrize("field", STATE.fields, ids=field_names(STATE.fields))
-def test_a_difference_names_its_field(state: State, field: BlockField) -> None:
+@pytest.mark.parametrize("field", STATE_SCHEMA.fields, ids=field_names(STATE_SCHEMA.fields))
+def test_a_difference_names_its_field(state: ControllerState, field: BlockField) -> None:
     """The message names the first field that differs, in the order of the schema.
 
     It has the element and both values.
@@ -189,14 +203,14 @@ def test_a_difference_names_its_field(state: State, field: BlockField) -> None:
     at = len(values) // 2
     before, values[at] = values[at].item(), 3
     assert state.layout.difference(state.block, other.block) == (field.name, at, before, 3)
-    for later in STATE.fields[STATE.fields.index(field) + 1 :]:
+    for later in STATE_SCHEMA.fields[STATE_SCHEMA.fields.index(field) + 1 :]:
         other.view(later.name)[...] = 3
     found = state.layout.difference(state.block, other.block)
     assert found is not None
     assert found[0] == field.name
 
 
-def test_nan_is_the_same_as_nan_and_zero_is_not_minus_zero(state: State) -> None:
+def test_nan_is_the_same_as_nan_and_zero_is_not_minus_zero(state: ControllerState) -> None:
     one, other = state.copy(), state.copy()
     for each in (one, other):
         each.view("tension")[0] = np.nan
@@ -234,7 +248,9 @@ def random_hand(seed: int) -> HandModel:
     raw["sensor_node"] = node | {
         key: [name for name in node[key] if is_kept_section(name)] for key in ("tendons", "joints")
     }
-    return HandModel.of(hand_from_content(raw | {"name": f"random_{seed}"}, "test"), Gains(), 200.0)
+    return HandModel.from_hand(
+        hand_from_content(raw | {"name": f"random_{seed}"}, "test"), Gains(), 200.0
+    )
 
 
 VARIED_KEYS = ("link_mass_kg", "joint_damping_N_m_s_per_rad", "spring_preload_rad", "friction_coefficient",
@@ -276,11 +292,11 @@ def packed_constants(
         values.update(more)
         return HandConstants(model, more)
 
-    monkeypatch.setattr(thresholds, "HandConstants", record_packed_values)
+    monkeypatch.setattr(safety_thresholds, "HandConstants", record_packed_values)
     drives, sensors = make_drives(model.hand), make_sensors(model.hand)
-    limits = thresholds.safety_limits(model, drives, sensors)
+    limits = safety_thresholds.safety_limits(model, drives, sensors)
     tare, zero = np.random.default_rng(2).normal(size=(2, model.tendon_count))
-    return thresholds.compiled_constants(model, drives, sensors, limits, tare, zero), values
+    return safety_thresholds.compiled_constants(model, drives, sensors, limits, tare, zero), values
 
 
 @pytest.mark.parametrize("hand", [*packaged_hands(), *RANDOM_HAND_SEEDS])
@@ -290,14 +306,14 @@ def test_every_constant_that_kernels_see_is_what_was_packed(
     model = (
         random_hand(hand)
         if isinstance(hand, int)
-        else HandModel.of(load_hand(hand), Gains(), 200.0)
+        else HandModel.from_hand(load_hand(hand), Gains(), 200.0)
     )
     found, values = packed_constants(model, monkeypatch)
-    assert values.keys() == set(field_names(HAND.fields)), "every field is packed"
+    assert values.keys() == set(field_names(CONSTANT_SCHEMA.fields)), "every field is packed"
     assert not found.block.flags.writeable
     seen = uncompiled_function(constant_tables)(found.block, found.layout.places)
-    assert seen.design.shape == (model.tendon_count, KINDS, ELEMENTS)
-    for field in HAND.fields:
+    assert seen.design.shape == (model.tendon_count, FILTER_DESIGN_COUNT, DESIGN_ELEMENT_COUNT)
+    for field in CONSTANT_SCHEMA.fields:
         view = found.layout.view(found.block, field.name)
         value = np.asarray(values[field.name])
         np.testing.assert_array_equal(view, np.broadcast_to(value, view.shape), err_msg=field.name)
@@ -312,7 +328,7 @@ def test_every_constant_that_kernels_see_is_what_was_packed(
 # Digest of a state.
 
 
-@pytest.mark.parametrize("field", STATE.fields, ids=field_names(STATE.fields))
+@pytest.mark.parametrize("field", STATE_SCHEMA.fields, ids=field_names(STATE_SCHEMA.fields))
 def test_every_element_of_every_field_changes_the_digest(
     active_bench: ControllerBench, field: BlockField
 ) -> None:
@@ -385,7 +401,7 @@ OTHER_STREAM_VALUES = {
 }  # fmt: skip
 
 
-def changed_decisions(before: Decisions) -> Iterator[tuple[str, Decisions]]:
+def changed_decisions(before: ControllerDecisions) -> Iterator[tuple[str, ControllerDecisions]]:
     """Yield a controller's decisions with one part changed, for each of their parts."""
     pending = PendingGains(with_values(Gains(), {"motion.force_N": 21.0}, "test"))
     values: dict[str, list[Any]] = {
@@ -428,7 +444,7 @@ def changed_decisions(before: Decisions) -> Iterator[tuple[str, Decisions]]:
             ),
         ],
     }
-    assert values.keys() == set(Decisions._fields), "a new decision needs a line here"
+    assert values.keys() == set(ControllerDecisions._fields), "a new decision needs a line here"
     for name, others in values.items():
         for value in others:
             yield name, before._replace(**{name: value})
@@ -438,7 +454,7 @@ def test_every_decision_changes_the_digest(active_bench: ControllerBench) -> Non
     state = active_bench.state
     seen = {state.digest(): "unchanged"}
     for name, changed in changed_decisions(state.decisions):
-        digest = State(state.layout, state.block, changed).digest()
+        digest = ControllerState(state.layout, state.block, changed).digest()
         assert digest not in seen, f"{name} and {seen[digest]} have one digest"
         seen[digest] = name
     assert state.copy().digest() == state.digest()
@@ -477,7 +493,7 @@ def test_everything_that_is_known_of_a_drive_changes_the_digest(
     for n, drive in enumerate(state.drives):
         for value in other_values(getattr(drive, name)):
             changed = state.copy()
-            active_bench.controller.keep(changed, n, drive._replace(**{name: value}))
+            active_bench.controller.store_drive_state(changed, n, drive._replace(**{name: value}))
             digest = changed.digest()
             assert digest not in seen, (n, value)
             seen.add(digest)

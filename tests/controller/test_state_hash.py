@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from handctl.core.identity_cache import IdentityCache, SequenceCache
-from handctl.core.plain import plain_bytes
+from handctl.core.plain_values import plain_bytes
 
 
 def hashed_bytes(value: object) -> bytes:

@@ -9,26 +9,26 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handctl.controller.snapshot import restore_state, snapshot_bytes
-from handctl.controller.state import layout_of_state
-from handctl.controller.streams import stream_status
-from handctl.core import block as s
-from handctl.core.law.goal import GoalKind
-from handctl.core.law.stream import begin_segments
-from handctl.core.law.trajectory import StreamedTrajectory
-from handctl.core.model import HandModel
-from handctl.core.types import Mode, TickOut
+from handctl.controller.controller_state import layout_of_state
+from handctl.controller.state_snapshot import restore_state, snapshot_bytes
+from handctl.controller.target_streams import stream_status
+from handctl.core import state_block as s
+from handctl.core.control_law.digit_goal import GoalKind
+from handctl.core.control_law.streamed_motion import begin_segments
+from handctl.core.control_law.trajectory import StreamedTrajectory
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode, TickOut
 from handctl.hand.dynamics import static_torque
-from handctl.programs.grasp import TaskProgram
-from handctl.programs.live import LiveProgram
-from handctl.programs.requests import is_target, parse_target, target_text
-from handctl.programs.streams import (
+from handctl.programs.live_session import LiveProgram
+from handctl.programs.requests import is_stream_target, parse_target, target_request_text
+from handctl.programs.stream_plans import (
     continued_move,
-    horizon_s,
     mapping_of_stream,
     nearest_holdable_posture,
+    target_horizon_s,
 )
 from handctl.programs.task import Task
+from handctl.programs.task_program import TaskProgram
 from handctl.session.simulate import SimulatedRun, SimulatorSettings, homed_controller
 
 RATE_HZ = 100.0
@@ -84,7 +84,7 @@ class StreamClient:
     def target_request(self, *values: float, number: int | None = None, age_s: float = 0.0) -> str:
         """Return the request of a streamed target. It was sent ``age_s`` seconds ago."""
         self.sent += number is None
-        return target_text(
+        return target_request_text(
             "s", self.sent if number is None else number, self.t_ns - round(1e9 * age_s), values
         )
 
@@ -140,7 +140,7 @@ def test_a_streamed_sine_is_followed_like_a_trajectory(jamia: HandModel) -> None
                 "stream digit of 1 values at 100 Hz"
             )
             client.tick_outputs.clear()
-            began_ns, horizon = client.t_ns, horizon_s(RATE_HZ, jamia.period)
+            began_ns, horizon = client.t_ns, target_horizon_s(RATE_HZ, jamia.period)
             missed = []
             for _ in range(3):
                 for i in range(round(1.0 / jamia.period)):
@@ -180,7 +180,7 @@ def error_of_trajectory(model: HandModel) -> float:
         homed_controller(model, program)
     ) as run:
         began, missed = None, []
-        while run.out is None or run.out.mode != Mode.DONE:
+        while run.out is None or run.out.mode != HandMode.DONE:
             if run.out is not None and run.out.phase == "follow":
                 began = run.k - 1 if began is None else began
                 t = (run.k - began) * model.period
@@ -210,7 +210,7 @@ def check_ticks_repeat(run: SimulatedRun, middle: bytes, at: int) -> None:
     """Check that the recorded ticks repeat to the last bit, from the start and from a snapshot after ``at`` ticks."""
     controller = run.controller
     for state, ticks in (
-        (controller.initial(), run.recorded),
+        (controller.initial_state(), run.recorded),
         (restore_state(controller.layout, middle), run.recorded[at:]),
     ):
         for entry, out in ticks:
@@ -248,7 +248,7 @@ def test_a_jump_is_bounded_in_speed_acceleration_and_range(
         clipped = stream_status(client.run.state).clipped
         assert clipped == (0 if target == 80.0 else client.sent), "reported, and no fault"
         assert client.run.out is not None
-        assert client.run.out.mode == Mode.ACTIVE
+        assert client.run.out.mode == HandMode.ACTIVE
 
 
 def test_a_random_stream_never_leaves_the_limits(jamia: HandModel) -> None:
@@ -291,11 +291,11 @@ def test_a_stale_stream_holds_then_relaxes(jamia: HandModel) -> None:
         client.wait(0.3)
         assert client.goal_history("q_goal")[-1] == at, "held"
         client.stream_motion(lambda t: math.degrees(at) + 20.0 * t, 0.3)
-        assert client.tick_outputs[-1].mode == Mode.ACTIVE, "the next target goes on"
+        assert client.tick_outputs[-1].mode == HandMode.ACTIVE, "the next target goes on"
         assert client.goal_history("q_goal")[-1] > at + math.radians(4.0)
         client.wait(1.2)
         assert client.reported_faults == {"I11a", "I11b"}
-        assert client.tick_outputs[-1].mode >= Mode.RELAX
+        assert client.tick_outputs[-1].mode >= HandMode.RELAX
 
 
 def test_a_late_target_waits_at_the_last_one(jamia: HandModel) -> None:
@@ -339,7 +339,7 @@ def test_invalid_target_is_counted_without_effect(
         assert len(refusals) == 1, "reported once, so that a flood does not fill the log"
         client.stream_motion(lambda t: 20.0, 0.1)
         assert client.reported_faults == set()
-        assert client.tick_outputs[-1].mode == Mode.ACTIVE
+        assert client.tick_outputs[-1].mode == HandMode.ACTIVE
 
 
 @pytest.mark.parametrize(
@@ -352,7 +352,7 @@ def test_invalid_target_is_counted_without_effect(
 )  # fmt: skip
 def test_a_text_that_is_no_target_is_counted(text: str) -> None:
     whole = '{"do": "target", ' + text
-    assert is_target(whole)
+    assert is_stream_target(whole)
     target = parse_target(whole)
     assert target is None or target.values == (1.0,)
 
@@ -410,7 +410,7 @@ def test_a_jittering_stream_is_smooth(jamia: HandModel) -> None:
             waiting = [(at, text) for at, text in waiting if at > client.t_ns]
             client.tick(*due)
         late = np.degrees(client.goal_history("q_goal"))[250:] - sine_angle(
-            np.arange(250, 1000) * jamia.period - horizon_s(RATE_HZ, jamia.period)
+            np.arange(250, 1000) * jamia.period - target_horizon_s(RATE_HZ, jamia.period)
         )
         assert np.sqrt(np.mean(late**2)) < 0.6
         assert client.reported_faults == set()
@@ -459,7 +459,7 @@ def test_a_long_move_of_a_fast_digit_stays_within_the_range() -> None:
     reference = np.radians([[90.0], [300.0], [0.0]])
     reach = np.radians([0.0]), np.radians([100.0])
     move = continued_move(reference, np.radians([10.0]), 5.0, reach)
-    way = np.degrees([move.at(t)[:, 0] for t in np.linspace(0.0, 5.0, 5001)])
+    way = np.degrees([move.motion_at(t)[:, 0] for t in np.linspace(0.0, 5.0, 5001)])
     assert way[:, 0].max() <= 100.5
     assert way[0] == pytest.approx([90.0, 300.0, 0.0])
     assert way[-1] == pytest.approx([10.0, 0.0, 0.0], abs=1e-9)
@@ -471,11 +471,11 @@ def test_three_goals_out_of_range_are_no_fault(jamia: HandModel) -> None:
         for _ in range(5):
             assert "from 0 to 100 deg" in client.send_command("move", angle_deg={"index": 120.0})
         client.wait(0.1)
-        assert client.tick_outputs[-1].mode == Mode.ACTIVE
+        assert client.tick_outputs[-1].mode == HandMode.ACTIVE
         assert client.reported_faults == {"I07a"}
         client.tick("{", "nonsense", '{"do": "fly"}')
         client.wait(0.01)
-        assert client.tick_outputs[-1].mode >= Mode.RELAX, (
+        assert client.tick_outputs[-1].mode >= HandMode.RELAX, (
             "a client that speaks no sense is stopped"
         )
 
@@ -681,7 +681,7 @@ def test_a_soft_digit_yields_to_a_push(jamia: HandModel) -> None:
             engine._data.xfrc_applied[engine._model.body("index_link3").id, 1] = PUSH_FORCE_N
             client.stream_motion(lambda t: 40.0, 0.4)
             yielded[softness] = start - true_angle(client.run)
-            assert client.tick_outputs[-1].mode == Mode.ACTIVE
+            assert client.tick_outputs[-1].mode == HandMode.ACTIVE
     assert yielded[0.2] > 1.5 * yielded[None] > 0.0, yielded
 
 
@@ -736,7 +736,7 @@ def test_a_task_within_a_session_holds_until_it_is_released(jamia: HandModel) ->
         assert client.send_command("release") == "release after hold"
         client.wait(1.5)
         assert client.tick_outputs[-1].phase == "live"
-        assert client.tick_outputs[-1].mode == Mode.ACTIVE
+        assert client.tick_outputs[-1].mode == HandMode.ACTIVE
         assert client.send_command("move", angle_deg={"index": 20.0}) == "move index 20"
         assert client.send_command("grasp", task=task) == "grasp close"
         client.wait(0.1)

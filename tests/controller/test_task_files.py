@@ -6,7 +6,7 @@ import pytest
 
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_content, hand_from_content, load_hand, packaged_hands
+from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand, packaged_hands
 from handctl.programs.program import TARE_PHASE
 from handctl.programs.task import (
     ClosePhase,

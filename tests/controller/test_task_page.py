@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 from firmware_sim.scene.scene import load_scene
-from handctl.hand.load import load_hand, packaged_hands
+from handctl.hand.hand_loading import load_hand, packaged_hands
 from handctl.programs.task import ClosePhase, FollowPhase, HoldPhase, MovePhase, ReleasePhase
 from handctl.session.tasks import find_task
 

@@ -5,8 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handctl.core.law.trajectory import PEAK_SPEED, CurveTrajectory, MinimumJerk, duration_for
-from handctl.core.plain import plain_bytes
+from handctl.core.control_law.trajectory import (
+    PEAK_SPEED_RATIO,
+    CurveTrajectory,
+    MinimumJerk,
+    minimum_jerk_duration,
+)
+from handctl.core.plain_values import plain_bytes
 
 angle_pairs = st.lists(st.floats(-3.0, 3.0), min_size=2, max_size=2).map(np.array)
 move_durations = st.floats(0.01, 100.0)
@@ -18,7 +23,7 @@ def test_minimum_jerk_move_rests_at_both_ends(
 ) -> None:
     move = MinimumJerk(start, end, duration)
     for t, place in ((0.0, start), (duration, end), (-1.0, start), (duration + 5.0, end)):
-        position, velocity, acceleration = move.at(t)
+        position, velocity, acceleration = move.motion_at(t)
         np.testing.assert_allclose(position, place, atol=1e-12)
         np.testing.assert_allclose(velocity, 0.0, atol=1e-12)
         np.testing.assert_allclose(acceleration, 0.0, atol=1e-12)
@@ -29,7 +34,7 @@ def test_trajectory_derivatives_match_differences(
     start: np.ndarray, end: np.ndarray, duration: float, share: float
 ) -> None:
     move, h, t = MinimumJerk(start, end, duration), 1e-5 * duration, share * duration
-    before, now, after = move.at(t - h), move.at(t), move.at(t + h)
+    before, now, after = move.motion_at(t - h), move.motion_at(t), move.motion_at(t + h)
     way = np.abs(end - start).max() + 1e-9
     np.testing.assert_allclose(now[1], (after[0] - before[0]) / (2 * h), atol=1e-6 * way / duration)
     np.testing.assert_allclose(
@@ -42,21 +47,21 @@ def test_move_stays_between_its_ends_and_below_its_peak_speed(
     start: np.ndarray, end: np.ndarray, duration: float
 ) -> None:
     move = MinimumJerk(start, end, duration)
-    course = [move.at(t) for t in np.linspace(0.0, duration, 101)]
+    course = [move.motion_at(t) for t in np.linspace(0.0, duration, 101)]
     low, high = np.minimum(start, end) - 1e-12, np.maximum(start, end) + 1e-12
     assert all(((low <= p) & (p <= high)).all() for p, _, _ in course)
     steps = np.diff([p for p, _, _ in course], axis=0) * np.sign(end - start)
     assert (steps >= -1e-12).all(), "straight there"
     speed = np.abs([v for _, v, _ in course]).max(axis=0)
     np.testing.assert_allclose(
-        speed, PEAK_SPEED * np.abs(end - start) / duration, rtol=1e-6, atol=1e-12
+        speed, PEAK_SPEED_RATIO * np.abs(end - start) / duration, rtol=1e-6, atol=1e-12
     )
 
 
 def test_no_admissible_bump_has_less_jerk() -> None:
     """The integral of squared jerk grows if a bump is added to the move. The bump is at rest at both ends."""
     move, t = MinimumJerk(np.array([0.0]), np.array([1.0]), 1.0), np.linspace(0.0, 1.0, 20001)
-    acceleration = np.array([move.at(one)[2][0] for one in t])
+    acceleration = np.array([move.motion_at(one)[2][0] for one in t])
     bump = np.gradient(np.gradient(t**3 * (1 - t) ** 3, t), t)
 
     def squared_jerk(a: np.ndarray) -> float:
@@ -68,10 +73,10 @@ def test_no_admissible_bump_has_less_jerk() -> None:
 
 @pytest.mark.parametrize(("distance", "speed"), [(1.0, 2.0), (-0.5, 0.1), (0.0, 1.0)])
 def test_duration_keeps_the_peak_speed(distance: float, speed: float) -> None:
-    duration = duration_for(distance, speed, 0.05)
+    duration = minimum_jerk_duration(distance, speed, 0.05)
     assert duration >= 0.05
     move = MinimumJerk(np.array([0.0]), np.array([distance]), duration)
-    fastest = max(abs(move.at(t)[1][0]) for t in np.linspace(0.0, duration, 1001))
+    fastest = max(abs(move.motion_at(t)[1][0]) for t in np.linspace(0.0, duration, 1001))
     assert fastest <= speed * (1 + 1e-9)
     if distance:
         assert fastest == pytest.approx(speed, rel=1e-5)
@@ -88,27 +93,29 @@ def test_a_curve_goes_through_its_points_from_rest_to_rest(data: st.DataObject) 
     points = tuple(
         data.draw(st.lists(st.floats(-0.5, 2.0), min_size=len(when), max_size=len(when)))
     )
-    curve = CurveTrajectory.through(when, points, 2)
+    curve = CurveTrajectory.through_points(when, points, 2)
     assert curve.duration == when[-1]
     for t, point in zip(when, points, strict=True):
-        np.testing.assert_allclose(curve.at(t)[0], [point, point], atol=1e-9)
+        np.testing.assert_allclose(curve.motion_at(t)[0], [point, point], atol=1e-9)
     for t in (-1.0, 0.0, when[-1], when[-1] + 1.0):
-        np.testing.assert_allclose(curve.at(t)[1], 0.0, atol=1e-9)
+        np.testing.assert_allclose(curve.motion_at(t)[1], 0.0, atol=1e-9)
     for t in (-1.0, when[-1] + 1.0):
-        np.testing.assert_array_equal(curve.at(t)[2], 0.0)
-        np.testing.assert_allclose(curve.at(t)[0], curve.at(min(max(t, 0.0), when[-1]))[0])
-    speeds = [abs(curve.at(t)[1][0]) for t in np.linspace(0.0, when[-1], 2001)]
+        np.testing.assert_array_equal(curve.motion_at(t)[2], 0.0)
+        np.testing.assert_allclose(
+            curve.motion_at(t)[0], curve.motion_at(min(max(t, 0.0), when[-1]))[0]
+        )
+    speeds = [abs(curve.motion_at(t)[1][0]) for t in np.linspace(0.0, when[-1], 2001)]
     assert max(speeds) <= curve.peak_speed() + 1e-9
     assert curve.peak_speed() <= max(speeds) * 1.01 + 1e-6
 
 
 @given(points=st.lists(st.floats(-0.5, 2.0), min_size=4, max_size=4), share=st.floats(0.02, 0.98))
 def test_curve_derivatives_match_differences(points: list[float], share: float) -> None:
-    curve, h = CurveTrajectory.through((0.0, 0.4, 1.0, 1.3), tuple(points), 1), 1e-5
+    curve, h = CurveTrajectory.through_points((0.0, 0.4, 1.0, 1.3), tuple(points), 1), 1e-5
     t = share * 1.3
     if min(abs(t - knot) for knot in (0.4, 1.0)) < 2 * h:
         return
-    before, now, after = curve.at(t - h), curve.at(t), curve.at(t + h)
+    before, now, after = curve.motion_at(t - h), curve.motion_at(t), curve.motion_at(t + h)
     np.testing.assert_allclose(now[1], (after[0] - before[0]) / (2 * h), rtol=1e-5, atol=1e-5)
     np.testing.assert_allclose(now[2], (after[1] - before[1]) / (2 * h), rtol=1e-4, atol=1e-3)
 
@@ -120,10 +127,10 @@ def test_every_number_of_a_way_is_in_its_plain_form() -> None:
         MinimumJerk(np.array([0.1]), np.array([1.0]), 1.0),
         MinimumJerk(np.array([0.0]), np.array([1.1]), 1.0),
         MinimumJerk(np.array([0.0]), np.array([1.0]), 1.1),
-        CurveTrajectory.through((0.0, 1.0), (0.0, 1.0), 1),
-        CurveTrajectory.through((0.0, 1.1), (0.0, 1.0), 1),
-        CurveTrajectory.through((0.0, 1.0), (0.1, 1.0), 1),
-        CurveTrajectory.through((0.0, 1.0), (0.0, 1.1), 1),
-        CurveTrajectory.through((0.0, 1.0), (0.0, 1.0), 3),
+        CurveTrajectory.through_points((0.0, 1.0), (0.0, 1.0), 1),
+        CurveTrajectory.through_points((0.0, 1.1), (0.0, 1.0), 1),
+        CurveTrajectory.through_points((0.0, 1.0), (0.1, 1.0), 1),
+        CurveTrajectory.through_points((0.0, 1.0), (0.0, 1.1), 1),
+        CurveTrajectory.through_points((0.0, 1.0), (0.0, 1.0), 3),
     ]
     assert len({plain_bytes(way) for way in ways}) == len(ways)

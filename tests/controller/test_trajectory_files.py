@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.core.law.trajectory import CurveTrajectory
+from handctl.core.control_law.trajectory import CurveTrajectory
 from handctl.errors import ConfigError
 from handctl.programs.task import FollowPhase, load_trajectory
 
@@ -24,29 +24,29 @@ thumb = [5.0, 5.0, 15.0, 0.0]
 
 def test_a_curve_meets_its_points_and_rests_at_the_ends() -> None:
     times, angles = (0.0, 0.4, 1.0, 1.5), (0.1, 0.5, 0.2, 0.9)
-    curve = CurveTrajectory.through(times, angles, 3)
+    curve = CurveTrajectory.through_points(times, angles, 3)
     for t, angle in zip(times, angles, strict=True):
-        np.testing.assert_allclose(curve.at(t)[0], np.full(3, angle), atol=1e-12)
+        np.testing.assert_allclose(curve.motion_at(t)[0], np.full(3, angle), atol=1e-12)
     for t in (0.0, curve.duration):
-        np.testing.assert_allclose(curve.at(t)[1], 0.0, atol=1e-12)
-    np.testing.assert_allclose(curve.at(9.0)[0], angles[-1])
-    assert not np.any(curve.at(9.0)[2])
+        np.testing.assert_allclose(curve.motion_at(t)[1], 0.0, atol=1e-12)
+    np.testing.assert_allclose(curve.motion_at(9.0)[0], angles[-1])
+    assert not np.any(curve.motion_at(9.0)[2])
 
 
 def test_velocity_and_acceleration_are_the_derivatives() -> None:
-    curve, h = CurveTrajectory.through((0.0, 0.3, 0.9, 1.4), (0.0, 0.6, 0.1, 0.4), 1), 1e-5
+    curve, h = CurveTrajectory.through_points((0.0, 0.3, 0.9, 1.4), (0.0, 0.6, 0.1, 0.4), 1), 1e-5
     for t in np.linspace(0.05, 1.35, 40):
         (before, _, _), (_, speed, acceleration), (after, _, _) = (
-            curve.at(t + d) for d in (-h, 0.0, h)
+            curve.motion_at(t + d) for d in (-h, 0.0, h)
         )
         assert (after - before) / (2 * h) == pytest.approx(speed, abs=1e-6)
-        faster, slower = curve.at(t + h)[1], curve.at(t - h)[1]
+        faster, slower = curve.motion_at(t + h)[1], curve.motion_at(t - h)[1]
         assert (faster - slower) / (2 * h) == pytest.approx(acceleration, abs=1e-3)
 
 
 def test_peak_speed_is_the_largest_on_the_way() -> None:
-    curve = CurveTrajectory.through((0.0, 0.3, 0.9, 1.4), (0.0, 0.6, 0.1, 0.4), 1)
-    sampled = max(abs(curve.at(t)[1][0]) for t in np.linspace(0.0, 1.4, 20001))
+    curve = CurveTrajectory.through_points((0.0, 0.3, 0.9, 1.4), (0.0, 0.6, 0.1, 0.4), 1)
+    sampled = max(abs(curve.motion_at(t)[1][0]) for t in np.linspace(0.0, 1.4, 20001))
     assert curve.peak_speed() == pytest.approx(sampled, rel=1e-6)
 
 
@@ -89,10 +89,10 @@ def test_radians_are_not_degrees(tmp_path: Path) -> None:
     path.write_text(VALID_TRAJECTORY)
     follow = load_trajectory(path).phase[1]
     assert isinstance(follow, FollowPhase)
-    curve = CurveTrajectory.through(
+    curve = CurveTrajectory.through_points(
         follow.time_s, tuple(map(math.radians, follow.angle_deg["index"])), 1
     )
-    assert curve.at(0.5)[0][0] == pytest.approx(math.radians(20.0))
+    assert curve.motion_at(0.5)[0][0] == pytest.approx(math.radians(20.0))
 
 
 @pytest.mark.parametrize("gap", [5e-324, 1e-310, 1e-160, 1e-5])

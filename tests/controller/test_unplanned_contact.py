@@ -6,9 +6,9 @@ An event reports the contact, and the digit presses with a bounded tension.
 import numpy as np
 import pytest
 
-from handctl.core.estimation.touch import BLOCKED_ABOVE_N, FREE_BELOW_N, MAX_PRESS_N
-from handctl.core.model import HandModel
-from handctl.programs.live import JogProgram
+from handctl.core.estimation.blocked_digits import BLOCKED_ABOVE_N, FREE_BELOW_N, MAX_PRESS_N
+from handctl.core.hand_model import HandModel
+from handctl.programs.live_session import JogProgram
 from handctl.programs.requests import MoveDigits
 from tests.controller.law_runs import temperatures_for_limits, tension_limits_of
 from tests.controller.plant_run import PlantRun, model_of, run_on_plant
@@ -26,7 +26,7 @@ def estimate_with_unexplained_tension(
 ) -> SyntheticEstimate:
     """Return the estimate of a hand at rest whose tendons all have the same unexplained tension [N]."""
     return exact_estimate(model, balanced_state(model, 0.5))._replace(
-        external=np.full(model.tendon_count, unexplained_tension)
+        external_tension=np.full(model.tendon_count, unexplained_tension)
     )
 
 

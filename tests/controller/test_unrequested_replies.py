@@ -2,10 +2,10 @@
 
 import pytest
 
-from handctl.core.model import HandModel
-from handctl.core.types import Mode, TickOut
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode, TickOut
 from handctl.drives.frame import Frame
-from handctl.programs.live import LiveProgram
+from handctl.programs.live_session import LiveProgram
 from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
 UNREQUESTED_REPLY = Frame(0x11, bytes([0x11, 0x80, 0, 0x80, 8, 0, 30, 30]))
@@ -24,7 +24,7 @@ def silent_bench(jamia: HandModel) -> ControllerBench:
 def active_bench(jamia: HandModel) -> ControllerBench:
     """Return a bench whose hand is active."""
     run = make_controller_bench(jamia, LiveProgram())
-    run.run_until_mode(Mode.ACTIVE)
+    run.run_until_mode(HandMode.ACTIVE)
     run.run(0.1)
     return run
 
@@ -41,7 +41,7 @@ def test_a_motor_that_answers_before_it_was_asked_was_asked_by_another_controlle
     assert reported_faults(out) == ["H13"], (
         "one is enough; it is no duplicate, since nothing was asked"
     )
-    assert out.mode == Mode.DONE
+    assert out.mode == HandMode.DONE
     name = silent_bench.controller.drives[0].name
     assert (
         silent_bench.state.failure
@@ -61,7 +61,7 @@ def test_a_request_of_another_host_and_its_answer_in_one_tick_are_both_reported(
 def test_the_first_reply_to_the_first_request_is_not_in_excess(
     silent_bench: ControllerBench,
 ) -> None:
-    silent_bench.run_until_mode(Mode.INVENTORY)
+    silent_bench.run_until_mode(HandMode.INVENTORY)
     assert not silent_bench.tick().events
     assert not silent_bench.tick().events
 

@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 
 from handctl.compiled import kernel
-from handctl.core.block import state_tables
+from handctl.core.block_schema import BlockArray, TablePlaces
 from handctl.core.constants import constant_tables
-from handctl.core.estimation import structure
+from handctl.core.estimation import varying_moment_arms
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_constants import HandConstants, _joint_compliance
-from handctl.core.model import HandModel
-from handctl.core.schema import BlockArray, TablePlaces
-from handctl.core.types import Mode
+from handctl.core.hand_model import HandModel
+from handctl.core.state_block import state_tables
+from handctl.core.tick_types import HandMode
 from handctl.hand.description import Hand
-from handctl.hand.load import packaged_hands
+from handctl.hand.hand_loading import packaged_hands
 from handctl.hand.tendons import excursions
-from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
+from handctl.programs.task_program import TaskProgram
 from handctl.session.simulate import SimulatorSettings, homed_controller
 from tests.conftest import NIGHTLY
 from tests.controller.synthetic_states import active_state
@@ -33,7 +33,9 @@ SIMULATOR_SEEDS = range(20) if NIGHTLY else range(2)
 def _update_structure(
     block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces
 ) -> None:
-    structure.update_structure(state_tables(block, at), constant_tables(constants, constants_at))
+    varying_moment_arms.update_structure(
+        state_tables(block, at), constant_tables(constants, constants_at)
+    )
 
 
 @kernel("block", "layout", "constants", "layout", "count", "count", "real")
@@ -48,13 +50,15 @@ def _arm_and_slope(
 ) -> np.ndarray:
     c = constant_tables(constants, constants_at)
     return np.array([
-        structure.joint_excursion(c, n, j, q), structure.moment_arm(c, n, j, q), structure.arm_slope(c, n, j, q),
+        varying_moment_arms.joint_excursion(c, n, j, q),
+        varying_moment_arms.moment_arm(c, n, j, q),
+        varying_moment_arms.arm_slope(c, n, j, q),
     ])  # fmt: skip
 
 
 @cache
 def model_of(name: str, fraction: float = 0.3) -> HandModel:
-    return HandModel.of(with_varying_arms(name, fraction), Gains(), RATE_HZ)
+    return HandModel.from_hand(with_varying_arms(name, fraction), Gains(), RATE_HZ)
 
 
 @pytest.mark.parametrize("name", PACKAGED_HANDS)
@@ -79,7 +83,7 @@ def test_the_structure_tables_are_those_at_the_present_angles(name: str) -> None
         free = view["excursion_to_joints"] @ state.view("excursion") + view["angle_offset"]
         np.testing.assert_allclose(free, q, atol=1e-9)
         for digit in model.digits:
-            here = digit.at(q[digit.joints])
+            here = digit.at_angles(q[digit.joints])
             block = np.ix_(
                 range(*digit.joints.indices(len(q))),
                 range(*digit.tendons.indices(model.tendon_count)),
@@ -149,9 +153,9 @@ def tracking_error_deg(model: HandModel, hand: Hand, seed: int) -> float:
         run.record = False
         for _, out in run.ticks(10.0):
             assert not [event for event in out.events if event.level == "error"]
-            if run.state.mode == Mode.ACTIVE and run.state.progress.phase.startswith("move"):
+            if run.state.mode == HandMode.ACTIVE and run.state.progress.phase.startswith("move"):
                 errors.append(np.degrees(run.state.view("q_goal") - run.peer.world.plant.engine.q))
-        assert run.state.mode == Mode.DONE
+        assert run.state.mode == HandMode.DONE
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
@@ -164,7 +168,7 @@ def test_arms_by_angle_track_better_than_constant_arms(name: str, seed: int) -> 
     """
     hand = with_varying_arms(name, 0.3, encoders=False)
     constant = with_varying_arms(name, 0.0, encoders=False)
-    with_arms = tracking_error_deg(HandModel.of(hand, Gains(), RATE_HZ), hand, seed)
-    with_mean = tracking_error_deg(HandModel.of(constant, Gains(), RATE_HZ), hand, seed)
+    with_arms = tracking_error_deg(HandModel.from_hand(hand, Gains(), RATE_HZ), hand, seed)
+    with_mean = tracking_error_deg(HandModel.from_hand(constant, Gains(), RATE_HZ), hand, seed)
     assert with_arms < 1.0
     assert with_mean > 3.0 * with_arms

@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handctl.controller.setup import make_controller
+from handctl.controller.run_setup import make_controller
 from handctl.core.gains.gains import Gains
-from handctl.core.model import BLIND_SIGMAS, HandModel
-from handctl.core.types import Mode, TickEvent
+from handctl.core.hand_model import BLIND_SIGMAS, HandModel
+from handctl.core.tick_types import HandMode, TickEvent
 from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_content, hand_from_content
+from handctl.hand.hand_loading import hand_content, hand_from_content
 from handctl.programs.commission import CommissionProgram, calibration_of_result
-from handctl.programs.grasp import TaskProgram
 from handctl.programs.program import Program
 from handctl.programs.task import Task
+from handctl.programs.task_program import TaskProgram
 from handctl.session.simulate import SimulatedRun, SimulatorSettings, homed_controller
 
 RATE_HZ = 500.0
@@ -48,7 +48,7 @@ def hand_without_cells(*tendons: str) -> Hand:
 @cache
 def model_of(*tendons: str) -> HandModel:
     """Return the model of the hand that ``hand_without_cells(*tendons)`` returns."""
-    return HandModel.of(hand_without_cells(*tendons), Gains(), RATE_HZ)
+    return HandModel.from_hand(hand_without_cells(*tendons), Gains(), RATE_HZ)
 
 
 CYLINDER_TASK = Task.model_validate(
@@ -190,7 +190,7 @@ def test_a_hand_without_sensors_sends_no_sync() -> None:
         sync = (controller.sensors.bus, hand.sensor_node.sync_id)
         for _, out in run.ticks(1.0):
             assert sync not in {(frame.bus, frame.can_id) for frame in out.frames}
-        assert run.state.mode == Mode.ACTIVE
+        assert run.state.mode == HandMode.ACTIVE
 
 
 def test_cia402_drives_have_their_sync_without_sensors() -> None:
@@ -201,11 +201,11 @@ def test_cia402_drives_have_their_sync_without_sensors() -> None:
         for motor in content["motor"]
     ]
     hand = hand_from_content(content, "cia402")
-    model = HandModel.of(hand, Gains(), 250.0)
+    model = HandModel.from_hand(hand, Gains(), 250.0)
     with SimulatorSettings(hand, None, 0, homed=True).against(
         homed_controller(model, TaskProgram(CYLINDER_TASK))
     ) as run:
-        assert run.until(lambda out: out.mode == Mode.ACTIVE, 10.0)
+        assert run.until(lambda out: out.mode == HandMode.ACTIVE, 10.0)
 
 
 @pytest.mark.parametrize(

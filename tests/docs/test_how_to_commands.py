@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from handctl.hand.load import hand_path
+from handctl.hand.hand_loading import hand_path
 from tests.docs.command_blocks import ROOT, Block, blocks, is_file, is_run, run_blocks, stays_open
 
 DOCS = ROOT / "docs"

@@ -72,9 +72,9 @@ class MotorRig:
 
 @pytest.fixture
 def rig() -> MotorRig:
-    drive = MitDrive.of(MotorSection(), 0)
-    return MotorRig(drive, ScriptedMotor(), drive.initial())
+    drive = MitDrive.from_motor(MotorSection(), 0)
+    return MotorRig(drive, ScriptedMotor(), drive.initial_state())
 
 
 def mit_drive_of(**changes: object) -> MitDrive:
-    return MitDrive.of(replace(MotorSection(), **changes), 0)  # type: ignore[arg-type]
+    return MitDrive.from_motor(replace(MotorSection(), **changes), 0)  # type: ignore[arg-type]

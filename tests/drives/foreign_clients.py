@@ -16,7 +16,7 @@ from canopen.profiles.p402 import BaseNode402
 from damiao_motor import DaMiaoController
 from odrive_can.odrive import DriveError, ODriveCAN
 
-from firmware_sim.nodes.cia402.dictionary import EDS_PATH
+from firmware_sim.nodes.cia402.object_dictionary import EDS_PATH
 
 WAIT_TIMEOUT_S = 20.0
 CYCLIC_TORQUE_MODE = "CYCLIC SYNCHRONOUS TORQUE"

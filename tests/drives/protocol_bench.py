@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from firmware_sim.rig import LockstepHand
+from firmware_sim.lockstep_hand import LockstepHand
 from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import Frame
 from handctl.drives.motor_description import PROTOCOL_TRAITS
-from handctl.drives.registry import make_drive
-from handctl.drives.sensors.node import SensorNode
+from handctl.drives.protocol_registry import make_drive
+from handctl.drives.sensors.sensor_node import SensorNode
 from handctl.hand.file.sections import Motor
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 
 PERIOD_NS = 2_000_000
 FIRST_NODE_ID = 0x10
@@ -79,9 +79,9 @@ class ProtocolBench:
         buses = self.hand.bus_names
         motors = [self.hand.motor_of(name) for name in self.hand.tendon_names]
         self.drives: list[Drive] = [make_drive(motor, buses.index(motor.bus)) for motor in motors]
-        self.states: list[DriveState] = [drive.initial() for drive in self.drives]
+        self.states: list[DriveState] = [drive.initial_state() for drive in self.drives]
         node = self.hand.sensor_node
-        self.sensor_node = SensorNode.of(
+        self.sensor_node = SensorNode.from_description(
             node, buses.index(node.bus), self.hand.tendon_names, self.hand.joints
         )
         self.received_frames: list[Frame] = []

@@ -7,12 +7,12 @@ from collections.abc import Iterator
 
 import pytest
 
-from firmware_sim.rig import LockstepHand
+from firmware_sim.lockstep_hand import LockstepHand
 from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import Frame
-from handctl.drives.registry import make_drive
-from handctl.drives.sensors.node import SensorNode
-from handctl.hand.load import load_hand
+from handctl.drives.protocol_registry import make_drive
+from handctl.drives.sensors.sensor_node import SensorNode
+from handctl.hand.hand_loading import load_hand
 from tests.drives.wired_drives import WiredDrives
 
 PERIOD_NS = 2_000_000
@@ -28,8 +28,8 @@ class PackagedHandBench:
         self.drives: list[Drive] = [
             make_drive(PACKAGED_HAND.motor_of(name), 0) for name in PACKAGED_HAND.tendon_names
         ]
-        self.states: list[DriveState] = [drive.initial() for drive in self.drives]
-        self.sensor_node = SensorNode.of(
+        self.states: list[DriveState] = [drive.initial_state() for drive in self.drives]
+        self.sensor_node = SensorNode.from_description(
             PACKAGED_HAND.sensor_node, 0, PACKAGED_HAND.tendon_names, PACKAGED_HAND.joints
         )
         self.sensors = WiredDrives((), self.sensor_node)

@@ -10,17 +10,17 @@ import cantools
 import pytest
 
 from firmware_sim.bus.frame import Frame as WireFrame
-from firmware_sim.rig import LockstepHand
+from firmware_sim.lockstep_hand import LockstepHand
 from handctl.campaign.stage import GRASP_STAGE, advance_to, homed_run
-from handctl.controller.setup import make_drives, make_sensors
-from handctl.core.types import Mode
+from handctl.controller.run_setup import make_drives, make_sensors
+from handctl.core.tick_types import HandMode
 from handctl.drives.cia404.load_cells import Cia404LoadCells
 from handctl.drives.contract import DrivePhase, DriveTarget
-from handctl.drives.dbc import dbc_of_bus
+from handctl.drives.dbc_export import dbc_of_bus
 from handctl.drives.frame import Frame
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_from_content, load_hand
+from handctl.hand.hand_loading import hand_from_content, load_hand
 from handctl.runtime.diagnostics.scan import scan_bus
 from handctl.session.simulate import SimulatedRun
 from tests.drives.wired_drives import WiredDrives
@@ -68,7 +68,7 @@ def hand_with_amplifiers(name: str = "jamia", **changed: Any) -> Hand:
 
 
 def test_hand_made_frames_become_newtons() -> None:
-    cells = Cia404LoadCells.of(AmplifierSection(), 0, TENDON_NAMES)
+    cells = Cia404LoadCells.from_description(AmplifierSection(), 0, TENDON_NAMES)
     assert cells.ids == (0x1A1, 0x1A2)
     wired = WiredDrives((), cells)
     assert wired.begin_tick_with_sync(7) == Frame(0x080, b"")
@@ -84,7 +84,8 @@ def test_hand_made_frames_become_newtons() -> None:
 
 def test_a_float_is_read_as_it_is() -> None:
     wired = WiredDrives(
-        (), Cia404LoadCells.of(AmplifierSection(process_value="real32"), 0, TENDON_NAMES)
+        (),
+        Cia404LoadCells.from_description(AmplifierSection(process_value="real32"), 0, TENDON_NAMES),
     )
     wired.begin_tick_with_sync(0)
     first, second = struct.pack("<ff", 12.5, -0.25), struct.pack("<f", math.nan)
@@ -97,14 +98,14 @@ def test_a_float_is_read_as_it_is() -> None:
 
 @pytest.mark.parametrize("data", [b"", bytes(4), bytes(7)])
 def test_a_frame_of_another_length_is_malformed(data: bytes) -> None:
-    wired = WiredDrives((), Cia404LoadCells.of(AmplifierSection(), 0, TENDON_NAMES))
+    wired = WiredDrives((), Cia404LoadCells.from_description(AmplifierSection(), 0, TENDON_NAMES))
     wired.begin_tick_with_sync(0)
     wired.receive([Frame(0x1A1, data, t_ns=REPLY_DELAY_NS)])
     assert (wired.tensions, wired.has_malformed_frame) == ({}, True)
 
 
 def test_a_frame_before_any_answer_to_the_sync_is_stale() -> None:
-    cells = Cia404LoadCells.of(AmplifierSection(), 0, TENDON_NAMES)
+    cells = Cia404LoadCells.from_description(AmplifierSection(), 0, TENDON_NAMES)
     wired = WiredDrives((), cells)
     wired.field_view("t_ns")[...] = 10_000_000
     wired.begin_tick_with_sync(0)
@@ -117,7 +118,7 @@ def test_a_frame_before_any_answer_to_the_sync_is_stale() -> None:
 def test_channels_go_to_further_tpdos() -> None:
     names = tuple(f"t{i}" for i in range(7))
     section = AmplifierSection(tendons=names, node_ids=(5, 6), amplifier_channels=(5, 2))
-    cells = Cia404LoadCells.of(section, 0, names)
+    cells = Cia404LoadCells.from_description(section, 0, names)
     assert cells.ids == (0x185, 0x285, 0x385, 0x186)
     assert cells.channels == ((0, 1), (2, 3), (4,), (5, 6))
     assert cells.lengths == (8, 8, 4, 8)
@@ -146,7 +147,7 @@ class AmplifierBench:
         """Start the simulator of a hand file."""
         self.simulated_hand = LockstepHand(path, seed=1, period_ns=PERIOD_NS)
         self.sensors = make_sensors(hand)
-        self.states = [one.initial() for one in self.sensors.amplifiers]
+        self.states = [one.initial_state() for one in self.sensors.amplifiers]
         self.k = 0
         self.sent_frames: list[Frame] = []
         self.answers: list[Frame] = []
@@ -217,7 +218,7 @@ def test_a_unit_that_is_right_already_is_not_written(bench: AmplifierBench) -> N
         if frame.can_id == 0x621 and frame.data[0] & 0xE0 == 0x20
     ]
     assert bytes.fromhex("316101") in written
-    bench.states = [one.initial() for one in bench.sensors.amplifiers]
+    bench.states = [one.initial_state() for one in bench.sensors.amplifiers]
     bench.sent_frames.clear()
     bench.run_until_phase(DrivePhase.READY)
     written = [
@@ -266,9 +267,9 @@ def test_a_wrong_object_refuses_to_arm(name: str) -> None:
     spoil, text = WRONG_OBJECTS[name]
     with homed_run(hand_with_amplifiers(), 500.0, 0) as simulation:
         spoil(nodes_of(simulation)[0])
-        assert simulation.until(lambda out: out.mode == Mode.DONE, 4.0)
+        assert simulation.until(lambda out: out.mode == HandMode.DONE, 4.0)
     assert simulation.state.failure == f"amplifier 0x21: {text}"
-    assert not any(Mode.ARMING <= out.mode <= Mode.RELAX for _, out in simulation.recorded)
+    assert not any(HandMode.ARMING <= out.mode <= HandMode.RELAX for _, out in simulation.recorded)
 
 
 @pytest.mark.nightly
@@ -276,7 +277,7 @@ def test_a_missing_amplifier_is_named() -> None:
     with homed_run(hand_with_amplifiers(), 500.0, 0) as simulation:
         nodes_of(simulation)[1].ids = frozenset()
         simulation.peer.world.refresh_identifiers()  # type: ignore[attr-defined]
-        assert simulation.until(lambda out: out.mode == Mode.DONE, 5.0)
+        assert simulation.until(lambda out: out.mode == HandMode.DONE, 5.0)
     assert simulation.state.failure == "no answer from amplifier 0x22"
 
 
@@ -290,9 +291,9 @@ def test_frames_before_the_set_up_are_not_used() -> None:
             node.receive(WireFrame(0x000, bytes((0x01, 0x00))), 0)
             node.objects[0x1800, 2] = 1
         groups = simulation.state.view("group_frames")
-        assert simulation.until(lambda out: out.mode == Mode.INVENTORY, 2.0)
+        assert simulation.until(lambda out: out.mode == HandMode.INVENTORY, 2.0)
         assert not simulation.state.view("group_frames").any(), groups
-        assert simulation.until(lambda out: out.mode == Mode.READY, 4.0)
+        assert simulation.until(lambda out: out.mode == HandMode.READY, 4.0)
         assert abs(simulation.state.view("cell")).max() < 20.0
 
 
@@ -331,7 +332,7 @@ def faults_of(
         for i in range(ticks):
             out = simulation.tick()
             found |= {event.text.split()[0] for event in out.events if event.name == "fault"}
-            if first < 0 and out.mode != Mode.ACTIVE:
+            if first < 0 and out.mode != HandMode.ACTIVE:
                 first = i
         return found, first
 
@@ -399,7 +400,7 @@ def test_a_hand_with_amplifiers_holds_a_grasp(seed: int) -> None:
         with homed_run(hand_with_amplifiers(process_value=value), 500.0, seed) as simulation:
             advance_to(simulation, GRASP_STAGE)
             for _ in range(500):
-                assert simulation.tick().mode == Mode.ACTIVE
+                assert simulation.tick().mode == HandMode.ACTIVE
             truth = simulation.peer.truth()["tension"]
             error = (
                 simulation.state.tendon[:1]

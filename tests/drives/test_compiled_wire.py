@@ -16,10 +16,10 @@ import pytest
 from fuzz.drives import FUZZED_DRIVES, FuzzedDrive
 from handctl.drives.cia402.drive import Cia402Drive
 from handctl.drives.contract import NO_STEADY_STATUS, Drive, DrivePhase, DriveState, DriveTarget
-from handctl.drives.frame import BRS, ERROR, FDF, REMOTE, Frame
+from handctl.drives.frame import BRS, ERROR_FLAG, FDF, REMOTE_FLAG, Frame
 from handctl.drives.odrive.drive import OdriveDrive
-from handctl.drives.registry import PROTOCOL_ENTRIES
-from handctl.drives.sensors.node import SensorNode
+from handctl.drives.protocol_registry import PROTOCOL_ENTRIES
+from handctl.drives.sensors.sensor_node import SensorNode
 from tests.drives.protocol_bench import PERIOD_NS, ProtocolBench, hand_file
 from tests.drives.wired_drives import WiredDrives
 
@@ -62,7 +62,7 @@ def random_frame(chance: random.Random, heard: tuple[Frame, ...], t_ns: int) -> 
     if way == 2:
         return frame._replace(data=bytes(data[:-1]))
     if way == 3:
-        return frame._replace(can_id=frame.can_id | chance.choice((ERROR, REMOTE)))
+        return frame._replace(can_id=frame.can_id | chance.choice((ERROR_FLAG, REMOTE_FLAG)))
     if way == 4:
         return frame._replace(flags=frame.flags ^ (FDF | BRS))
     if way == 5 and data:
@@ -169,7 +169,7 @@ def test_an_enabled_drive_is_steady_until_it_is_due(name: str) -> None:
     due = drive.due_ns(state)
     assert due > t_ns - PERIOD_NS
     for silent in (
-        drive.initial(),
+        drive.initial_state(),
         state._replace(phase=DrivePhase.READY),
         state._replace(phase=DrivePhase.FAULT),
     ):
@@ -184,15 +184,15 @@ def test_cyclic_frames_are_what_the_bus_is_planned_for(name: str) -> None:
     """
     drive, _, _, _ = enable_drive(name)
     command_layouts = sorted(
-        (message.length, bool(message.flags)) for message in drive.cyclic.commands
+        (message.length, bool(message.flags)) for message in drive.cyclic_messages.commands
     )
-    asked = len(drive.cyclic.commands) - 1 if isinstance(drive, OdriveDrive) else 1
-    planned = list(drive.exchange)
+    asked = len(drive.cyclic_messages.commands) - 1 if isinstance(drive, OdriveDrive) else 1
+    planned = list(drive.frames_per_tick)
     for one in command_layouts:
         planned.remove(one)
     assert len(planned) == asked
-    assert {message.can_id for message in drive.cyclic.feedback} <= drive.node_ids
-    assert {message.can_id for message in drive.cyclic.commands} - {
+    assert {message.can_id for message in drive.cyclic_messages.feedback} <= drive.node_ids
+    assert {message.can_id for message in drive.cyclic_messages.commands} - {
         0x080
     } <= drive.host_ids | drive.node_ids
 

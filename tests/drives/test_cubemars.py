@@ -12,11 +12,11 @@ import pytest
 from firmware_sim.nodes.cubemars import FULL_SCALE, CubemarsNode, FeedbackError
 from firmware_sim.programs.drive import SimulatedDriveBench as DriveBench
 from firmware_sim.programs.drive_types import drive_spec
-from handctl.drives.causes import DriveFaultCause
 from handctl.drives.contract import DrivePhase, DriveTarget
+from handctl.drives.fault_causes import DriveFaultCause
 from handctl.drives.frame import Frame
 from handctl.drives.mit.cubemars import MOTOR_MODEL_RANGES, CubemarsDrive
-from handctl.drives.registry import make_drive
+from handctl.drives.protocol_registry import make_drive
 from handctl.errors import ConfigError
 from handctl.runtime.diagnostics.conformance import CheckVerdict, DeviceUnderTest, run_checks
 from tests.drives.protocol_bench import ProtocolBench, hand_file, motor_on_bench, servo_torques
@@ -71,7 +71,7 @@ def test_neither_silence_nor_an_answer_with_torque_in_it_confirms_that_it_is_off
         state = drive.receive(state, Frame(0x10, pulling, 0, 0, bench.k * 2_000_000 + tick))
         state, frames = drive.advance(state, bench.k * 2_000_000 + tick, DriveTarget.DISABLE, 0.0)
         assert state.phase == DrivePhase.ENABLED
-        assert frames == drive.cut()
+        assert frames == drive.cut_frames()
 
 
 @pytest.mark.parametrize(
@@ -88,7 +88,7 @@ def test_an_error_has_a_text_and_ends_only_by_a_clear(
     for _ in range(5):
         bench.tick(DriveTarget.ENABLE, 0.05)
     state = bench.states[0]
-    assert (state.phase, state.error_text, bench.drives[0].cause(state.error)) == (
+    assert (state.phase, state.error_text, bench.drives[0].fault_cause(state.error)) == (
         DrivePhase.FAULT,
         words,
         cause,
@@ -130,7 +130,9 @@ def test_the_manual_s_byte_of_temperature_counts_from_minus_forty() -> None:
         ({"temperature_offset_C": -40.0}, 45.0),
     ):
         drive = make_drive(motor_on_bench("cubemars", 1, 18.0, {"motor_type": "ak80-9"} | more), 0)
-        state = drive.receive(drive.initial(), Frame(1, bytes((1, 0x80, 0, 0x80, 8, 0, 85, 0))))
+        state = drive.receive(
+            drive.initial_state(), Frame(1, bytes((1, 0x80, 0, 0x80, 8, 0, 85, 0)))
+        )
         assert state.temperature == temperature
 
 

@@ -10,20 +10,20 @@ import pytest
 from cantools.database import Database
 
 from fuzz.drives import FUZZED_DRIVES, FuzzedDrive
-from handctl.controller.setup import make_drives, make_sensors
+from handctl.controller.run_setup import make_drives, make_sensors
 from handctl.drives.contract import DrivePhase, DriveTarget
-from handctl.drives.dbc import HOST_NODE_NAME, SENSOR_NODE_NAME, dbc_of_bus
+from handctl.drives.dbc_export import HOST_NODE_NAME, SENSOR_NODE_NAME, dbc_of_bus
 from handctl.drives.frame import Frame
-from handctl.drives.signals import Message, Quantity
+from handctl.drives.signals import CyclicMessage, SignalQuantity
 from handctl.hand.description import Hand
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from tests.drives.protocol_bench import ProtocolBench, hand_file, move_to_second_bus
 from tests.drives.wired_drives import WiredDrives
 
 FIELD_BY_QUANTITY = {
-    Quantity.POSITION: "position",
-    Quantity.VELOCITY: "velocity",
-    Quantity.TORQUE: "reported",
+    SignalQuantity.POSITION: "position",
+    SignalQuantity.VELOCITY: "velocity",
+    SignalQuantity.TORQUE: "reported",
 }
 DRIVE_VARIANTS = FUZZED_DRIVES | {"mit-fd": FuzzedDrive("mit", "[motor.options]\nfd = true\n")}
 EXCHANGED_TICKS = 40
@@ -47,7 +47,9 @@ def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[ProtocolBe
     made.simulated_hand.close()
 
 
-def values_read_by_controller(wired: WiredDrives, message: Message, i: int) -> dict[str, float]:
+def values_read_by_controller(
+    wired: WiredDrives, message: CyclicMessage, i: int
+) -> dict[str, float]:
     """Return the values that the controller decoded from a frame of drive i."""
     values = {
         signal.name: signal.quantity
@@ -74,7 +76,7 @@ def test_cantools_reads_what_the_controller_reads(bench: ProtocolBench) -> None:
     owners = {
         one.can_id: (i, one)
         for i, drive in enumerate(bench.drives)
-        for one in drive.cyclic.feedback
+        for one in drive.cyclic_messages.feedback
     }
     for k in range(EXCHANGED_TICKS):
         torque = 0.04 * math.sin(0.3 * k)
@@ -109,8 +111,10 @@ def test_cantools_reads_what_the_controller_reads(bench: ProtocolBench) -> None:
 def is_torque_command(dbc: Database, frame: Frame, bench: ProtocolBench, torque: float) -> bool:
     """Return True if a frame is a command with a torque. Check that its torque is that sent, within one count."""
     for drive in bench.drives:
-        for message in drive.cyclic.commands:
-            signals = [signal for signal in message.signals if signal.quantity == Quantity.TORQUE]
+        for message in drive.cyclic_messages.commands:
+            signals = [
+                signal for signal in message.signals if signal.quantity == SignalQuantity.TORQUE
+            ]
             same = message.can_id == frame.can_id and message.length == len(frame.data)
             # A write of a setting may have the identifier and length of a torque command, but other
             # first bytes.

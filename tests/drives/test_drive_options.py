@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from handctl.core.tendon_space import tendon_space
-from handctl.drives.registry import make_drive
+from handctl.drives.protocol_registry import make_drive
 from handctl.errors import ConfigError
 from handctl.hand.digit import DigitModel
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from tests.drives.protocol_bench import hand_file, motor_on_bench
 
 CIA402_OPTIONS = {"rated_torque_N_m": 0.5, "counts_per_turn": 4096}
@@ -95,5 +95,5 @@ def test_the_filter_counts_with_the_drive_s_encoder(
         path.read_text().replace("counts_per_turn = 65536", f"counts_per_turn = {counts}")
     )
     hand = load_hand(path)
-    space = tendon_space(hand, tuple(DigitModel.of(hand, name) for name in hand.digit_names))
+    space = tendon_space(hand, tuple(DigitModel.from_hand(hand, name) for name in hand.digit_names))
     np.testing.assert_allclose(space.encoder_step, step * space.spool)

@@ -5,15 +5,15 @@ from pathlib import Path
 import pytest
 
 from handctl.campaign.stage import homed_run
-from handctl.core.types import Mode
-from handctl.hand.load import load_hand
+from handctl.core.tick_types import HandMode
+from handctl.hand.hand_loading import load_hand
 from handctl.session.simulate import SimulatedRun
 from tests.drives.protocol_bench import OPTIONS_TEXT_BY_PROTOCOL, hand_file
 
 SILENCE_TICKS = 500
 
 
-def run_until_mode(simulated_run: SimulatedRun, mode: Mode) -> None:
+def run_until_mode(simulated_run: SimulatedRun, mode: HandMode) -> None:
     assert simulated_run.until(lambda out: out.mode == mode, 3.0), simulated_run.state.failure
 
 
@@ -25,7 +25,7 @@ def run_again(simulated_run: SimulatedRun) -> SimulatedRun:
         simulated_run.controller,
         simulated_run.peer,
         simulated_run.period_ns,
-        simulated_run.controller.initial(),
+        simulated_run.controller.initial_state(),
         simulated_run.k + k + 1,
     )
 
@@ -34,19 +34,19 @@ def run_again(simulated_run: SimulatedRun) -> SimulatedRun:
 def test_after_a_good_end_the_next_run_finds_no_fault(protocol: str, tmp_path: Path) -> None:
     hand = load_hand(str(hand_file(tmp_path, [protocol])))
     with homed_run(hand, 500.0, 1) as simulated_run:
-        run_until_mode(simulated_run, Mode.ACTIVE)
+        run_until_mode(simulated_run, HandMode.ACTIVE)
         simulated_run.tick(requests=('{"do": "stop"}',))
-        run_until_mode(simulated_run, Mode.DONE)
+        run_until_mode(simulated_run, HandMode.DONE)
         assert simulated_run.state.failure == ""
-        run_until_mode(run_again(simulated_run), Mode.READY)
+        run_until_mode(run_again(simulated_run), HandMode.READY)
 
 
 def test_after_a_failure_cia402_drives_stay_supervised(tmp_path: Path) -> None:
     hand = load_hand(str(hand_file(tmp_path, ["cia402"])))
     with homed_run(hand, 500.0, 1) as simulated_run:
-        run_until_mode(simulated_run, Mode.ACTIVE)
+        run_until_mode(simulated_run, HandMode.ACTIVE)
         simulated_run.peer.inject("off node=index_motor")
-        assert simulated_run.until(lambda out: out.mode == Mode.DONE, 5.0)
+        assert simulated_run.until(lambda out: out.mode == HandMode.DONE, 5.0)
         assert simulated_run.state.failure
         assert simulated_run.out is not None
         assert simulated_run.out.frames == ()

@@ -11,8 +11,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from handctl.drives.contract import DrivePhase, DriveState, DriveTarget
-from handctl.drives.frame import BRS, EXTENDED, FDF, Frame
-from handctl.drives.registry import PROTOCOL_ENTRIES
+from handctl.drives.frame import BRS, EXTENDED_FLAG, FDF, Frame
+from handctl.drives.protocol_registry import PROTOCOL_ENTRIES
 from handctl.runtime.diagnostics.drive_rig import DriveRig
 from tests.drives.protocol_bench import ProtocolBench, hand_file
 from tests.drives.virtual_bench import VirtualBench, drive_rig_on
@@ -38,11 +38,15 @@ def bench(
 def extended_ids(bench: ProtocolBench, chance: random.Random) -> set[int]:
     """Return 29-bit identifiers: random ones, some of a drive and its host, and each of these with one bit changed."""
     ours = sorted(
-        one for one in bench.drives[0].node_ids | bench.drives[0].host_ids if one & EXTENDED
+        one for one in bench.drives[0].node_ids | bench.drives[0].host_ids if one & EXTENDED_FLAG
     )
     near = chance.sample(ours, min(len(ours), 4))
     changed = {one ^ 1 << bit for one in near for bit in range(29)}
-    return {*near, *changed, *(EXTENDED | chance.getrandbits(29) for _ in range(RANDOM_ID_COUNT))}
+    return {
+        *near,
+        *changed,
+        *(EXTENDED_FLAG | chance.getrandbits(29) for _ in range(RANDOM_ID_COUNT)),
+    }
 
 
 def every_frame(bench: ProtocolBench, seed: int, t_ns: int) -> Iterator[Frame]:
@@ -60,7 +64,7 @@ def every_frame(bench: ProtocolBench, seed: int, t_ns: int) -> Iterator[Frame]:
 def states_of(bench: ProtocolBench) -> list[DriveState]:
     """Return a silent, a ready and an enabled state of the first drive. The enabled state comes from the bench."""
     ready = bench.states[0]._replace(phase=DrivePhase.READY)
-    return [bench.drives[0].initial(), ready, bench.states[0]]
+    return [bench.drives[0].initial_state(), ready, bench.states[0]]
 
 
 @pytest.mark.parametrize("number", range(3), ids=["silent", "ready", "enabled"])

@@ -8,8 +8,8 @@ import cantools.database
 import odrive_can
 import pytest
 
-from firmware_sim.bus.frame import REMOTE, Frame
-from firmware_sim.nodes.cia402.dictionary import EDS_PATH, ObjectDictionary
+from firmware_sim.bus.frame import REMOTE_FLAG, Frame
+from firmware_sim.nodes.cia402.object_dictionary import EDS_PATH, ObjectDictionary
 from firmware_sim.programs.drive import SimulatedDriveBench
 from firmware_sim.programs.drive_types import drive_spec
 from handctl.drives.cia402 import settings as setup
@@ -84,7 +84,7 @@ def test_what_a_simulated_odrive_answers_is_a_message_of_the_vendor(
     frames = bench.take_unsolicited()
     for message in vendor_dbc.messages:
         if message.name.startswith(f"Axis{ODRIVE_NODE_ID}_Get_"):
-            frames += bench.receive(Frame(message.frame_id | REMOTE, b""))
+            frames += bench.receive(Frame(message.frame_id | REMOTE_FLAG, b""))
     assert {frame.can_id & 0x1F for frame in frames} >= {
         0x00,
         0x01,
@@ -116,7 +116,9 @@ def test_a_simulated_odrive_obeys_what_the_vendors_dbc_encodes(
         message = vendor_dbc.get_message_by_name(f"Axis{ODRIVE_NODE_ID}_{name}")
         bench.receive(Frame(message.frame_id, message.encode(values)))
     assert bench.motors[0].servo.torque == 0.125
-    (reply,) = bench.receive(Frame(codec.message_id(ODRIVE_NODE_ID, codec.TORQUES) | REMOTE, b""))
+    (reply,) = bench.receive(
+        Frame(codec.message_id(ODRIVE_NODE_ID, codec.TORQUES) | REMOTE_FLAG, b"")
+    )
     assert vendor_dbc.decode_message(reply.can_id, reply.data)["Torque_Target"] == 0.125
     bench.receive(
         Frame(vendor_dbc.get_message_by_name(f"Axis{ODRIVE_NODE_ID}_Estop").frame_id, b"")

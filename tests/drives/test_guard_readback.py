@@ -47,13 +47,13 @@ def keep_setting(virtual_bench: VirtualBench, guard) -> None:
         node.endpoints = _EndpointsWithFixedValue(node.endpoints, guard)
     elif isinstance(node, MoteusNode):
         node.channel.items = _EndpointsWithFixedValue(node.channel.items, guard)
-        write_one = node._write
-        node._write = lambda number, kind, raw: (
+        write_one = node._write_register
+        node._write_register = lambda number, kind, raw: (
             0 if number == guard else write_one(number, kind, raw)
         )
     elif isinstance(node, RobstrideNode):
-        write_parameter = node._write
-        node._write = lambda data, t_ns: (
+        write_parameter = node._write_parameter
+        node._write_parameter = lambda data, t_ns: (
             None if int.from_bytes(data[:2], "little") == guard else write_parameter(data, t_ns)
         )
     else:

@@ -16,8 +16,8 @@ from typing import Any
 import cantools.database
 import pytest
 
-from firmware_sim.nodes.sensors import pack, tension_code
-from handctl.drives.sensors import node as host
+from firmware_sim.nodes.sensor_node import pack, tension_code
+from handctl.drives.sensors import sensor_node as host
 
 FIRMWARE_FOLDER = Path(__file__).parents[2] / "firmware" / "load_cell_node"
 SENSOR_NODE_DBC = Path(host.__file__).with_name("sensor_node.dbc")

@@ -12,8 +12,8 @@ from handctl.drives.frame import FDF, Frame
 from handctl.drives.mit import codec
 from handctl.drives.mit.drive import MitDrive
 from handctl.drives.mit.progress import MitProgress
+from handctl.drives.protocol_registry import make_drive
 from handctl.drives.readback import ReadbackCursor
-from handctl.drives.registry import make_drive
 from handctl.drives.signals import SignalTable
 from handctl.errors import ConfigError
 from tests.drives.conftest import MotorSection, mit_drive_of
@@ -210,7 +210,7 @@ def test_any_frame_is_survived_in_any_state(
 
 
 def test_frames_of_every_identifier_and_length_are_survived() -> None:
-    drive, state = mit_drive_of(), mit_drive_of().initial()
+    drive, state = mit_drive_of(), mit_drive_of().initial_state()
     for can_id in range(2048):
         for length in range(65):
             after = drive.receive(state, Frame(can_id, b"\x01" * length))
@@ -220,9 +220,9 @@ def test_frames_of_every_identifier_and_length_are_survived() -> None:
 def test_options_set_reply_identifier_and_can_fd() -> None:
     drive = mit_drive_of(options={"reply_id": 0x55, "fd": True})
     assert drive.node_ids == {0x55}
-    assert drive.cut()[0].flags & FDF
-    assert drive.exchange == ((8, True), (8, True))
-    assert mit_drive_of().exchange == ((8, False), (8, False))
+    assert drive.cut_frames()[0].flags & FDF
+    assert drive.frames_per_tick == ((8, True), (8, True))
+    assert mit_drive_of().frames_per_tick == ((8, False), (8, False))
     assert mit_drive_of().host_ids == {0x001, 0x101, 0x201, 0x301, 0x7FF}
 
 

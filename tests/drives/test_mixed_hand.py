@@ -6,15 +6,15 @@ from pathlib import Path
 import pytest
 
 from handctl.controller.bus_load import bus_loads
-from handctl.controller.setup import make_sensors
+from handctl.controller.run_setup import make_sensors
 from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.frame_time import bus_time_s
-from handctl.drives.identifiers import check_identifiers
+from handctl.drives.identifier_checks import check_identifiers
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from handctl.drives.odrive.discovery import FREE_NUMBERS
-from handctl.drives.registry import make_drive
+from handctl.drives.protocol_registry import make_drive
 from handctl.errors import ConfigError
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from tests.drives.protocol_bench import ProtocolBench, hand_file, motor_on_bench, move_to_second_bus
 
 
@@ -158,7 +158,7 @@ def test_the_load_is_that_of_the_table(
     With CiA 402, it counts an empty SYNC too.
     """
     bench = ProtocolBench(hand_file(tmp_path, [protocol], extra))
-    frames = [(size, fd, 1.0) for drive in bench.drives for size, fd in drive.exchange] + [
+    frames = [(size, fd, 1.0) for drive in bench.drives for size, fd in drive.frames_per_tick] + [
         (8, False, 1.0)
     ]
     frames += (

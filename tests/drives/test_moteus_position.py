@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from firmware_sim.nodes.moteus.node import MoteusNode
-from firmware_sim.nodes.moteus.text import FACTORY_CONFIGURATION
+from firmware_sim.nodes.moteus.text_channel import FACTORY_CONFIGURATION
 from handctl.campaign.scenarios import FREE_STAGE
 from handctl.campaign.stage import advance_to, homed_run
-from handctl.core import block as s
-from handctl.core import wire
-from handctl.core.types import Mode
+from handctl.core import cyclic_frames
+from handctl.core import state_block as s
+from handctl.core.tick_types import HandMode
 from handctl.drives.contract import DrivePhase, DriveTarget
+from handctl.drives.frame_records import WORDS_PER_RECORD, Frames
 from handctl.drives.moteus import codec
 from handctl.drives.moteus.drive import MoteusDrive
 from handctl.drives.moteus.settings import (
@@ -24,8 +25,7 @@ from handctl.drives.moteus.settings import (
     rounded_to_float32,
     write_request,
 )
-from handctl.drives.records import WORDS_PER_RECORD, Frames
-from handctl.drives.signals import Quantity, SignalTable
+from handctl.drives.signals import SignalQuantity, SignalTable
 from handctl.runtime.diagnostics.drive_rig import DriveRig
 from tests.controller.test_position_loop import (
     begin_to_and_fro,
@@ -45,7 +45,7 @@ NAN_ITEMS = ("servo.default_velocity_limit", "servo.default_accel_limit", "servo
 def drive_with_loop(**changes: object) -> MoteusDrive:
     """Return a drive that closes the position loop."""
     given = {"control": "position", "kp_N_m_per_rad": KP, "kd_N_m_s_per_rad": KD} | changes
-    return MoteusDrive.of(motor_on_bench("moteus", DRIVE_NODE_ID, 0.5, {}, **given), 0)
+    return MoteusDrive.from_motor(motor_on_bench("moteus", DRIVE_NODE_ID, 0.5, {}, **given), 0)
 
 
 def armed_rig(virtual_bench: VirtualBench) -> DriveRig:
@@ -61,9 +61,9 @@ def node_of(virtual_bench: VirtualBench) -> MoteusNode:
 @pytest.mark.parametrize("direction", [1, -1])
 def test_the_frame_has_the_registers_of_the_fact_sheet(direction: int) -> None:
     drive = drive_with_loop(direction=direction, zero_rad=0.3, watchdog_ms=50)
-    message = drive.cyclic.position
+    message = drive.cyclic_messages.position
     assert message is not None
-    assert drive.cyclic.moves_target
+    assert drive.cyclic_messages.moves_target
     table = SignalTable(message._replace(limit=math.inf))
     can_id, data = table.pack_frame(
         1.7, -4.0, 0.25 * GAINS_PER_RAD[0], 0.5 * GAINS_PER_RAD[1], 0.2, 0.4
@@ -86,9 +86,9 @@ GAINS_PER_RAD = tuple(gain / math.tau for gain in GAIN_BY_ITEM.values())
 
 
 def test_a_motor_with_torque_commands_has_no_position_command_and_the_settings_of_before() -> None:
-    drive = MoteusDrive.of(motor_on_bench("moteus", DRIVE_NODE_ID, 0.5, {}), 0)
-    assert drive.cyclic.position is None
-    assert not drive.cyclic.moves_target
+    drive = MoteusDrive.from_motor(motor_on_bench("moteus", DRIVE_NODE_ID, 0.5, {}), 0)
+    assert drive.cyclic_messages.position is None
+    assert not drive.cyclic_messages.moves_target
     assert [setting.name for setting in drive.configuration] == [
         "servopos.position_min", "servo.fixed_voltage_mode", "servo.timeout_mode", "servopos.position_max",
     ]  # fmt: skip
@@ -195,7 +195,7 @@ def test_a_number_that_cannot_be_encoded_becomes_a_torque_command(row: int, valu
 def sent_frames(block, layout, tables, torque) -> list[bytes]:
     """Return the payloads of the commands of a block."""
     out = np.zeros((len(tables.templates), WORDS_PER_RECORD), np.uint64)
-    first, count = wire.encode_commands(
+    first, count = cyclic_frames.encode_commands(
         block, layout.places, out, tables.commands, tables.sent_wholes, tables.sent_reals, tables.templates, torque,
         tables.servos, tables.servo_templates, tables.servo_wholes, tables.servo_reals, 0, 0,
     )  # fmt: skip
@@ -204,13 +204,13 @@ def sent_frames(block, layout, tables, torque) -> list[bytes]:
 
 
 def test_every_signal_has_its_range() -> None:
-    message = drive_with_loop().cyclic.position
+    message = drive_with_loop().cyclic_messages.position
     assert message is not None
     ends = {signal.quantity: signal.ends for signal in message.signals}
-    assert ends[Quantity.STIFFNESS] == (0.0, GAINS_PER_RAD[0])
-    assert ends[Quantity.DAMPING] == pytest.approx((0.0, GAINS_PER_RAD[1]))
-    assert ends[Quantity.VELOCITY] == pytest.approx((-30.0, 30.0))
-    assert ends[Quantity.POSITION] == pytest.approx((-256.0 * math.tau, 256.0 * math.tau))
+    assert ends[SignalQuantity.STIFFNESS] == (0.0, GAINS_PER_RAD[0])
+    assert ends[SignalQuantity.DAMPING] == pytest.approx((0.0, GAINS_PER_RAD[1]))
+    assert ends[SignalQuantity.VELOCITY] == pytest.approx((-30.0, 30.0))
+    assert ends[SignalQuantity.POSITION] == pytest.approx((-256.0 * math.tau, 256.0 * math.tau))
 
 
 @pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
@@ -221,7 +221,7 @@ def test_a_hand_whose_moteus_lost_its_settings_relaxes(seed: int) -> None:
         advance_to(course, FREE_STAGE)
         motor = hand.motor[seed % 4].name
         course.peer.inject(f"forget node={motor}")
-        assert course.until(lambda out: out.mode in (Mode.RELAX, Mode.CUT), 1.2)
+        assert course.until(lambda out: out.mode in (HandMode.RELAX, HandMode.CUT), 1.2)
         found = {(mark.id, mark.instance) for mark in course.state.latched}
         assert found
         assert found <= {("N12", motor), ("N14", motor), ("N17", motor)}

@@ -11,9 +11,9 @@ import odrive_can
 import pytest
 
 from handctl.drives.contract import DrivePhase, DriveTarget
-from handctl.drives.frame import REMOTE, Frame
+from handctl.drives.frame import REMOTE_FLAG, Frame
 from handctl.drives.odrive import firmware_05 as odrive_05
-from handctl.drives.registry import make_drive
+from handctl.drives.protocol_registry import make_drive
 from handctl.errors import ConfigError
 from handctl.runtime.diagnostics.conformance import CheckVerdict, DeviceUnderTest, run_checks
 from handctl.runtime.diagnostics.scan import scan_bus
@@ -61,7 +61,7 @@ def test_odrive_05_is_not_asked_for_missing_messages():
     send = virtual_bench.send
     virtual_bench.send = lambda frames: (sent.extend(frames), send(frames))[1]
     rig.until(DriveTarget.ENABLE, lambda state: False, 1.0)
-    asked = {frame.can_id & 0x1F for frame in sent if frame.can_id & REMOTE}
+    asked = {frame.can_id & 0x1F for frame in sent if frame.can_id & REMOTE_FLAG}
     assert asked == {0x09}
     assert rig.state.phase == DrivePhase.ENABLED
 
@@ -114,4 +114,4 @@ def test_the_heartbeat_of_odrive_05_has_the_vendors_layout():
 def test_a_heartbeat_of_the_new_kind_is_not_taken_for_an_old_one_with_flags():
     drive = make_drive(motor_on_bench("odrive", DRIVE_NODE_ID, 0.1, {}), 0)
     beat = Frame(DRIVE_NODE_ID << 5 | 1, struct.pack("<IBBBB", 0, 1, 3, 0, 0), 0, 0, 10)
-    assert drive.receive(drive.initial(), beat).phase != DrivePhase.FAULT
+    assert drive.receive(drive.initial_state(), beat).phase != DrivePhase.FAULT

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from handctl.drives.contract import DrivePhase, DriveTarget
-from handctl.drives.frame import EXTENDED, FDF, REMOTE, Frame
+from handctl.drives.frame import EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from tests.drives.protocol_bench import ProtocolBench, hand_file, servo_torques
 
@@ -80,7 +80,8 @@ def test_a_cut_removes_the_torque_in_the_same_tick_and_disarms(bench: ProtocolBe
     bench.tick(DriveTarget.ENABLE, 0.05)
     assert 0.0 not in servo_torques(bench)
     bench.tick(
-        DriveTarget.LISTEN, extra_frames=[frame for drive in bench.drives for frame in drive.cut()]
+        DriveTarget.LISTEN,
+        extra_frames=[frame for drive in bench.drives for frame in drive.cut_frames()],
     )
     assert servo_torques(bench) == [0.0] * 4
     for _ in range(200):
@@ -94,7 +95,7 @@ def test_a_cut_removes_the_torque_before_the_node_leaves_operational(bench: Prot
     CiA 402-2 requires no reaction of a drive that leaves this state.
     """
     for drive in bench.drives:
-        orders = [frame.can_id for frame in drive.cut()]
+        orders = [frame.can_id for frame in drive.cut_frames()]
         assert 0 not in orders[:1], "an NMT order comes after the control word"
 
 
@@ -129,9 +130,9 @@ def test_any_bytes_on_any_identifier_are_survived(bench: ProtocolBench, phase: D
             if can_id not in drive.node_ids:
                 assert after is known
             drive.advance(after, bench.k * 2_000_000, DriveTarget.POLL, 0.0)
-            for other in (frame._replace(bus=1), frame._replace(can_id=can_id | EXTENDED)):
+            for other in (frame._replace(bus=1), frame._replace(can_id=can_id | EXTENDED_FLAG)):
                 assert drive.receive(known, other) is known
-            assert drive.receive(known, frame._replace(can_id=can_id | REMOTE)) is known
+            assert drive.receive(known, frame._replace(can_id=can_id | REMOTE_FLAG)) is known
 
 
 def test_simulated_nodes_survive_any_bytes(bench: ProtocolBench) -> None:
@@ -140,7 +141,7 @@ def test_simulated_nodes_survive_any_bytes(bench: ProtocolBench) -> None:
         for length in (0, 1, 3, 4, 8, 64):
             flags = FDF if length > 8 else 0
             bench.simulated_hand.world.receive(Frame(can_id, chance.randbytes(length), flags))  # type: ignore[arg-type]
-        bench.simulated_hand.world.receive(Frame(can_id | REMOTE, b""))  # type: ignore[arg-type]
+        bench.simulated_hand.world.receive(Frame(can_id | REMOTE_FLAG, b""))  # type: ignore[arg-type]
     bench.simulated_hand.world.advance(bench.simulated_hand.world.t_ns + 100_000_000)
 
 

@@ -8,11 +8,11 @@ import pytest
 from firmware_sim.bus.frame import Frame as SimFrame
 from firmware_sim.nodes.robstride import node as simulated
 from firmware_sim.nodes.robstride.mit_mode import RobstrideMitNode
-from handctl.drives.causes import DriveFaultCause
 from handctl.drives.contract import DrivePhase, DriveTarget
+from handctl.drives.fault_causes import DriveFaultCause
 from handctl.drives.frame import Frame
-from handctl.drives.registry import make_drive
-from handctl.drives.robstride.mit import READ_FAULTS, RobstrideMitDrive
+from handctl.drives.protocol_registry import make_drive
+from handctl.drives.robstride.mit_mode import READ_FAULTS, RobstrideMitDrive
 from handctl.errors import ConfigError
 from tests.drives.protocol_bench import ProtocolBench, hand_file, motor_on_bench, servo_torques
 from tests.drives.virtual_bench import VirtualBench, drive_rig_on
@@ -78,7 +78,7 @@ def test_faults_are_read_before_torque_and_await_a_clear(
         bench.tick(DriveTarget.POLL)
     drive, state = bench.drives[0], bench.states[0]
     assert (state.phase, state.error_text) == (DrivePhase.FAULT, words)
-    assert drive.cause(state.error) == cause
+    assert drive.fault_cause(state.error) == cause
     for _ in range(20):
         bench.tick(DriveTarget.ENABLE)
     assert bench.states[0].phase == DrivePhase.FAULT
@@ -111,7 +111,7 @@ def test_only_a_disabled_motor_is_asked_for_its_faults(bench: ProtocolBench) -> 
 
 def test_feedback_at_the_freezing_point_is_no_fault() -> None:
     drive = robstride_mit_drive()
-    state = drive.initial()
+    state = drive.initial_state()
     frozen = bytes((5, 0x80, 0, 0x80, 0x08, 0, 0, 0))
     for k in range(5):
         state, _ = drive.advance(state, k * MILLISECOND_NS, DriveTarget.POLL, 0.0)

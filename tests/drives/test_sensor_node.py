@@ -13,8 +13,13 @@ from cantools.database import Database
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handctl.drives.frame import ERROR, EXTENDED, REMOTE, Frame
-from handctl.drives.sensors.node import TENSION_MAX_N, TENSION_ZERO_N, SensorNode, sync_counters
+from handctl.drives.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, Frame
+from handctl.drives.sensors.sensor_node import (
+    TENSION_MAX_N,
+    TENSION_ZERO_N,
+    SensorNode,
+    sync_counters,
+)
 from tests.drives.wired_drives import WiredDrives
 
 raw_codes = st.integers(0, 4095)
@@ -46,7 +51,7 @@ SENSOR_NODE_DBC = read_dbc()
 
 @pytest.fixture
 def node() -> SensorNode:
-    return SensorNode.of(SensorNodeSection(), 0, TENDON_NAMES, JOINT_NAMES)
+    return SensorNode.from_description(SensorNodeSection(), 0, TENDON_NAMES, JOINT_NAMES)
 
 
 def encode_frames(
@@ -107,7 +112,7 @@ def state_after_sync(node: SensorNode, k: int) -> WiredDrives:
     st.integers(0, 2**40),
 )
 def test_every_value_reads_as_the_dbc_says(tensions: list[int], joints: list[int], k: int) -> None:
-    node = SensorNode.of(
+    node = SensorNode.from_description(
         SensorNodeSection(tendons=TENDON_NAMES[: len(tensions)], joints=JOINT_NAMES[: len(joints)]),
         0,
         TENDON_NAMES,
@@ -138,7 +143,7 @@ def test_sensor_frames_are_decoded_to_known_values() -> None:
     0 N is 96 = 0x060, 10 N is 256 = 0x100, the upper end of the range is 0xFFF, 0 rad is 0x800, and
     the counter is 7.
     """
-    node = SensorNode.of(
+    node = SensorNode.from_description(
         SensorNodeSection(tendons=TENDON_NAMES[:3], joints=("j4",)), 0, TENDON_NAMES, JOINT_NAMES
     )
     sync = node.sync(tick_of(node, 7))
@@ -154,7 +159,7 @@ def test_sensor_frames_are_decoded_to_known_values() -> None:
 
 @given(st.integers(0, 255), st.integers(0, 15))
 def test_only_the_answer_to_the_last_sync_counts(k: int, counter: int) -> None:
-    node = SensorNode.of(SensorNodeSection(), 0, TENDON_NAMES, JOINT_NAMES)
+    node = SensorNode.from_description(SensorNodeSection(), 0, TENDON_NAMES, JOINT_NAMES)
     wired = state_after_sync(node, k).receive(
         encode_frames(0x1A0, "tension", counter, [100] * CHANNEL_COUNT)
     )
@@ -208,7 +213,7 @@ def test_reading_is_new_once_and_missing_stays_missing(node: SensorNode) -> None
 
 
 def test_times_are_in_the_order_of_the_hand() -> None:
-    node = SensorNode.of(
+    node = SensorNode.from_description(
         SensorNodeSection(tendons=("t2", "t0", "t1", "t5", "t4", "t3")),
         0,
         TENDON_NAMES[:7],
@@ -231,7 +236,9 @@ def test_times_are_in_the_order_of_the_hand() -> None:
 
 
 def test_a_hand_without_load_cells_has_no_reading() -> None:
-    node = SensorNode.of(SensorNodeSection(tendons=()), 0, TENDON_NAMES[:3], JOINT_NAMES)
+    node = SensorNode.from_description(
+        SensorNodeSection(tendons=()), 0, TENDON_NAMES[:3], JOINT_NAMES
+    )
     assert [node.group_of_tendon(i) for i in range(3)] == [-1, -1, -1]
     assert node.tension_frames == 0
 
@@ -246,12 +253,12 @@ def without_unknown_counters(wired: WiredDrives) -> bytes:
 
 @given(
     st.one_of(st.just(0x1A1), st.integers(0, 2047)),
-    st.sampled_from([0, 0, EXTENDED, REMOTE, ERROR]),
+    st.sampled_from([0, 0, EXTENDED_FLAG, REMOTE_FLAG, ERROR_FLAG]),
     st.binary(max_size=64),
     st.integers(0, 2),
 )
 def test_any_sensor_frame_is_survived(can_id: int, mark: int, data: bytes, bus: int) -> None:
-    node = SensorNode.of(SensorNodeSection(), 0, TENDON_NAMES, JOINT_NAMES)
+    node = SensorNode.from_description(SensorNodeSection(), 0, TENDON_NAMES, JOINT_NAMES)
     wired = state_after_sync(node, 5)
     before, here = without_unknown_counters(wired), bus == 0 and can_id in node.node_ids
     wired.receive([Frame(can_id | mark, data, bus=bus)])
@@ -259,10 +266,10 @@ def test_any_sensor_frame_is_survived(can_id: int, mark: int, data: bytes, bus: 
         assert without_unknown_counters(wired) == before
     assert len(wired.foreign_frames) == (bus == 0 and not mark and can_id in node.host_ids)
     assert wired.field_number("strange") == (
-        not wired.foreign_frames and not (here and mark in (0, ERROR))
+        not wired.foreign_frames and not (here and mark in (0, ERROR_FLAG))
     )
     fits = here and mark == 0 and len(data) == node.lengths[node.ids.index(can_id)]
-    assert wired.has_malformed_frame == (here and mark != ERROR and not fits)
+    assert wired.has_malformed_frame == (here and mark != ERROR_FLAG and not fits)
 
 
 @pytest.mark.parametrize("size", [0, 1, 7, 9, 64])
@@ -276,8 +283,8 @@ def test_the_exchange_is_what_the_frames_take(node: SensorNode) -> None:
     frames = encode_frames(0x1A0, "tension", 0, [0] * CHANNEL_COUNT) + encode_frames(
         0x1B0, "joint", 0, [0] * CHANNEL_COUNT
     )
-    assert [size for size, _ in node.exchange] == [1, *(len(frame.data) for frame in frames)]
-    assert sum(rate for _, rate in node.exchange) == 1 + 3 + 3 / 4
+    assert [size for size, _ in node.frames_per_tick] == [1, *(len(frame.data) for frame in frames)]
+    assert sum(rate for _, rate in node.frames_per_tick) == 1 + 3 + 3 / 4
 
 
 def test_a_saturated_load_cell_is_beyond_the_rail_after_any_tare(node: SensorNode) -> None:
@@ -286,7 +293,7 @@ def test_a_saturated_load_cell_is_beyond_the_rail_after_any_tare(node: SensorNod
 
 
 def test_the_simulated_node_and_the_host_agree(node: SensorNode) -> None:
-    from firmware_sim.nodes.sensors import joint_code, pack, tension_code
+    from firmware_sim.nodes.sensor_node import joint_code, pack, tension_code
 
     forces, angles = [7.3 * i for i in range(5)], [0.4 * i - 0.8 for i in range(5)]
     frames = [
@@ -308,7 +315,7 @@ def test_a_frame_group_counts_its_frames(node: SensorNode) -> None:
     assert wired.field_view("group_frames").tolist() == [2, 2, 2, 0, 0, 0]
     assert wired.field_view("group_ns").tolist() == [6, 6, 6, -1, -1, -1]
     assert wired.field_view("group_answered").tolist() == [1, 1, 1, 0, 0, 0]
-    other = SensorNode.of(SensorNodeSection(), 1, TENDON_NAMES, JOINT_NAMES)
+    other = SensorNode.from_description(SensorNodeSection(), 1, TENDON_NAMES, JOINT_NAMES)
     assert other.sync(0x1FF) == Frame(0x080, other.counters[0x1FF:0x200], bus=1)
     assert sync.bus == 0
 
@@ -372,6 +379,6 @@ def test_each_joint_frame_has_its_joints_and_the_time_when_it_came_last(node: Se
 
 
 def test_lost_frames_are_those_that_never_came(node: SensorNode) -> None:
-    assert node.lost(0, 0, 0) == 0
-    assert node.lost(10, 27, 0) == 0, "the last ones may be on their way"
-    assert node.lost(10, 20, 3) == 4
+    assert node.lost_frame_count(0, 0, 0) == 0
+    assert node.lost_frame_count(10, 27, 0) == 0, "the last ones may be on their way"
+    assert node.lost_frame_count(10, 20, 3) == 4

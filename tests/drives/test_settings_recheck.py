@@ -10,10 +10,10 @@ import pytest
 
 from handctl.campaign.scenarios import ALL_PROTOCOLS, FREE_STAGE
 from handctl.campaign.stage import advance_to, hand_with_protocol, homed_run
-from handctl.core.types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.drives import readback
-from handctl.drives.causes import DriveFaultCause
 from handctl.drives.contract import DrivePhase, DriveTarget
+from handctl.drives.fault_causes import DriveFaultCause
 from handctl.drives.frame import Frame
 from handctl.drives.mit import codec
 from handctl.drives.mit.drive import MitDrive
@@ -30,7 +30,7 @@ def enabled_mit_drive(node_id: int) -> tuple[MitDrive, object]:
         "m", 0, node_id, node_id + 0x100, codec.MotorRanges(12.5, 50.0, 0.8), 1, 0.0, 1000
     )
     check = readback.first_recheck(node_id, 0)
-    state = drive.initial()._replace(
+    state = drive.initial_state()._replace(
         phase=DrivePhase.ENABLED,
         private=MitProgress(configured=True, enable_sent=True, check=check),
     )
@@ -92,7 +92,7 @@ def test_a_lost_register_is_a_mismatch_within_a_second(node_id, lost):
     drive, state = enabled_mit_drive(node_id)
     state, asked = run_drive(drive, state, 600, CORRECT_REGISTERS | lost)
     assert state.phase == DrivePhase.FAULT
-    assert drive.cause(state.error) == DriveFaultCause.MISMATCH
+    assert drive.fault_cause(state.error) == DriveFaultCause.MISMATCH
     assert "while enabled" in state.error_text
     assert asked[-1][0] <= 500
 
@@ -119,7 +119,7 @@ def test_a_hand_whose_drive_lost_its_settings_is_cut(protocol, seed):
         advance_to(course, FREE_STAGE)
         course.peer.inject(f"forget node={hand.motor[seed % 4].name}")
         end_s = course.k * course.period_ns * 1e-9 + 1.01
-        assert course.until(lambda out: out.mode == Mode.CUT, 1.02)
+        assert course.until(lambda out: out.mode == HandMode.CUT, 1.02)
         assert course.k * course.period_ns * 1e-9 <= end_s
         latched = {(mark.id, mark.instance) for mark in course.state.latched}
         assert latched == {("N12", hand.motor[seed % 4].name)}
@@ -136,7 +136,7 @@ def test_a_hand_whose_moteus_lost_its_settings_relaxes(seed):
         advance_to(course, FREE_STAGE)
         motor = hand.motor[seed % 4].name
         course.peer.inject(f"forget node={motor}")
-        assert course.until(lambda out: out.mode in (Mode.RELAX, Mode.CUT), 1.02)
+        assert course.until(lambda out: out.mode in (HandMode.RELAX, HandMode.CUT), 1.02)
         found = {(mark.id, mark.instance) for mark in course.state.latched}
         assert found <= {("N12", motor), ("N14", motor)}
         assert found

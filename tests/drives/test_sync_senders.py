@@ -11,15 +11,15 @@ import pytest
 
 from handctl.campaign.stage import hand_with_protocol
 from handctl.controller.bus_load import bus_loads, with_more_buses
-from handctl.controller.setup import make_drives
+from handctl.controller.run_setup import make_drives
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode
 from handctl.drives.frame_time import MAX_BUS_LOAD, frame_time_s
 from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_content, hand_from_content, load_hand
-from handctl.programs.live import LiveProgram
+from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand
+from handctl.programs.live_session import LiveProgram
 from handctl.session.simulate import SimulatorSettings, homed_controller
 from tests.drives.protocol_bench import hand_file, move_to_second_bus
 
@@ -47,11 +47,11 @@ def test_a_hand_on_two_buses_has_sync_on_both(tmp_path: Path) -> None:
     assert sync_sender_names(hand) == ["thumb_motor"], (
         "the last drive of the bus without the sensor node"
     )
-    model = HandModel.of(hand, Gains(), 250.0)
+    model = HandModel.from_hand(hand, Gains(), 250.0)
     with SimulatorSettings(str(path), None, 0, homed=True).against(
         homed_controller(model, LiveProgram())
     ) as run:
-        assert run.until(lambda out: out.mode == Mode.ACTIVE, 5.0)
+        assert run.until(lambda out: out.mode == HandMode.ACTIVE, 5.0)
         sent = [(frame.bus, len(frame.data)) for frame in run.out.frames if frame.can_id == SYNC_ID]
         assert sent == [(0, 1), (1, 0)], (
             "once on each bus: with the counter for the sensor node, else empty"
@@ -109,4 +109,4 @@ def test_each_bus_of_a_split_has_room_for_its_sync() -> None:
         hand = hand_with_protocol("jamia11", "cia402")
         changed = with_more_buses(hand, rate)
         loads = bus_loads(hand_from_content(tomllib.loads(changed.to_toml()), "split"))
-        assert max(load.at(rate) for load in loads) <= MAX_BUS_LOAD, rate
+        assert max(load.load_at(rate) for load in loads) <= MAX_BUS_LOAD, rate

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from handctl.campaign.stage import hand_with_protocol
-from handctl.core import block as s
+from handctl.core import state_block as s
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
-from handctl.programs.grasp import TaskProgram
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode
 from handctl.programs.task import Task
+from handctl.programs.task_program import TaskProgram
 from handctl.session.simulate import SimulatorSettings, homed_controller
 
 SIMULATOR_SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 1)
@@ -39,7 +39,7 @@ def test_the_tension_does_not_oscillate_by_late_positions(seed: int) -> None:
 
     This ended the default task with N14b.
     """
-    model = HandModel.of(hand_with_protocol("n_plus_1", "odrive"), Gains(), RATE_HZ)
+    model = HandModel.from_hand(hand_with_protocol("n_plus_1", "odrive"), Gains(), RATE_HZ)
     with SimulatorSettings(model.hand, None, seed, homed=True).against(
         homed_controller(model, TaskProgram(BEND_AND_OPEN_TASK))
     ) as run:
@@ -47,7 +47,7 @@ def test_the_tension_does_not_oscillate_by_late_positions(seed: int) -> None:
         largest = 0.0
         for _, out in run.ticks(4.0):
             largest = max(largest, float(run.state.tendon[s.SWING_SQUARE].max()))
-            if out.mode == Mode.RELAX:
+            if out.mode == HandMode.RELAX:
                 break
         assert not run.state.failure, "the task ends by itself"
         assert np.sqrt(largest) < LARGEST_SWING_N

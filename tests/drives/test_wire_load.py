@@ -7,8 +7,8 @@ import pytest
 
 from handctl.controller.bus_load import bus_loads
 from handctl.drives.contract import DrivePhase, DriveTarget
-from handctl.drives.frame import ERROR
-from handctl.hand.load import hand_path, load_hand
+from handctl.drives.frame import ERROR_FLAG
+from handctl.hand.hand_loading import hand_path, load_hand
 from handctl.runtime.clocks.lockstep import LockstepBus, LockstepClock
 from tests.drives.protocol_bench import ProtocolBench, hand_file, move_to_second_bus
 
@@ -18,7 +18,9 @@ PERIOD_NS = 4_000_000
 
 def planned_tick_s(path: Path, period_ns: int = PERIOD_NS) -> list[float]:
     """Return the planned bus time of a tick on each bus [s], including frames that a timer sends."""
-    return [load.at(1e9 / period_ns) * period_ns * 1e-9 for load in bus_loads(load_hand(str(path)))]
+    return [
+        load.load_at(1e9 / period_ns) * period_ns * 1e-9 for load in bus_loads(load_hand(str(path)))
+    ]
 
 
 def measured_tick_s(path: Path, wire: Sequence[str], period_ns: int = PERIOD_NS) -> list[float]:
@@ -87,7 +89,7 @@ def test_lockstep_matches_the_timed_wire(tmp_path: Path) -> None:
     bus.send([bench.sensor_node.sync(0)])
     for k in range(1, 5):
         clock.wait(k)
-    assert not any(frame.can_id & ERROR for frame in bus.drain())
+    assert not any(frame.can_id & ERROR_FLAG for frame in bus.drain())
     assert {"error_warning", "error_passive", "bus_off"} <= {
         kind for kind, _, _ in bus.take_events()
     }

@@ -7,7 +7,7 @@ from firmware_sim.nodes.odrive.bench import ENDPOINT_NUMBERS
 from firmware_sim.programs.drive import SimulatedDriveBench
 from firmware_sim.programs.drive_types import drive_spec
 from handctl.drives.frame import Frame
-from handctl.drives.registry import make_drive
+from handctl.drives.protocol_registry import make_drive
 from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
 from tests.drives.protocol_bench import motor_on_bench
 

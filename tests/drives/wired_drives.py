@@ -6,15 +6,15 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.controller.state import drive_values
-from handctl.core import block as s
+from handctl.controller.controller_state import drive_values
 from handctl.core import constants as h
-from handctl.core import stages, wire
-from handctl.core.block import STATE
-from handctl.core.constants import ELEMENTS, HAND, KINDS
+from handctl.core import cyclic_frames, tick_stages
+from handctl.core import state_block as s
+from handctl.core.constants import CONSTANT_SCHEMA, DESIGN_ELEMENT_COUNT, FILTER_DESIGN_COUNT
+from handctl.core.state_block import STATE_SCHEMA
 from handctl.drives.contract import Drive, DriveState, DriveTarget
-from handctl.drives.frame import ERROR, Frame
-from handctl.drives.records import WORDS_PER_RECORD, Frames, frames_as_records
+from handctl.drives.frame import ERROR_FLAG, Frame
+from handctl.drives.frame_records import WORDS_PER_RECORD, Frames, frames_as_records
 from handctl.drives.sensors.contract import SensorInterface
 
 
@@ -36,15 +36,15 @@ class WiredDrives:
             (j for group in sensors.channels[sensors.tension_frames :] for j in group), default=0
         )
         axes = {"tendon": n, "joint": joints, "digit": 1, "coordinate": 1, "node": n + 1}
-        self.layout = STATE.layout(
+        self.layout = STATE_SCHEMA.layout(
             {**axes, "group": max(1, len(sensors.ids)), "instance": n + joints, "run": 1}
         )
-        self.tables = wire.WireTables(drives, sensors)
+        self.tables = cyclic_frames.WireTables(drives, sensors)
         self.block = self.layout.initial.copy()
         self.owners = {
             (drive.bus, can_id): i for i, drive in enumerate(drives) for can_id in drive.node_ids
         }
-        self.states: list[DriveState] = [drive.initial() for drive in drives]
+        self.states: list[DriveState] = [drive.initial_state() for drive in drives]
         self.frames_for_drives: list[Frame] = []
         self.foreign_frames: list[Frame] = []
         for i, state in enumerate(self.states):
@@ -61,7 +61,7 @@ class WiredDrives:
     def begin_tick(self) -> None:
         """Begin a tick without changing the tick's number and time."""
         numbers = [self.field_number(name) for name in ("k", "t_ns", "late_ns", "missed", "frames")]
-        wire.begin_tick(self.block, self.layout.places, *numbers)
+        cyclic_frames.begin_tick(self.block, self.layout.places, *numbers)
 
     def begin_tick_with_sync(self, k: int) -> Frame:
         """Return the request to the sensors as the end of a tick sends it, and begin the next tick."""
@@ -78,14 +78,14 @@ class WiredDrives:
         frames, known, at = frames_as_records(frames), self.tables, 0
         self.frames_for_drives, self.foreign_frames = [], []
         while True:
-            at = wire.receive_frames(
+            at = cyclic_frames.receive_frames(
                 self.block, self.layout.places, *self._constants, frames.rows, known.keys, known.entries, known.wholes,
                 known.reals, at, self.sensors.earliest_answer_ns(self.field_number("t_ns")),
             )  # fmt: skip
             if at >= len(frames):
                 return self
             frame = frames[at]
-            i = self.owners.get((frame.bus, frame.can_id & ~ERROR))
+            i = self.owners.get((frame.bus, frame.can_id & ~ERROR_FLAG))
             if i is None:
                 self.foreign_frames.append(frame)
             else:
@@ -100,7 +100,7 @@ class WiredDrives:
         while True:
             if target == DriveTarget.ENABLE:
                 out = np.zeros((len(tables.templates), WORDS_PER_RECORD), np.uint64)
-                first, count = wire.encode_commands(
+                first, count = cyclic_frames.encode_commands(
                     self.block, self.layout.places, out, tables.commands, tables.sent_wholes, tables.sent_reals,
                     tables.templates, np.asarray(torque, dtype=np.float64), tables.servos, tables.servo_templates,
                     tables.servo_wholes, tables.servo_reals, first, 0,
@@ -156,7 +156,7 @@ class WiredDrives:
 
     def observe_readings(self) -> "WiredDrives":
         """Convert received values to measurements, and start the filter once every sensor has been read."""
-        stages.observe_tick(self.block, self.layout.places, *self._constants)
+        tick_stages.observe_tick(self.block, self.layout.places, *self._constants)
         return self
 
     @cached_property
@@ -164,7 +164,15 @@ class WiredDrives:
         """Constants of a hand in which only the frames of the load cells are set."""
         axes = self.layout.axes
         kept = {name: axes[name] for name in ("tendon", "joint", "digit", "coordinate")}
-        layout = HAND.layout({**kept, "kind": KINDS, "element": ELEMENTS, "place": 1, "run": 1})
+        layout = CONSTANT_SCHEMA.layout(
+            {
+                **kept,
+                "kind": FILTER_DESIGN_COUNT,
+                "element": DESIGN_ELEMENT_COUNT,
+                "place": 1,
+                "run": 1,
+            }
+        )
         block = layout.initial.copy()
         table = layout.table(block, "tendon_int")
         table[h.CELL_GROUP] = [self.sensors.group_of_tendon(i) for i in range(axes["tendon"])]

@@ -15,7 +15,7 @@ from matplotlib.image import imread
 from nbclient import NotebookClient
 
 from handctl.cli.main import main
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from tests.runtime.processes import HOMED, READY_S, end, scaled, write_homed
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

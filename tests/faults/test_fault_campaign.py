@@ -34,9 +34,9 @@ from handctl.campaign.stage import (
     homed_run,
     run_in_branches,
 )
-from handctl.core.types import Mode, TickEvent
-from handctl.hand.load import hand_from_content, load_hand, packaged_hands
-from handctl.safety.action import Action
+from handctl.core.tick_types import HandMode, TickEvent
+from handctl.hand.hand_loading import hand_from_content, load_hand, packaged_hands
+from handctl.safety.action import SafetyAction
 from handctl.safety.faults.tendon import RELAXED_S
 from handctl.session.plan import default_rate
 from handctl.session.simulate import SimulatedRun
@@ -112,7 +112,7 @@ def alarms_of_run(phase, *texts):
     The hand stays in one phase for eight seconds and reports the given faults in each second.
     """
     events = tuple(TickEvent("warn", "fault", "", text) for text in texts)
-    out = SimpleNamespace(mode=Mode.ACTIVE, phase=phase, events=events)
+    out = SimpleNamespace(mode=HandMode.ACTIVE, phase=phase, events=events)
 
     @contextlib.contextmanager
     def simulate_one_phase(hand, rate_hz, seed, perturb):
@@ -150,7 +150,7 @@ def test_exchanged_drives_are_found_soon_after_the_fingers_touch_an_object(seed:
     with homed_run(hand, RATE_HZ, seed) as simulation:
         advance_to(simulation, GRASP_STAGE)
         simulation.peer.inject("swap node=left_motor with=right_motor")
-        assert simulation.until(lambda out: out.mode == Mode.RELAX, 0.6)
+        assert simulation.until(lambda out: out.mode == HandMode.RELAX, 0.6)
         assert {mark.id for mark in simulation.state.latched} == {"N17"}
 
 
@@ -182,8 +182,8 @@ def test_a_missing_reaction_counts_as_late(tmp_path):
     This is its positive control.
     """
     hand = hand_with_protocol("jamia", "mit")
-    never = MatrixRow("B01", "drop node=index_motor p=0", Action.WARN, 3, rows=("B01",))
-    slow = MatrixRow("T04", "drift cell=index_tendon size=1", Action.RELAX, 3, rows=("T04",))
+    never = MatrixRow("B01", "drop node=index_motor p=0", SafetyAction.WARN, 3, rows=("B01",))
+    slow = MatrixRow("T04", "drift cell=index_tendon size=1", SafetyAction.RELAX, 3, rows=("T04",))
     results = []
     stored_log = tmp_path / "kept"
     with homed_run(hand, RATE_HZ, 0) as simulation:
@@ -206,7 +206,7 @@ def test_a_missing_reaction_counts_as_late(tmp_path):
 
 def test_a_reaction_to_another_fault_does_not_count():
     """If a run ends because a drive has dropped out, this does not show that faults of load cells are detected."""
-    row = MatrixRow("T05", "error node=index_motor", Action.RELAX, 3, rows=("T05",))
+    row = MatrixRow("T05", "error node=index_motor", SafetyAction.RELAX, 3, rows=("T05",))
     with homed_run(hand_with_protocol("jamia", "mit"), RATE_HZ, 0) as simulation:
         advance_to(simulation, ARMING_STAGE)
         advance_to(simulation, FREE_STAGE)
@@ -246,7 +246,7 @@ def test_silent_joint_encoders_are_detected(joint):
     every = hand_with_protocol("jamia11", "mit").sensor_node.joint_decimation
     for frames, found in ((3, ""), (4, f"N02b {joint}")):
         fault = f"mute joint={joint} for={5 * every * frames}ms"
-        row = MatrixRow("N02", fault, Action.RELAX, 4 * every, rows=("N02",))
+        row = MatrixRow("N02", fault, SafetyAction.RELAX, 4 * every, rows=("N02",))
         with homed_run(hand_with_protocol("jamia11", "mit"), 200.0, 0) as simulation:
             advance_to(simulation, ARMING_STAGE)
             advance_to(simulation, FREE_STAGE)

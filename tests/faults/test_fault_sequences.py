@@ -9,8 +9,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from firmware_sim.description import load_hand
-from firmware_sim.faults.text import parse_fault
+from firmware_sim.faults.fault_text import parse_fault
+from firmware_sim.hand_description import load_hand
 from handctl.campaign import sequences
 from handctl.campaign.scenarios import ALL_PROTOCOLS, ARMING_STAGE, HOST_PREFIX
 from handctl.campaign.sequences import (
@@ -31,8 +31,8 @@ from handctl.campaign.stage import (
     homed_run,
     run_in_branches,
 )
-from handctl.core.types import Mode
-from handctl.safety.judge import LatchedFault
+from handctl.core.tick_types import HandMode
+from handctl.safety.tick_verdict import LatchedFault
 from handctl.session.plan import default_rate
 
 NO_CALLBACKS = {
@@ -102,7 +102,7 @@ def test_a_sequence_that_breaks_a_rule_names_it(arming_copy, monkeypatch):
 
 def test_violated_rule_of_a_tick_is_found(arming_copy):
     before = arming_copy.state.copy()
-    before.mode = Mode.RELAX
+    before.mode = HandMode.RELAX
     before.decide(latched=(LatchedFault("T03", "index_tendon"),))
     after = before.copy()
     after.view("setpoint")[...] += 1.0
@@ -114,7 +114,7 @@ def test_violated_rule_of_a_tick_is_found(arming_copy):
     assert violations_in_tick(before, gone, cleared=False) == ["no longer latched: T03"]
     assert violations_in_tick(before, gone, cleared=True) == []
     back = before.copy()
-    back.mode = Mode.ACTIVE
+    back.mode = HandMode.ACTIVE
     assert violations_in_tick(before, back, cleared=False) == [
         "the mode goes back: RELAX to ACTIVE"
     ]
@@ -124,7 +124,7 @@ def test_violated_rule_at_the_end_is_found(arming_copy):
     assert violations_at_end(arming_copy) == ["the run does not end: ARMING"]
     arming_copy.peer = SimpleNamespace(truth=lambda: {"torque": [0.0, 0.1, 0.0, 0.0]})
     arming_copy.state = arming_copy.state.copy()
-    arming_copy.state.mode = Mode.DONE
+    arming_copy.state.mode = HandMode.DONE
     assert violations_at_end(arming_copy) == ["torque remains: middle_tendon"]
     arming_copy.state.decide(failure="REMOVE POWER: not confirmed disabled: middle_motor")
     assert violations_at_end(arming_copy) == []

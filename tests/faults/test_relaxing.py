@@ -15,8 +15,8 @@ from benchmarks import hidden
 from handctl.campaign.scenarios import FREE_STAGE, GRASP_STAGE
 from handctl.campaign.stage import CAMPAIGN_TASK, advance_to, hand_with_protocol, homed_run
 from handctl.controller.relaxing import SETPOINT_MARGIN_N
-from handctl.core import block as s
-from handctl.core.types import Mode
+from handctl.core import state_block as s
+from handctl.core.tick_types import HandMode
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from handctl.runtime.mailbox import STOP_REQUEST
 from handctl.session.simulate import SimulatedRun
@@ -119,7 +119,7 @@ def check_relaxing(simulation: SimulatedRun, stop_at: int, window: int, fault: s
     # Commands from before the decision to relax are included, because a delayed motor may execute
     # them after it.
     commanded = [simulation.state.view("asked").copy()]
-    while simulation.state.mode == Mode.ACTIVE:
+    while simulation.state.mode == HandMode.ACTIVE:
         simulation.tick(requests=(STOP_REQUEST,) if simulation.k == stop_at else ())
         recent.append(observe_instant(simulation))
         commanded.append(simulation.state.view("asked").copy())
@@ -132,11 +132,11 @@ def check_relaxing(simulation: SimulatedRun, stop_at: int, window: int, fault: s
     force = before
     for _ in range(2000):
         mode = simulation.state.mode
-        if mode == Mode.DONE:
+        if mode == HandMode.DONE:
             break
         simulation.tick()
         command = simulation.state.view("asked").copy()
-        if simulation.state.mode == mode == Mode.RELAX:
+        if simulation.state.mode == mode == HandMode.RELAX:
             rises = command > np.maximum(last, 0.0)
             assert not rises.any(), f"{fault}: {command} after {last}"
         last = command
@@ -152,7 +152,7 @@ def check_relaxing(simulation: SimulatedRun, stop_at: int, window: int, fault: s
     assert (peak <= bound).all(), (
         f"{fault}: {peak} N, at most {bound} N are explained, from {decided}"
     )
-    assert simulation.state.mode == Mode.DONE
+    assert simulation.state.mode == HandMode.DONE
     assert not math.isnan(float(peak.max()))
 
 
@@ -171,13 +171,13 @@ def test_relaxing_after_a_doubtful_load_cell_begins_at_the_tension_of_a_moving_d
         while not hidden.is_at_stage("free", out, free_ticks := free_ticks + (out.phase == "free")):
             out = simulation.tick()
         simulation.peer.inject(fault)
-        assert simulation.until(lambda out: out.mode == Mode.RELAX, 2.0)
+        assert simulation.until(lambda out: out.mode == HandMode.RELAX, 2.0)
         assert "T04b" in {mark.id for mark in simulation.state.latched}
         table, model = simulation.state.tendon, simulation.controller.model
         explained = np.maximum(table[s.TENSION], model.relaxed) + model.space.coulomb
         assert (simulation.state.view("asked") <= explained + SETPOINT_MARGIN_N).all()
         if fault.startswith("cross"):
             peak = 0.0
-            while simulation.tick().mode != Mode.DONE:
+            while simulation.tick().mode != HandMode.DONE:
                 peak = max(peak, *simulation.peer.truth()["tension"])
             assert peak < hand.tendon[0].tension_trip_N

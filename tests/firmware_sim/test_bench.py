@@ -7,11 +7,11 @@ from dataclasses import replace
 import pytest
 
 from firmware_sim.__main__ import main
-from firmware_sim.bus.frame import BRS, EXTENDED, FDF, REMOTE, Frame
-from firmware_sim.description import SimulatorError
+from firmware_sim.bus.frame import BRS, EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
 from firmware_sim.faults.faulty_drive import DRIVE_FAULTS
+from firmware_sim.hand_description import SimulatorError
 from firmware_sim.nodes import PROTOCOL_SPECS, cubemars
-from firmware_sim.nodes.cia402.dictionary import EDS_PATH, ObjectDictionary
+from firmware_sim.nodes.cia402.object_dictionary import EDS_PATH, ObjectDictionary
 from firmware_sim.nodes.mit import bench as mit_bench
 from firmware_sim.nodes.odrive import bench as odrive_bench
 from firmware_sim.programs.drive import SimulatedDriveBench
@@ -212,13 +212,13 @@ def test_the_current_limit_of_an_odrive_acts() -> None:
 @pytest.mark.parametrize("command", [0x00, 0x03, 0x06, 0x09, 0x14, 0x15, 0x17, 0x1C, 0x1D])
 def test_an_odrive_answers_an_empty_data_frame_as_a_request(command: int) -> None:
     bench = SimulatedDriveBench([drive_spec("odrive", 3)])
-    (remote,) = bench.receive(Frame(3 << 5 | command | REMOTE, b""))
+    (remote,) = bench.receive(Frame(3 << 5 | command | REMOTE_FLAG, b""))
     (data,) = bench.receive(Frame(3 << 5 | command, b""))
     assert (data.can_id, data.data) == (remote.can_id, remote.data)
 
 
 def position_of(bench: SimulatedDriveBench) -> float:
-    (reply,) = bench.receive(Frame(3 << 5 | 0x09 | REMOTE, b""))
+    (reply,) = bench.receive(Frame(3 << 5 | 0x09 | REMOTE_FLAG, b""))
     return float(struct.unpack_from("<f", reply.data)[0])
 
 
@@ -326,10 +326,10 @@ def test_no_frame_ends_a_drive(protocol: str, fault: str) -> None:
     payloads = [b"\xff" * size for size in range(9)] + [bytes(size) for size in range(9)] + specials
     identifiers = [0, 2, 0x41, 0x47, 0x4E, 0x80, 0x202, 0x602, 0x702, 0x77F, 0x7FF, 0x12345678]
     for number in identifiers:
-        for flags in (0, REMOTE, EXTENDED, EXTENDED | REMOTE):
+        for flags in (0, REMOTE_FLAG, EXTENDED_FLAG, EXTENDED_FLAG | REMOTE_FLAG):
             for data in payloads:
                 bench.receive(
-                    Frame(number & (0x1FFFFFFF if flags & EXTENDED else 0x7FF) | flags, data)
+                    Frame(number & (0x1FFFFFFF if flags & EXTENDED_FLAG else 0x7FF) | flags, data)
                 )
         bench.advance(bench.t_ns + 2 * MS)
         bench.take_unsolicited()
@@ -407,10 +407,10 @@ def test_faults_act_on_bench_drives(protocol: str) -> None:
     bench = SimulatedDriveBench([drive_spec(protocol, 2), drive_spec(protocol, 3)])
     requests = {
         "mit": Frame(0x7FF, b"\2\0\xcc\0" + bytes(4)),
-        "odrive": Frame(2 << 5 | 0x09 | REMOTE, b""),
+        "odrive": Frame(2 << 5 | 0x09 | REMOTE_FLAG, b""),
         "cia402": Frame(0x602, b"\x40\0\x10\0" + bytes(4)),
-        "moteus": Frame(EXTENDED | 0x8002, b"\x11\0\x50\x50", FDF),
-        "robstride": Frame(EXTENDED | 0xFD02, bytes(8)),
+        "moteus": Frame(EXTENDED_FLAG | 0x8002, b"\x11\0\x50\x50", FDF),
+        "robstride": Frame(EXTENDED_FLAG | 0xFD02, bytes(8)),
     }
     bench.advance(10 * MS)
     assert bench.receive(requests[protocol])

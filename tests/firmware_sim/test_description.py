@@ -13,17 +13,17 @@ from hypothesis import strategies as st
 from firmware_sim.bus.frame import (
     BRS,
     ESI,
-    EXTENDED,
+    EXTENDED_FLAG,
     FDF,
     RECORD_SIZE,
     Frame,
     pack_record,
     unpack_record,
 )
-from firmware_sim.description import SimulatorError, load_hand
-from firmware_sim.plant.perturb import PERTURBATION_KEYS, perturbed_hand
-from firmware_sim.rig import LockstepHand
-from handctl.hand.load import load_hand as described
+from firmware_sim.hand_description import SimulatorError, load_hand
+from firmware_sim.lockstep_hand import LockstepHand
+from firmware_sim.plant.plant_perturbation import PERTURBATION_KEYS, perturbed_hand
+from handctl.hand.hand_loading import load_hand as described
 
 
 def write_edited_jamia(tmp_path: Path, old: str, new: str) -> str:
@@ -146,7 +146,7 @@ def test_no_factors_no_change() -> None:
 @given(
     st.integers(0, (1 << 29) - 1),
     st.binary(max_size=64),
-    st.sampled_from([0, EXTENDED]),
+    st.sampled_from([0, EXTENDED_FLAG]),
     st.sampled_from([FDF, FDF | BRS, FDF | BRS | ESI]),
 )
 def test_a_record_is_a_canfd_frame(number: int, data: bytes, extended: int, flags: int) -> None:

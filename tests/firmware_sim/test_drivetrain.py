@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.description import load_hand
+from firmware_sim.hand_description import load_hand
+from firmware_sim.lockstep_hand import LockstepHand
 from firmware_sim.plant.plant import STEP_NS, Plant
-from firmware_sim.rig import LockstepHand
 from firmware_sim.scene.scene import load_scene
-from firmware_sim.truth import read_truth
-from firmware_sim.world import SimulatedWorld
+from firmware_sim.simulated_world import SimulatedWorld
+from firmware_sim.truth_file import read_truth
 
 
 def closing(hand: str, native: bool = True, compiled: bool = True) -> Plant:

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 from firmware_sim import compiled
-from firmware_sim.bus.frame import BRS, ERROR, EXTENDED, FDF, REMOTE, Frame
-from firmware_sim.bus.records import FRAME_DTYPE, to_frames, to_records
-from firmware_sim.nodes import cyclic
-from firmware_sim.rig import LockstepHand
-from firmware_sim.truth import read_truth
-from handctl.hand.load import load_hand as described
+from firmware_sim.bus.frame import BRS, ERROR_FLAG, EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
+from firmware_sim.bus.frame_records import FRAME_DTYPE, to_frames, to_records
+from firmware_sim.lockstep_hand import LockstepHand
+from firmware_sim.nodes import cyclic_kernels
+from firmware_sim.truth_file import read_truth
+from handctl.hand.hand_loading import load_hand as described
 
 TICK_NS = 2_000_000
 FIRST_NODE = 0x10
@@ -104,7 +104,7 @@ def frames_of_tick(protocol: str, node: int, k: int) -> list[tuple[int, bytes]]:
     if protocol == "odrive":
         return [
             (node << 5 | 0x0E, struct.pack("<f", 0.4 * fraction)),
-            (node << 5 | 0x09 | REMOTE, b""),
+            (node << 5 | 0x09 | REMOTE_FLAG, b""),
         ]
     return [
         (0x200 + node, struct.pack("<Hh", 0x0F, round(1000 * fraction))),
@@ -121,7 +121,15 @@ def disturb_frame(frame: Frame, rng: random.Random) -> list[Frame]:
         [Frame(can_id, data[:-1], flags, bus, t_ns)],
         [Frame(can_id, data, FDF | BRS, bus, t_ns)],
         [Frame(can_id, data + bytes(12), FDF, bus, t_ns)],
-        [Frame(can_id ^ rng.choice((EXTENDED, REMOTE, ERROR, 1, 0x80)), data, flags, bus, t_ns)],
+        [
+            Frame(
+                can_id ^ rng.choice((EXTENDED_FLAG, REMOTE_FLAG, ERROR_FLAG, 1, 0x80)),
+                data,
+                flags,
+                bus,
+                t_ns,
+            )
+        ],
         [Frame(can_id, rng.randbytes(len(data)), flags, bus, t_ns)],
         [
             Frame(
@@ -221,7 +229,7 @@ def test_cyclic_frames_do_not_reach_the_nodes_one_by_one(protocol: str, tmp_path
 def test_records_are_frames() -> None:
     frames = [
         Frame(0x123, b"abc", FDF, 1, 5),
-        Frame(0x1FFFFFFF | EXTENDED, bytes(range(64)), FDF | BRS, 0, -1),
+        Frame(0x1FFFFFFF | EXTENDED_FLAG, bytes(range(64)), FDF | BRS, 0, -1),
     ]
     records = to_records(frames)
     assert records.dtype == FRAME_DTYPE
@@ -275,7 +283,7 @@ def test_a_kernel_is_compiled_again_if_an_imported_module_changes(
 ) -> None:
     from firmware_sim.nodes.mit import codec
 
-    modules = set(compiled._imported_kernels(cyclic).values())
+    modules = set(compiled._imported_kernels(cyclic_kernels).values())
     assert codec in modules
     before = compiled._source_digest(modules)
     changed = tmp_path / "codec.py"

@@ -5,15 +5,15 @@ import contextlib
 import pytest
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.description import SimulatorError, load_hand
-from firmware_sim.faults.text import (
+from firmware_sim.faults.fault_text import (
     DRIVE_KINDS,
     FAULT_KINDS,
     TWO_MOTOR_KINDS,
     instances_of_component,
     parse_fault,
 )
-from firmware_sim.rig import LockstepHand
+from firmware_sim.hand_description import SimulatorError, load_hand
+from firmware_sim.lockstep_hand import LockstepHand
 
 HAND = load_hand("jamia")
 SYNC = 0x080

@@ -15,9 +15,9 @@ from pathlib import Path
 
 import pytest
 
-from firmware_sim.bus.hub import Hub
-from firmware_sim.description import SimulatorError
-from firmware_sim.paths import bus_path, run_dir, truth_path
+from firmware_sim.bus.hub import BusHub
+from firmware_sim.hand_description import SimulatorError
+from firmware_sim.socket_paths import bus_path, run_dir, truth_path
 
 SIZE = 72
 CLASSICAL, FD = 0, 4
@@ -35,22 +35,22 @@ def run_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def hub() -> Iterator[Hub]:
-    served = Hub("test")
+def hub() -> Iterator[BusHub]:
+    served = BusHub("test")
     yield served
     served.close()
 
 
-def settle(hub: Hub) -> bytes:
+def settle(hub: BusHub) -> bytes:
     """Let the hub serve until no socket is ready, and return the records for the owner of the hub."""
     received = b""
-    while ready := select.select(hub.readers(), [], [], 0.0)[0]:
+    while ready := select.select(hub.read_sockets(), [], [], 0.0)[0]:
         received += hub.serve(ready)
     return received
 
 
 @pytest.fixture
-def client(hub: Hub) -> Iterator[Callable[[], socket.socket]]:
+def client(hub: BusHub) -> Iterator[Callable[[], socket.socket]]:
     links = []
 
     def connect() -> socket.socket:
@@ -77,7 +77,7 @@ def read_all(link: socket.socket) -> bytes:
 
 
 def test_all_but_the_sender_get_every_record_in_order(
-    hub: Hub, client: Callable[[], socket.socket]
+    hub: BusHub, client: Callable[[], socket.socket]
 ) -> None:
     a, b, c = client(), client(), client()
     batch = (
@@ -91,7 +91,7 @@ def test_all_but_the_sender_get_every_record_in_order(
 
 
 def test_the_owners_records_reach_every_client(
-    hub: Hub, client: Callable[[], socket.socket]
+    hub: BusHub, client: Callable[[], socket.socket]
 ) -> None:
     a, b = client(), client()
     hub.send(record(0x11, b"answer"))
@@ -100,7 +100,7 @@ def test_the_owners_records_reach_every_client(
 
 @pytest.mark.parametrize("cut", [1, 71, 73, 100, 143])
 def test_a_record_cut_in_two_arrives_whole(
-    hub: Hub, client: Callable[[], socket.socket], cut: int
+    hub: BusHub, client: Callable[[], socket.socket], cut: int
 ) -> None:
     a, b = client(), client()
     batch = record(1, b"one") + record(2, b"two")
@@ -113,7 +113,7 @@ def test_a_record_cut_in_two_arrives_whole(
 
 
 def test_the_senders_reserved_bytes_do_not_look_like_drops(
-    hub: Hub, client: Callable[[], socket.socket]
+    hub: BusHub, client: Callable[[], socket.socket]
 ) -> None:
     a, b = client(), client()
     a.sendall(record(1, b"x", dropped=0x1234))
@@ -129,7 +129,7 @@ def numbers(data: bytes) -> list[tuple[int, int]]:
 
 
 def test_a_client_that_never_reads_blocks_nobody_and_its_drops_are_counted(
-    hub: Hub, client: Callable[[], socket.socket]
+    hub: BusHub, client: Callable[[], socket.socket]
 ) -> None:
     reader, idle = client(), client()
     total, batch = 0, 1000
@@ -157,11 +157,11 @@ def test_a_client_that_never_reads_blocks_nobody_and_its_drops_are_counted(
 
 
 def test_an_incomplete_record_is_completed_before_the_next(
-    hub: Hub, client: Callable[[], socket.socket]
+    hub: BusHub, client: Callable[[], socket.socket]
 ) -> None:
     idle = client()
     batch = b"".join(record(number, number.to_bytes(4, "little")) for number in range(2000))
-    while not hub.writers():
+    while not hub.write_sockets():
         hub.send(batch)
         assert hub.dropped < 1_000_000, "the kernel accepted no part of a record"
         batch += record(0, b"")  # so that the kernel cuts at another byte
@@ -171,7 +171,7 @@ def test_an_incomplete_record_is_completed_before_the_next(
     first_part = read_all(idle)
     assert len(first_part) % SIZE
     hub.serve([])
-    assert hub.writers() == []
+    assert hub.write_sockets() == []
     hub.send(record(0x7FF, b"next"))
     data = first_part + read_all(idle)
     assert len(data) % SIZE == 0
@@ -179,7 +179,7 @@ def test_an_incomplete_record_is_completed_before_the_next(
 
 
 def test_drops_of_a_disconnected_client_still_count(
-    hub: Hub, client: Callable[[], socket.socket]
+    hub: BusHub, client: Callable[[], socket.socket]
 ) -> None:
     stays, leaves = client(), client()
     while not hub.dropped:
@@ -195,11 +195,11 @@ def test_drops_of_a_disconnected_client_still_count(
 
 
 def test_a_second_hub_is_refused_and_the_first_goes_on(
-    hub: Hub, client: Callable[[], socket.socket]
+    hub: BusHub, client: Callable[[], socket.socket]
 ) -> None:
     a, b = client(), client()
     with pytest.raises(SimulatorError, match=r"local:test is already served"):
-        Hub("test")
+        BusHub("test")
     settle(hub)
     a.sendall(record(3, b"alive"))
     settle(hub)
@@ -210,7 +210,7 @@ def test_a_stale_socket_is_replaced() -> None:
     code = "import os\nfrom firmware_sim.bus.hub import Hub\nhub = Hub('stale')\nos._exit(0)"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
     assert stat.S_ISSOCK(bus_path("stale").stat().st_mode)
-    hub = Hub("stale")
+    hub = BusHub("stale")
     link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     link.connect(str(bus_path("stale")))
     settle(hub)
@@ -219,10 +219,10 @@ def test_a_stale_socket_is_replaced() -> None:
     hub.close()
 
 
-def test_closing_removes_the_socket_but_not_a_successors(hub: Hub) -> None:
+def test_closing_removes_the_socket_but_not_a_successors(hub: BusHub) -> None:
     path = bus_path("test")
     path.unlink()
-    successor = Hub("test")
+    successor = BusHub("test")
     hub.close()
     assert path.exists()
     successor.close()

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from firmware_sim.description import SimulatorError, load_hand
+from firmware_sim.hand_description import SimulatorError, load_hand
+from firmware_sim.lockstep_hand import LockstepHand
 from firmware_sim.plant.plant import Plant
-from firmware_sim.rig import LockstepHand
 from firmware_sim.scene.scene import load_scene
-from firmware_sim.truth import read_truth
+from firmware_sim.truth_file import read_truth
 
 SCENE = """
 name = "loaded"

@@ -7,11 +7,11 @@ import struct
 
 import pytest
 
-from firmware_sim.bus.frame import BRS, EXTENDED, FDF, Frame
-from firmware_sim.description import load_hand
+from firmware_sim.bus.frame import BRS, EXTENDED_FLAG, FDF, Frame
+from firmware_sim.hand_description import load_hand
+from firmware_sim.lockstep_hand import LockstepHand
 from firmware_sim.nodes.mit.node import FeedbackState, MitNode
 from firmware_sim.plant.motor import Motor
-from firmware_sim.rig import LockstepHand
 
 MS = 1_000_000
 SPEC = load_hand("jamia").motors[1]
@@ -60,7 +60,7 @@ def bench() -> Bench:
 
 def test_a_motor_sends_only_answers(bench: Bench) -> None:
     assert bench.node.receive(Frame(ID + 1, FULL_TORQUE), 0) is None
-    assert bench.node.receive(Frame(ID | EXTENDED, FULL_TORQUE), 0) is None
+    assert bench.node.receive(Frame(ID | EXTENDED_FLAG, FULL_TORQUE), 0) is None
     other = struct.pack("<HBB4x", ID + 1, 0x33, 23)
     assert bench.node.receive(Frame(0x7FF, other), 0) is None
 

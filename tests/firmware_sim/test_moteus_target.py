@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from firmware_sim.bus.frame import BRS, EXTENDED, FDF, Frame
+from firmware_sim.bus.frame import BRS, EXTENDED_FLAG, FDF, Frame
 from firmware_sim.nodes.moteus.node import MoteusNode
 from firmware_sim.plant.drivetrain import ENCODER_STEP
 from firmware_sim.programs.drive import SimulatedDriveBench
@@ -38,7 +38,7 @@ class OneDrive:
 
     def send(self, data: bytes) -> bytes:
         """Send a request and return the reply."""
-        (reply,) = self.bench.receive(Frame(EXTENDED | 0x8000 | NODE, data, FDF | BRS))
+        (reply,) = self.bench.receive(Frame(EXTENDED_FLAG | 0x8000 | NODE, data, FDF | BRS))
         return reply.data
 
     def command(

@@ -10,7 +10,7 @@ from dataclasses import replace
 import pytest
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.nodes.motion import MotionSetpoint
+from firmware_sim.nodes.motion_control import MotionSetpoint
 from firmware_sim.programs.drive import SimulatedDriveBench
 from firmware_sim.programs.drive_types import drive_spec
 

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from firmware_sim.description import Hand, SimulatorError, load_hand
+from firmware_sim.hand_description import Hand, SimulatorError, load_hand
 from firmware_sim.plant.mjcf import STEP_S, model_text, opposed_digits
-from firmware_sim.plant.perturb import perturbed_hand
 from firmware_sim.plant.plant import Plant
+from firmware_sim.plant.plant_perturbation import perturbed_hand
 from firmware_sim.scene.scene import load_scene
 
 JAMIA = load_hand("jamia")

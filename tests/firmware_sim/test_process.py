@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 
 from firmware_sim.__main__ import main
-from firmware_sim.description import SimulatorError, find_hand
-from firmware_sim.rig import LockstepHand
-from firmware_sim.truth import read_truth
+from firmware_sim.hand_description import SimulatorError, find_hand
+from firmware_sim.lockstep_hand import LockstepHand
+from firmware_sim.truth_file import read_truth
 
 ENABLE = bytes.fromhex("fffffffffffffffc")
 READY_S = 60.0

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.description import SimulatorError
-from firmware_sim.rig import LockstepHand
-from firmware_sim.truth import read_truth
+from firmware_sim.hand_description import SimulatorError
+from firmware_sim.lockstep_hand import LockstepHand
+from firmware_sim.truth_file import read_truth
 
 TICK_NS = 2_000_000
 MOTORS = (1, 2, 3, 4)

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.description import SensorSpec, load_hand
+from firmware_sim.hand_description import SensorSpec, load_hand
 from firmware_sim.nodes.noise import BLOCK_SIZE, NormalNoise
-from firmware_sim.nodes.sensors import SensorNode, joint_code, pack, tension_code
+from firmware_sim.nodes.sensor_node import SensorNode, joint_code, pack, tension_code
 
 LOADED = load_hand("jamia11").sensors
 assert LOADED is not None

@@ -9,16 +9,16 @@ from pathlib import Path
 
 import pytest
 
+from firmware_sim.bus.bus_ports import assign_buses, open_port
 from firmware_sim.bus.frame import FDF, Frame, pack_record
-from firmware_sim.bus.local import HubPort, JoinedPort
-from firmware_sim.bus.ports import assign_buses, open_port
-from firmware_sim.description import SimulatorError, load_hand
-from firmware_sim.pace import PaceCounter, rounded_down
-from firmware_sim.priority import ORDINARY_PRIORITY_S, RealTimePriority
+from firmware_sim.bus.local_ports import HubPort, JoinedPort
+from firmware_sim.bus_server import MAX_CATCH_UP_NS, MAX_DELAY_NS, OVERRUN_NS, BusServer
+from firmware_sim.hand_description import SimulatorError, load_hand
+from firmware_sim.realtime_priority import ORDINARY_PRIORITY_S, RealTimePriority
 from firmware_sim.scene.scene import load_scene
-from firmware_sim.server import MAX_CATCH_UP_NS, MAX_DELAY_NS, OVERRUN_NS, BusServer
 from firmware_sim.shared_clock import SharedClock
-from firmware_sim.world import SimulatedWorld
+from firmware_sim.simulated_world import SimulatedWorld
+from firmware_sim.simulation_pace import PaceCounter, rounded_down
 from tests.firmware_sim.manual_clock import ManualClock
 
 MS = 1_000_000
@@ -37,10 +37,10 @@ class FakePort:
         self.coming: list[Frame] = []
         self.sent: list[Frame] = []
 
-    def readers(self) -> list[socket.socket]:
+    def read_sockets(self) -> list[socket.socket]:
         return []
 
-    writers = readers
+    write_sockets = read_sockets
 
     def receive(self, ready: Collection[socket.socket]) -> list[Frame]:
         frames, self.coming = self.coming, []
@@ -140,7 +140,7 @@ def test_a_tick_is_answered_only_when_no_frame_waits() -> None:
     )
     controller = JoinedPort("t", 0)
     server.turn()
-    answer = server._answer
+    answer = server._send_answers
 
     def send_meanwhile(frames: list[Frame]) -> None:
         answer(frames)
@@ -148,7 +148,7 @@ def test_a_tick_is_answered_only_when_no_frame_waits() -> None:
             controller.send([Frame(2, ENABLE)])
             clock.sent = 2
 
-    server._answer = send_meanwhile  # type: ignore[method-assign]
+    server._send_answers = send_meanwhile  # type: ignore[method-assign]
     controller.send([Frame(1, ENABLE)])
     clock.sent = 1
     server.turn()
@@ -322,15 +322,15 @@ def test_a_port_joins_a_served_bus(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path))
     owner = HubPort("shared", 3)
     guest = JoinedPort("shared", 5)
-    owner.receive(owner.readers())
+    owner.receive(owner.read_sockets())
     request, answer = Frame(1, ENABLE), Frame(0x11, bytes(range(48)), FDF)
     owner.send([request])
-    assert guest.receive(guest.readers()) == [request._replace(bus=5)]
+    assert guest.receive(guest.read_sockets()) == [request._replace(bus=5)]
     guest.send([answer])
-    assert owner.receive(owner.readers()) == [answer._replace(bus=3)]
+    assert owner.receive(owner.read_sockets()) == [answer._replace(bus=3)]
     owner.close()
     with pytest.raises(SimulatorError, match="hub has closed the connection"):
-        guest.receive(guest.readers())
+        guest.receive(guest.read_sockets())
     guest.close()
 
 
@@ -345,8 +345,8 @@ def test_an_invalid_record_is_counted_and_ignored(
     too_long = bytearray(good)
     too_long[4] = 9  # a classical frame of nine bytes
     link.sendall(good + too_long + good)
-    port.receive(port.readers())
-    assert [frame.data for frame in port.receive(port.readers())] == [b"12345678"] * 2
+    port.receive(port.read_sockets())
+    assert [frame.data for frame in port.receive(port.read_sockets())] == [b"12345678"] * 2
     assert port.lost == 1
     link.close()
     port.close()

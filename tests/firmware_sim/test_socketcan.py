@@ -11,7 +11,7 @@ import pytest
 
 from firmware_sim.bus.frame import BRS, FDF, Frame
 from firmware_sim.bus.socketcan import SocketCanPort
-from firmware_sim.description import SimulatorError
+from firmware_sim.hand_description import SimulatorError
 
 CLASSICAL = bytes.fromhex("23010000 03 000000 0102030000000000")
 FD_BYTES = bytes.fromhex("debc1a80 0c 05 0000") + bytes(range(12)) + bytes(52)
@@ -73,7 +73,7 @@ def test_classical_and_fd_frames_from_the_kernel(interface: Interface) -> None:
     port = SocketCanPort("vcan7", 2)
     assert interface.bound == ("vcan7",)
     interface.waiting = [CLASSICAL, FD_BYTES]
-    assert port.receive(port.readers()) == [
+    assert port.receive(port.read_sockets()) == [
         Frame(0x123, b"\x01\x02\x03", 0, 2),
         FD_FRAME._replace(bus=2),
     ]
@@ -82,7 +82,7 @@ def test_classical_and_fd_frames_from_the_kernel(interface: Interface) -> None:
 def test_an_fd_frame_is_recognised_by_its_size_without_the_flag(interface: Interface) -> None:
     port = SocketCanPort("vcan7", 0)
     interface.waiting = [FD_BYTES[:5] + b"\x00" + FD_BYTES[6:]]
-    assert port.receive(port.readers())[0].flags == FDF
+    assert port.receive(port.read_sockets())[0].flags == FDF
 
 
 def test_classical_and_fd_frames_to_the_kernel(interface: Interface) -> None:
@@ -101,8 +101,8 @@ def test_a_full_queue_and_an_interface_that_is_down_count_as_losses(interface: I
     port.send([FD_FRAME])
     assert port.lost == 1
     interface.refusal, interface.waiting = None, [error(errno.ENETDOWN), CLASSICAL]
-    assert port.receive(port.readers()) == []
-    assert len(port.receive(port.readers())) == 1
+    assert port.receive(port.read_sockets()) == []
+    assert len(port.receive(port.read_sockets())) == 1
     assert port.lost == 2
 
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from firmware_sim.description import SimulatorError, load_hand
+from firmware_sim.hand_description import SimulatorError, load_hand
 from firmware_sim.plant.plant import Plant
 from firmware_sim.scene.scene import load_scene
-from firmware_sim.scene.stages import StageSequence, read_stage
+from firmware_sim.scene.scene_stages import StageSequence, read_stage
 
 UPRIGHT = (0.0, 0.0, -9.81)
 SIDEWAYS = {"down": [3.0, 0.0, 0.0], "turn_s": 0.5, "last_s": 2.0}
@@ -44,14 +44,14 @@ friction = 0.1
 def test_gravity_turns_and_keeps_its_new_direction() -> None:
     stages = StageSequence((read_stage(SIDEWAYS), read_stage({"last_s": 1.0})), UPRIGHT)
     assert stages.duration == 3.5
-    assert stages.at(0.0).gravity == UPRIGHT
-    half = stages.at(0.25).gravity
+    assert stages.state_at(0.0).gravity == UPRIGHT
+    half = stages.state_at(0.25).gravity
     assert half == pytest.approx((9.81 / math.sqrt(2), 0.0, -9.81 / math.sqrt(2))), (
         "the magnitude does not change during the turn"
     )
     for time in (0.5, 2.4, 2.6, 100.0):
-        assert stages.at(time).gravity == pytest.approx((9.81, 0.0, 0.0))
-    assert [stages.at(time).stage for time in (0.0, 2.4, 2.6, 100.0)] == [0, 0, 1, 1]
+        assert stages.state_at(time).gravity == pytest.approx((9.81, 0.0, 0.0))
+    assert [stages.state_at(time).stage for time in (0.0, 2.4, 2.6, 100.0)] == [0, 0, 1, 1]
 
 
 def test_duration_of_a_push_and_lasting_friction() -> None:
@@ -64,9 +64,9 @@ def test_duration_of_a_push_and_lasting_friction() -> None:
         "friction": 0.2,
     }
     stages = StageSequence((read_stage(stage), read_stage({"last_s": 1.0})), UPRIGHT)
-    pushes = [stages.at(time).push[1] for time in (0.5, 1.4, 1.5, 2.4, 2.6, 4.5)]
+    pushes = [stages.state_at(time).push[1] for time in (0.5, 1.4, 1.5, 2.4, 2.6, 4.5)]
     assert pushes == [0.0, 0.0, 1.0, 1.0, 0.0, 0.0]
-    assert [stages.at(time).friction for time in (0.9, 1.1, 4.5)] == [None, 0.2, 0.2]
+    assert [stages.state_at(time).friction for time in (0.9, 1.1, 4.5)] == [None, 0.2, 0.2]
 
 
 def test_the_plant_applies_the_stage(tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 import pytest
 
 from firmware_sim.scene.scene import SinkingTable
-from firmware_sim.scene.support import SupportTable
+from firmware_sim.scene.support_table import SupportTable
 
 OPPOSED = [False, False, False, True]
 SUPPORT = SinkingTable(

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from firmware_sim.bus.ports import open_port
+from firmware_sim.bus.bus_ports import open_port
 from firmware_sim.bus.timed_port import DEFAULT_BITRATES, TimedPort, timed_port_maker
-from firmware_sim.description import SimulatorError, load_hand
+from firmware_sim.bus_server import BusServer
+from firmware_sim.hand_description import SimulatorError, load_hand
 from firmware_sim.scene.scene import load_scene
-from firmware_sim.server import BusServer
-from firmware_sim.world import SimulatedWorld
+from firmware_sim.simulated_world import SimulatedWorld
 from handctl.drives.frame import Frame
 from handctl.drives.frame_time import frame_time_s
 from handctl.runtime.buses.contract import Bus
@@ -45,7 +45,7 @@ class Lab:
         self.settle()
 
     def settle(self) -> None:
-        while ready := select.select(self.port.readers(), [], [], 0.0)[0]:
+        while ready := select.select(self.port.read_sockets(), [], [], 0.0)[0]:
             self.port.receive(ready)
 
     def at(self, ms: float) -> list[Frame]:

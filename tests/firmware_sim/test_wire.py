@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_sim.bus.frame import BRS, ERROR, EXTENDED, FDF, REMOTE, Frame
-from firmware_sim.wire.adapter import ADAPTER_CLASSES, AdapterLatency
-from firmware_sim.wire.bits import FD_LENGTHS, BitRates, arbitration_number
-from firmware_sim.wire.controller import CanController, ErrorState
-from firmware_sim.wire.medium import NEVER_NS, SimulatedWire, WireOptions
+from firmware_sim.bus.frame import BRS, ERROR_FLAG, EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
+from firmware_sim.wire.can_adapter import ADAPTER_CLASSES, AdapterLatency
+from firmware_sim.wire.can_controller import CanController, CanErrorState
+from firmware_sim.wire.frame_bits import FD_LENGTHS, BitRates, arbitration_number
+from firmware_sim.wire.simulated_wire import NEVER_NS, SimulatedWire, WireOptions
 from handctl.drives.frame_time import frame_time_s
 
 NOMINAL, DATA = 1_000_000, 5_000_000
@@ -33,7 +33,9 @@ class BusMember:
         self.controller = wire.add(self._receive, queue)
 
     def _receive(self, frame: Frame, t_ns: int) -> None:
-        (self.errors if frame.can_id & ERROR else self.received).append(frame._replace(t_ns=t_ns))
+        (self.errors if frame.can_id & ERROR_FLAG else self.received).append(
+            frame._replace(t_ns=t_ns)
+        )
 
     @property
     def ids(self) -> list[int]:
@@ -70,7 +72,8 @@ def test_a_frame_whose_bits_were_counted_by_hand() -> None:
 
 def test_an_extended_identifier_takes_twenty_bits_more() -> None:
     assert (
-        WORST.frame_ns(Frame(1 | EXTENDED, bytes(8))) == (54 + 64 + (54 + 64 - 1) // 4 + 13) * 1000
+        WORST.frame_ns(Frame(1 | EXTENDED_FLAG, bytes(8)))
+        == (54 + 64 + (54 + 64 - 1) // 4 + 13) * 1000
     )
 
 
@@ -90,9 +93,9 @@ def test_the_lowest_identifier_goes_first_without_interruption() -> None:
     ("first", "second"),
     [
         (0x100, 0x101),
-        (0x100, 0x100 | REMOTE),
-        (0x100 | REMOTE, 0x100 << 18 | EXTENDED),
-        (5 | EXTENDED, 6 | EXTENDED),
+        (0x100, 0x100 | REMOTE_FLAG),
+        (0x100 | REMOTE_FLAG, 0x100 << 18 | EXTENDED_FLAG),
+        (5 | EXTENDED_FLAG, 6 | EXTENDED_FLAG),
     ],
 )
 def test_arbitration_is_bit_by_bit(first: int, second: int) -> None:
@@ -131,7 +134,7 @@ def test_a_sender_alone_repeats_and_turns_passive_but_stays_on_the_bus() -> None
     wire.advance(10**9)
     assert wire.frames == 0
     assert lonely.controller.tx_errors == 128
-    assert lonely.controller.state == ErrorState.PASSIVE
+    assert lonely.controller.state == CanErrorState.PASSIVE
     assert lonely.classes == [0x20, 0x24, 0x24], (
         "missing acknowledge, then with warning, then with passive"
     )
@@ -162,7 +165,7 @@ def test_disturbance_leads_over_warning_and_passive_to_bus_off_and_back() -> Non
     assert receiver.ids == [], "waiting frames are lost"
     wire.advance(10**9)
     assert sender.classes[-1] == 0x100
-    assert sender.controller.state == ErrorState.ACTIVE
+    assert sender.controller.state == CanErrorState.ACTIVE
     assert sender.errors[-1].t_ns - sender.errors[3].t_ns == 100_000_000 + 128 * 11 * 1000
     sender.controller.offer(Frame(3, b""), 10**9)
     wire.advance(2 * 10**9)
@@ -174,11 +177,11 @@ def test_bus_off_is_permanent_without_a_restart() -> None:
     sender, receiver = parties(wire, 2)
     destroy(wire, sender.controller, 32, 0)
     wire.advance(10**10)
-    assert sender.controller.state == ErrorState.BUS_OFF
+    assert sender.controller.state == CanErrorState.BUS_OFF
     assert wire.next_ns() == NEVER_NS
     receiver.controller.offer(Frame(1, b""), 10**10)
     wire.advance(10**10 + 10**8)
-    assert receiver.controller.state == ErrorState.PASSIVE, "the receiver gets no acknowledge"
+    assert receiver.controller.state == CanErrorState.PASSIVE, "the receiver gets no acknowledge"
 
 
 def test_successful_frames_reduce_the_error_counters() -> None:
@@ -186,11 +189,11 @@ def test_successful_frames_reduce_the_error_counters() -> None:
     sender, receiver = parties(wire, 2)
     destroy(wire, sender.controller, 13, 0)
     assert (sender.controller.tx_errors, receiver.controller.rx_errors) == (103, 12)
-    assert sender.controller.state == ErrorState.WARNING
+    assert sender.controller.state == CanErrorState.WARNING
     for n in range(8):
         sender.controller.offer(Frame(n, b""), 10**9)
     wire.advance(2 * 10**9)
-    assert sender.controller.state == ErrorState.ACTIVE
+    assert sender.controller.state == CanErrorState.ACTIVE
     assert sender.errors[-1].data[1] == 0x40, "CAN_ERR_CRTL_ACTIVE"
     assert receiver.controller.rx_errors == 4
 
@@ -202,7 +205,7 @@ def test_two_of_one_identifier_destroy_each_other() -> None:
         party.controller.offer(Frame(7, data), 0)
     wire.advance(10**9)
     assert ears.received == []
-    assert a.controller.state == b.controller.state == ErrorState.BUS_OFF
+    assert a.controller.state == b.controller.state == CanErrorState.BUS_OFF
     for party in parties(wire, 2):
         party.controller.offer(Frame(8, b"same"), 10**9)
     wire.advance(2 * 10**9)

@@ -9,7 +9,7 @@ import pytest
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
-from handctl.hand.load import hand_from_content, load_hand, packaged_hands
+from handctl.hand.hand_loading import hand_from_content, load_hand, packaged_hands
 
 SPATIAL_HANDS = ("orca_like",)
 """Packaged hands whose digits are spatial chains on a wrist.
@@ -30,7 +30,7 @@ def hand(request: pytest.FixtureRequest) -> Hand:
 @pytest.fixture
 def digits(hand: Hand) -> tuple[DigitModel, ...]:
     """Return all digits of the hand."""
-    return tuple(DigitModel.of(hand, name) for name in hand.digit_names)
+    return tuple(DigitModel.from_hand(hand, name) for name in hand.digit_names)
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ import json
 from typing import Any
 
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_from_content, load_hand
+from handctl.hand.hand_loading import hand_from_content, load_hand
 
 WRIST_MOMENT_ARM_M = 0.005
 """Distance at which the digits' tendons pass the axis of the wrist [m].

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from handctl.hand.load import hand_content
+from handctl.hand.hand_loading import hand_content
 
 
 def fifteen_motors() -> dict[str, Any]:

@@ -7,9 +7,9 @@ import pytest
 from scipy.optimize import least_squares
 
 from handctl.hand.digit import DigitModel
+from handctl.hand.hand_loading import load_hand
 from handctl.hand.inverse_kinematics import closest_tip, inverse_kinematics_coupled
 from handctl.hand.kinematics import joint_points
-from handctl.hand.load import load_hand
 from tests.hand.random_chains import random_hand
 
 TESTED_HANDS = ("jamia", "jamia11", "t42", "n_plus_1")
@@ -20,7 +20,7 @@ def palm_digits(hand: str) -> list[DigitModel]:
     """Return the digits of a hand that are mounted on its palm."""
     description = load_hand(hand)
     return [
-        DigitModel.of(description, digit.name)
+        DigitModel.from_hand(description, digit.name)
         for digit in description.digit
         if digit.mount_on is None
     ]
@@ -102,7 +102,7 @@ def test_tips_of_random_chains_are_closest(seed: int) -> None:
     """The chains have hinges in any direction and one to eight links."""
     random = np.random.default_rng(seed)
     description = random_hand(seed)
-    digit = DigitModel.of(description, description.digit_names[0])
+    digit = DigitModel.from_hand(description, description.digit_names[0])
     low, high = digit.reach
     theta = random.uniform(low, high)
     found = closest_tip(

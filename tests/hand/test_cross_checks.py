@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from handctl.errors import ConfigError
-from handctl.hand.load import hand_content, hand_from_content
+from handctl.hand.hand_loading import hand_content, hand_from_content
 from tests.hand.hand_on_wrist import mount_on_wrist
 
 JAMIA_CONTENT = hand_content("jamia")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from handctl.errors import ConfigError
-from handctl.hand.load import (
+from handctl.hand.hand_loading import (
     PACKAGED_HANDS_FOLDER,
     hand_content,
     hand_from_content,

@@ -8,8 +8,13 @@ import pytest
 from handctl.cli.main import main
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_from_content, load_hand, packaged_hands
-from handctl.hand.strength import STRENGTH_MARGIN, largest_force, runaway_tension, strength_warnings
+from handctl.hand.hand_loading import hand_from_content, load_hand, packaged_hands
+from handctl.hand.tendon_strength import (
+    STRENGTH_MARGIN,
+    largest_safe_force,
+    runaway_tension,
+    strength_warnings,
+)
 
 
 def hand_with_ratings(
@@ -64,7 +69,7 @@ def test_the_bound_is_exact(name):
     hand = load_hand(name)
     spool = hand.motor[0].spool_radius_m
     for strength in (400.0, 900.0):
-        most = largest_force(strength)
+        most = largest_safe_force(strength)
         assert strength == pytest.approx(STRENGTH_MARGIN * runaway_tension(most))
         for factor, warned in ((0.999, False), (1.001, True)):
             other = hand_with_ratings(hand, peak=factor * most * spool, strength=strength)

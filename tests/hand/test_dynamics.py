@@ -9,7 +9,7 @@ from handctl.hand import dynamics, rigid_body
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.hand.formats.urdf import urdf_text
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 
 SAMPLE_COUNT = 1000
 GRAVITIES_M_S2 = [(0.0, 0.0, -9.81), (0.0, -9.81, 0.0), (9.81, 0.0, 0.0), (3.1, -7.7, 5.2)]
@@ -143,7 +143,9 @@ def test_one_joint_is_a_pendulum(rng):
         "motor": [content["motor"][3]],
         "sensor_node": node,
     }
-    digit = DigitModel.of(Hand.model_validate(alone), "thumb").with_gravity((0.0, -9.81, 0.0))
+    digit = DigitModel.from_hand(Hand.model_validate(alone), "thumb").with_gravity(
+        (0.0, -9.81, 0.0)
+    )
     inertia = digit.inertias[0, 2, 2] + digit.masses[0] * digit.coms[0, 0] ** 2 + digit.armature[0]
     for q, dq, ddq in random_motions(rng, 1, 50):
         weight = digit.masses[0] * digit.coms[0, 0] * 9.81 * np.cos(q)
@@ -266,7 +268,7 @@ def test_lists_tuples_and_arrays_give_equal_results(digits, rng):
 
 def test_known_numbers_of_the_paper_s_finger():
     """The torque of the straight finger's weight at joint 1 and its reduced inertia equal values computed by hand."""
-    digit = DigitModel.of(load_hand("jamia"), "index").with_gravity(
+    digit = DigitModel.from_hand(load_hand("jamia"), "index").with_gravity(
         (0.0, 9.81, 0.0)
     )  # gravity along the digit's -y
     m1, m2, m3 = digit.masses

@@ -10,7 +10,7 @@ from _pytest.mark.structures import ParameterSet
 from handctl.errors import ConfigError
 from handctl.hand.digit import DigitModel
 from handctl.hand.formats.urdf import urdf_text
-from handctl.hand.load import hand_content, hand_from_content, packaged_hands
+from handctl.hand.hand_loading import hand_content, hand_from_content, packaged_hands
 from tests.conftest import NIGHTLY
 
 CONTENT_BY_HAND = {name: hand_content(name) for name in packaged_hands()}
@@ -192,5 +192,5 @@ def usable_or_refused(content):
         hand = hand_from_content(content, "f")
     except ConfigError as error:
         return "\n" not in str(error)
-    digits = [DigitModel.of(hand, name) for name in hand.digit_names]
+    digits = [DigitModel.from_hand(hand, name) for name in hand.digit_names]
     return len(hand.identity) == 64 and len(digits) > 0 and urdf_text(hand).startswith("<robot")

@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from firmware_sim.description import load_hand as simulated
+from firmware_sim.hand_description import load_hand as simulated
 from handctl.hand.description import Hand
 from handctl.hand.file.templates import resolve_templates
-from handctl.hand.load import (
+from handctl.hand.hand_loading import (
     PACKAGED_HANDS_FOLDER,
     hand_content,
     hand_path,

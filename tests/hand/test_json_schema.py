@@ -14,7 +14,7 @@ import pytest
 import handctl
 from handctl.cli.main import main
 from handctl.hand.file.json_schema import hand_schema
-from handctl.hand.load import (
+from handctl.hand.hand_loading import (
     PACKAGED_HANDS_FOLDER,
     hand_path,
     load_hand,

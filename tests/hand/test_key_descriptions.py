@@ -5,7 +5,7 @@ from typing import ClassVar
 import pytest
 from pydantic import BaseModel, ConfigDict, Field
 
-from handctl.hand.file.descriptions import DescribedSchema, field_docstrings, key_description
+from handctl.hand.file.key_descriptions import DescribedSchema, field_docstrings, key_description
 
 
 class ExampleKeys(BaseModel):

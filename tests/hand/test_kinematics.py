@@ -9,6 +9,7 @@ import pytest
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.hand.formats.urdf import urdf_text
+from handctl.hand.hand_loading import load_hand
 from handctl.hand.inverse_kinematics import (
     coordinate_limits,
     inverse_kinematics,
@@ -24,7 +25,6 @@ from handctl.hand.kinematics import (
 )
 from handctl.hand.link_bodies import rotation_of_rpy
 from handctl.hand.link_frames import link_transforms, quaternion_of_rotation
-from handctl.hand.load import load_hand
 from tests.hand.random_chains import random_hand
 
 
@@ -58,7 +58,7 @@ def hand_with_general_mounts() -> Hand:
 def test_frames_and_jacobians_agree_with_pinocchio(hand, rng):
     model = pinocchio.buildModelFromXML(urdf_text(hand))
     data = model.createData()
-    for digit in (DigitModel.of(hand, name) for name in hand.digit_names):
+    for digit in (DigitModel.from_hand(hand, name) for name in hand.digit_names):
         columns = [model.joints[model.getJointId(joint)].idx_v for joint in digit.joint_names]
         tip = model.getFrameId(f"{digit.name}_tip")
         for q in random_angles(rng, digit):
@@ -124,7 +124,7 @@ def test_tip_pose_is_the_last_point_and_the_sum_of_angles(digits, rng):
 def test_the_paper_s_finger_at_thirty_degrees():
     """Eq. 1-2 of the paper with q1 = q2 = q3 = t give X = 30 cos(t) + 15 cos(2t) + 10 cos(3t) mm."""
     t = math.radians(30.0)
-    pose = planar_tip(DigitModel.of(load_hand("jamia"), "index"), (t, t, t))
+    pose = planar_tip(DigitModel.from_hand(load_hand("jamia"), "index"), (t, t, t))
     x = 0.030 * math.cos(t) + 0.015 * math.cos(2 * t) + 0.010 * math.cos(3 * t)
     y = 0.030 * math.sin(t) + 0.015 * math.sin(2 * t) + 0.010 * math.sin(3 * t)
     assert np.allclose(pose, (x, y, 3 * t), rtol=1e-13)
@@ -180,23 +180,25 @@ def test_inverse_near_the_edge_of_reach(digits):
 
 
 def test_inverse_kinematics_near_a_folded_posture():
-    thumb = DigitModel.of(load_hand("jamia"), "thumb")
+    thumb = DigitModel.from_hand(load_hand("jamia"), "thumb")
     assert inverse_kinematics(thumb, 0.004, 0.0) == ()
     assert np.allclose(np.abs(inverse_kinematics(thumb, 0.005, 0.0)[0]), (0.0, math.pi), atol=1e-6)
 
 
 def test_inverse_kinematics_names_missing_input():
     with pytest.raises(ValueError, match="parallel hinges"):
-        inverse_kinematics(DigitModel.of(random_hand(1, 3), "d0"), 0.03, 0.01, 0.0)
+        inverse_kinematics(DigitModel.from_hand(random_hand(1, 3), "d0"), 0.03, 0.01, 0.0)
     with pytest.raises(ValueError, match="a direction"):
-        inverse_kinematics(DigitModel.of(load_hand("jamia"), "index"), 0.03, 0.01)
+        inverse_kinematics(DigitModel.from_hand(load_hand("jamia"), "index"), 0.03, 0.01)
     with pytest.raises(ValueError, match="needed: one"):
-        inverse_kinematics_coupled(DigitModel.of(load_hand("jamia11"), "index"), (0.03, 0.01, 0.0))
+        inverse_kinematics_coupled(
+            DigitModel.from_hand(load_hand("jamia11"), "index"), (0.03, 0.01, 0.0)
+        )
 
 
 def test_coupled_inverse_finds_the_coordinate_that_was_given(rng):
     hand = load_hand("jamia")
-    for digit in (DigitModel.of(hand, name) for name in hand.digit_names):
+    for digit in (DigitModel.from_hand(hand, name) for name in hand.digit_names):
         low, high = coordinate_limits(digit)
         assert (low, high) == (digit.joint_min[0], digit.joint_max[0])
         for theta in [low, high, *rng.uniform(low, high, 50)]:
@@ -208,7 +210,7 @@ def test_coupled_inverse_finds_the_coordinate_that_was_given(rng):
 
 
 def test_coupled_inverse_comes_as_near_as_a_fine_scan(rng):
-    digit = DigitModel.of(load_hand("jamia"), "index")
+    digit = DigitModel.from_hand(load_hand("jamia"), "index")
     scan = np.linspace(*coordinate_limits(digit), 4001)
     curve = np.array([joint_points(digit, digit.coupling[:, 0] * theta)[-1] for theta in scan])
     for target in digit.mount_position + rng.uniform(-0.06, 0.06, (100, 3)):
@@ -224,7 +226,7 @@ def test_coordinate_limits_respect_the_tightest_joint():
         "coupling": [[1.0], [2.0], [-0.5]],
         "joint_min_deg": [-10.0, -60.0, -20.0],
     }
-    model = DigitModel.of(
+    model = DigitModel.from_hand(
         Hand.model_validate({**content, "digit": [digit, *content["digit"][1:]]}), "index"
     )
     assert np.allclose(np.degrees(coordinate_limits(model)), (-10.0, 40.0))

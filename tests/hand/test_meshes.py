@@ -11,22 +11,28 @@ import numpy as np
 import pinocchio
 import pytest
 
-from firmware_sim.description import load_hand as simulated_hand
+from firmware_sim.hand_description import load_hand as simulated_hand
 from firmware_sim.plant.mjcf import HIDDEN_GROUP, VISUAL_GROUP, model_text
 from firmware_sim.scene.scene import load_scene
 from handctl.errors import ConfigError
 from handctl.hand.file.json_schema import hand_schema
-from handctl.hand.formats.mesh_file import mesh_triangles
-from handctl.hand.formats.meshes import (
+from handctl.hand.formats.link_meshes import (
     PALM_LINK,
     exported_meshes,
     mesh_mistakes,
     meshes_of_hand,
     with_meshes_from,
 )
+from handctl.hand.formats.mesh_file import mesh_triangles
 from handctl.hand.formats.mjcf import mjcf_text
 from handctl.hand.formats.urdf import urdf_text
-from handctl.hand.load import hand_content, hand_from_content, load_hand, packaged_hands, parse_toml
+from handctl.hand.hand_loading import (
+    hand_content,
+    hand_from_content,
+    load_hand,
+    packaged_hands,
+    parse_toml,
+)
 from tests.hand.mesh_files import (
     assert_same_places,
     corners_by_link,

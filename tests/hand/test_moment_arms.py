@@ -6,14 +6,14 @@ The excursion is the integral of the arms R, and mistakes in a hand file are rep
 import numpy as np
 import pytest
 
-from firmware_sim.description import load_hand as load_simulated
+from firmware_sim.hand_description import load_hand as load_simulated
 from firmware_sim.plant.drivetrain import _arm_at, _taken_up
 from firmware_sim.plant.tendon import TendonRouting
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
-from handctl.hand.load import hand_from_content, load_hand, packaged_hands, parse_toml
-from handctl.hand.moment_arms import polynomial_of_arm, table_residual
+from handctl.hand.hand_loading import hand_from_content, load_hand, packaged_hands, parse_toml
+from handctl.hand.moment_arms import arm_table_residual, polynomial_of_arm
 from handctl.hand.tendons import excursions
 from handctl.programs.default_task import grasp_warnings
 from handctl.report.hand_graph import text_graph
@@ -27,7 +27,7 @@ ANGLE_SEEDS = range(3)
 @pytest.mark.parametrize("kind", ["polynomial", "table"])
 def test_moment_arms_are_the_derivative_of_the_excursion(name: str, kind: str) -> None:
     hand = with_varying_arms(name, 0.3, kind)
-    for digit in (DigitModel.of(hand, one) for one in hand.digit_names):
+    for digit in (DigitModel.from_hand(hand, one) for one in hand.digit_names):
         for seed in ANGLE_SEEDS:
             # Some angles are outside the joint limits, where a moment arm is constant.
             q = np.random.default_rng(seed).uniform(digit.joint_min - 0.2, digit.joint_max + 0.2)
@@ -37,7 +37,7 @@ def test_moment_arms_are_the_derivative_of_the_excursion(name: str, kind: str) -
                 for one in step * np.eye(digit.joint_count)
             ]
             np.testing.assert_allclose(np.transpose(slope), digit.arms_at(q), atol=1e-9)
-            assert digit.at(q).has_varying_arm
+            assert digit.at_angles(q).has_varying_arm
             theta = digit.joints_to_coordinates @ q
             found = digit.coordinates_of(excursions(digit, digit.coupling @ theta))
             np.testing.assert_allclose(found, theta, atol=1e-9)
@@ -50,13 +50,13 @@ def test_a_polynomial_of_one_coefficient_is_a_constant_arm(name: str) -> None:
     np.testing.assert_allclose(hand.moment_arms, constant.moment_arms, rtol=1e-12)
     q = np.random.default_rng(1).uniform(-1.0, 2.0, len(hand.joints))
     for one in hand.digit_names:
-        digit = DigitModel.of(hand, one)
-        same = DigitModel.of(constant, one)
+        digit = DigitModel.from_hand(hand, one)
+        same = DigitModel.from_hand(constant, one)
         np.testing.assert_allclose(
             excursions(digit, q[digit.joints]), excursions(same, q[digit.joints]), rtol=1e-12
         )
         np.testing.assert_allclose(
-            digit.at(q[digit.joints]).torque_to_tension, same.torque_to_tension, rtol=1e-9
+            digit.at_angles(q[digit.joints]).torque_to_tension, same.torque_to_tension, rtol=1e-9
         )
 
 
@@ -78,7 +78,7 @@ def test_the_simulator_has_the_same_arms_from_its_own_polynomials(
             hand.joint_limits[0] - 0.1, hand.joint_limits[1] + 0.1
         )
         for one in hand.digit_names:
-            digit = DigitModel.of(hand, one)
+            digit = DigitModel.from_hand(hand, one)
             angles = q[digit.joints]
             arms = np.zeros_like(digit.moment_arms)
             lengths = np.zeros(len(arms))
@@ -99,9 +99,9 @@ def test_a_table_becomes_a_polynomial_of_degree_three_with_its_residual() -> Non
         "arm_m": np.polynomial.polynomial.polyval(np.radians(angle), cubic).tolist(),
     }
     np.testing.assert_allclose(polynomial_of_arm(arm), [*cubic, 0.0, 0.0], atol=1e-12)
-    assert table_residual(arm) < 1e-12
+    assert arm_table_residual(arm) < 1e-12
     arm["arm_m"][4] += 1e-4
-    assert 2e-5 < table_residual(arm) < 1e-4
+    assert 2e-5 < arm_table_residual(arm) < 1e-4
     assert (
         polynomial_of_arm({"angle_deg": [0.0, 90.0], "arm_m": [0.002, 0.004]})[2:].tolist()
         == [0.0] * 4

@@ -5,19 +5,19 @@ import numpy as np
 import pinocchio
 import pytest
 
-from firmware_sim.description import load_hand as simulated_hand
+from firmware_sim.hand_description import load_hand as simulated_hand
 from firmware_sim.plant.mjcf import model_text
 from firmware_sim.scene.scene import load_scene
-from handctl.core.estimation.tip import joint_lever
+from handctl.core.estimation.tip_force import joint_lever
 from handctl.hand import dynamics, rigid_body
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.hand.formats.mjcf import mjcf_text
 from handctl.hand.formats.urdf import urdf_text
+from handctl.hand.hand_loading import load_hand
+from handctl.hand.hand_tree import HandTree
 from handctl.hand.kinematics import forward_kinematics, joint_points, point_jacobian, tip_jacobian
 from handctl.hand.link_frames import link_transforms
-from handctl.hand.load import load_hand
-from handctl.hand.tree import HandTree
 from handctl.log.topics.transforms import link_frames, link_quaternions, multiply_quaternions
 from tests.hand.random_chains import RANDOM_CHAIN_SEEDS, random_hand, random_tree
 from tests.hand.test_dynamics import (
@@ -33,7 +33,7 @@ from tests.hand.test_dynamics import (
 def random_hand_and_digits(request: pytest.FixtureRequest) -> tuple[Hand, tuple[DigitModel, ...]]:
     """Return a random hand and its digits. A test with this fixture runs once for each random hand."""
     hand = random_hand(request.param)
-    return hand, tuple(DigitModel.of(hand, name) for name in hand.digit_names)
+    return hand, tuple(DigitModel.from_hand(hand, name) for name in hand.digit_names)
 
 
 def test_random_hands_have_all_counts_of_links():
@@ -193,7 +193,7 @@ def random_hand_tree(request: pytest.FixtureRequest) -> tuple[Hand, HandTree]:
     hand = (
         load_hand(request.param) if isinstance(request.param, str) else random_tree(request.param)
     )
-    return hand, HandTree.of(hand)
+    return hand, HandTree.from_hand(hand)
 
 
 def test_random_trees_have_digits_on_digits_on_digits():
@@ -281,7 +281,7 @@ def test_a_digit_on_a_resting_carrier_moves_like_that_digit_alone(random_hand_tr
 def test_each_number_of_a_table_matters(rng):
     """If a number of the middle link changes by a thousandth, the torque leaves the tolerance of these tests."""
     hand = random_hand(3, 3)
-    digit = DigitModel.of(hand, "d0")
+    digit = DigitModel.from_hand(hand, "d0")
     q, dq, ddq = next(iter(random_motions(rng, 3, 1)))
     right = np.array(dynamics.inverse_dynamics(digit, q, dq, ddq))
     for row in range(rigid_body.LENGTH_ROW):

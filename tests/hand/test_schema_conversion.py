@@ -11,8 +11,8 @@ import pytest
 
 from handctl.cli.main import main
 from handctl.hand.description import Hand
-from handctl.hand.file.convert import convert_to_schema_2
-from handctl.hand.load import hand_from_content, load_hand, packaged_hands, parse_toml
+from handctl.hand.file.schema_conversion import convert_to_schema_2
+from handctl.hand.hand_loading import hand_from_content, load_hand, packaged_hands, parse_toml
 from tests.contracts.random_hands import random_hand
 from tests.hand.test_hand_file_templates import IDENTITY_BY_HAND
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import quad
 
 from handctl.hand.digit import DigitModel
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.hand.tendons import (
     TendonElasticity,
     effective_moment_arms,
@@ -17,7 +17,7 @@ from handctl.hand.tendons import (
 )
 
 TENDON_ELASTICITIES = [
-    TendonElasticity.of(load_hand("jamia").tendon[0]),
+    TendonElasticity.from_tendon(load_hand("jamia").tendon[0]),
     TendonElasticity(
         stiffness=1e5, stiffness_beyond=3e5, knee=200.0, knee_width=3e-4, damping=30.0
     ),
@@ -146,7 +146,7 @@ def test_friction_follows_the_capstan_equation(digits, rng):
 
 
 def test_friction_of_a_closed_grasp_is_a_fifth_to_a_third():
-    digit = DigitModel.of(load_hand("jamia"), "index")
+    digit = DigitModel.from_hand(load_hand("jamia"), "index")
     assert math.isclose(
         1 / pulley_factors(digit, (1.6, 0.0, 0.0), (1.0,))[0, 0], 1.29, rel_tol=3e-3
     )
@@ -154,7 +154,7 @@ def test_friction_of_a_closed_grasp_is_a_fifth_to_a_third():
 
 def test_rotor_outweighs_the_finger():
     assert np.allclose(
-        reflected_inertia(DigitModel.of(load_hand("jamia"), "index")), 4.2e-4, rtol=5e-3
+        reflected_inertia(DigitModel.from_hand(load_hand("jamia"), "index")), 4.2e-4, rtol=5e-3
     )
 
 
@@ -175,7 +175,7 @@ def test_one_tendon_per_joint_pulls_the_absolute_torques():
 
     Tension times r is then the difference of neighbouring joint torques.
     """
-    digit = DigitModel.of(load_hand("jamia11"), "ring")
+    digit = DigitModel.from_hand(load_hand("jamia11"), "ring")
     tau = np.array([0.33, 0.15, 0.06])
     assert np.allclose(digit.torque_to_tension @ tau * 0.003, [0.18, 0.09, 0.06], rtol=1e-9)
 

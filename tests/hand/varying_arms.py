@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from handctl.hand.load import hand_from_content, load_hand
+from handctl.hand.hand_loading import hand_from_content, load_hand
 
 
 def with_varying_arms(

@@ -4,7 +4,7 @@ import tempfile
 
 import pytest
 
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from tests.runtime.processes import end, scaled, start_hand, write_homed
 
 SCALE = 0.5

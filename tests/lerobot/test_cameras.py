@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.core.types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.errors import LogError
 from handctl.log.export.camera_video import make_cameras, write_episode_video
 from handctl.log.export.lerobot import export_lerobot
@@ -58,7 +58,7 @@ def write_video(path, seconds, width=WIDTH):
 
 def times(log):
     """Return the first and the last time of the active part of a log [s], which becomes an episode."""
-    active = log.t_ns[log.mode == int(Mode.ACTIVE)] / 1e9
+    active = log.t_ns[log.mode == int(HandMode.ACTIVE)] / 1e9
     return active[0], active[-1]
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from handctl.cli.main import main
-from handctl.core.types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.log.read.reader import RunLog
 from tests.lerobot.conftest import SCALE
 from tests.runtime.processes import BUS, HOMED
@@ -81,7 +81,7 @@ def test_a_robot_observes_follows_limits_and_rests_in_pauses(options) -> None:
     assert not robot.is_connected
     with RunLog(Path("run.mcap")) as log:
         assert not [row for row in log.events if row.event.text.startswith("I11b")]
-        assert Mode.RELAX in log.mode
+        assert HandMode.RELAX in log.mode
 
 
 @LEROBOT

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from handctl.cli.main import main
-from handctl.core.types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.log.export.lerobot import export_lerobot
 from handctl.log.read.reader import RunLog
 from tests.lerobot.conftest import SCALE
@@ -85,7 +85,7 @@ def test_recorded_episodes_can_be_loaded_replayed_and_run(options, place) -> Non
     )
     with RunLog(Path("replay.mcap")) as log:
         assert not faults(log)
-        active = log.mode == Mode.ACTIVE
+        active = log.mode == HandMode.ACTIVE
         highest = np.degrees(np.nanmax(log.field("q_goal")[active][:, :3].mean(axis=1)))
     first = actions[: int(dataset.meta.episodes[0]["length"])]
     # The joints of a finger are coupled, so they turn by the nearest common angle.
@@ -102,7 +102,7 @@ def test_recorded_episodes_can_be_loaded_replayed_and_run(options, place) -> Non
         playback = np.array([change.name for change in log.phases])
         assert "playback" in playback
         followed = np.degrees(
-            np.nanmax(log.field("q")[log.mode == Mode.ACTIVE][:, :3].mean(axis=1))
+            np.nanmax(log.field("q")[log.mode == HandMode.ACTIVE][:, :3].mean(axis=1))
         )
     assert followed == pytest.approx(expected, abs=4.0)
 

@@ -6,12 +6,20 @@ from dataclasses import replace
 import numpy as np
 import synthetic
 
-from handctl.core.types import TELEMETRY_AXES, IoEvent, Mode, Telemetry, TickEvent, TickIn, TickOut
+from handctl.core.tick_types import (
+    TELEMETRY_AXES,
+    HandMode,
+    IoEvent,
+    Telemetry,
+    TickEvent,
+    TickIn,
+    TickOut,
+)
 from handctl.drives.contract import DrivePhase
-from handctl.drives.frame import BRS, ERROR, ESI, EXTENDED, FDF, REMOTE, Frame
+from handctl.drives.frame import BRS, ERROR_FLAG, ESI, EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
 from handctl.log.header import RunHeader
-from handctl.programs.requests import target_text
-from handctl.safety.action import Action
+from handctl.programs.requests import target_request_text
+from handctl.safety.action import SafetyAction
 
 BUSES = ("main", "a_second_bus")
 OPEN_STREAM = (
@@ -39,8 +47,10 @@ def ticks(run: RunHeader, number: int = 120) -> Iterator[tuple[TickIn, TickOut]]
 def _frames(index: int, t_ns: int, random: np.random.Generator) -> tuple[Frame, ...]:
     frames = []
     for n in range(index % 7):
-        flag = (0, EXTENDED, REMOTE, ERROR, EXTENDED | REMOTE)[(index + n) % 5]
-        can_id = (0x12345678 if flag & EXTENDED else 0x123 + n) | flag
+        flag = (0, EXTENDED_FLAG, REMOTE_FLAG, ERROR_FLAG, EXTENDED_FLAG | REMOTE_FLAG)[
+            (index + n) % 5
+        ]
+        can_id = (0x12345678 if flag & EXTENDED_FLAG else 0x123 + n) | flag
         long = (index + n) % 4 == 0
         data = random.bytes((12, 64, 3, 8)[n % 4]) if long else random.bytes((index + n) % 9)
         flags = FDF | (BRS, ESI, 0)[n % 3] if long else 0
@@ -57,7 +67,7 @@ def _tick_in(run: RunHeader, k: int, index: int, random: np.random.Generator) ->
     if index == 50:
         requests += (OPEN_STREAM,)
     if index > 50:
-        requests += (target_text("s", index, t_ns - 10**6, (10.0, index / 7)),)
+        requests += (target_request_text("s", index, t_ns - 10**6, (10.0, index / 7)),)
     return TickIn(
         k, t_ns, int(random.integers(0, 10**7)), _frames(index, t_ns, random), io_events, requests
     )
@@ -73,7 +83,7 @@ def _tick_output(run: RunHeader, index: int, random: np.random.Generator) -> Tic
         )
     if index % 29 == 4:
         events += (TickEvent("weird", "gain", "filter.mode", "a word"),)
-    mode, action = Mode(index // 12 % 9), Action(index // 20 % 5)
+    mode, action = HandMode(index // 12 % 9), SafetyAction(index // 20 % 5)
     phase = ("idle", "close", "h\u00e4lt", "")[index // 30 % 4]
     frames = _frames(index + 2, 0, random)
     return TickOut(frames, mode, phase, action, telemetry, events, random.bytes(8))

@@ -13,16 +13,24 @@ from pathlib import Path
 
 import numpy as np
 
-from handctl.core.types import TELEMETRY_AXES, IoEvent, Mode, Telemetry, TickEvent, TickIn, TickOut
+from handctl.core.tick_types import (
+    TELEMETRY_AXES,
+    HandMode,
+    IoEvent,
+    Telemetry,
+    TickEvent,
+    TickIn,
+    TickOut,
+)
 from handctl.drives.contract import DrivePhase
 from handctl.drives.frame import Frame
 from handctl.hand.formats.urdf import urdf_text
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.log.header import RunHeader
 from handctl.log.record import pack_tick_record
 from handctl.log.topics.state_topics import moment_arms
 from handctl.log.write.recorder import Recorder
-from handctl.safety.action import Action
+from handctl.safety.action import SafetyAction
 
 SCHEDULE = (
     ("start", 0.02),
@@ -89,9 +97,13 @@ class Synthetic:
                 )
             previous = phase
             mode = (
-                Mode.READY if fraction < 0.02 else Mode.ACTIVE if fraction < 0.98 else Mode.DISARM
+                HandMode.READY
+                if fraction < 0.02
+                else HandMode.ACTIVE
+                if fraction < 0.98
+                else HandMode.DISARM
             )
-            action = Action.WARN if 0.5 <= fraction < 0.51 else Action.PASS
+            action = SafetyAction.WARN if 0.5 <= fraction < 0.51 else SafetyAction.PASS
             self._hash.update(telemetry.packed())
             frames = self._sent(k, telemetry)
             yield (

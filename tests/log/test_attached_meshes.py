@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 import synthetic
 
-from handctl.hand.formats.meshes import meshes_of_hand
-from handctl.hand.load import PACKAGED_HANDS_FOLDER, load_hand
+from handctl.hand.formats.link_meshes import meshes_of_hand
+from handctl.hand.hand_loading import PACKAGED_HANDS_FOLDER, load_hand
 from handctl.log import attached_meshes as module
 from handctl.log.attached_meshes import MAX_BYTES, attached_meshes, mesh_attachments
 from handctl.log.read.log_hand import described_hand

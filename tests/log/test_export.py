@@ -11,9 +11,9 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from handctl.core import types
-from handctl.core.types import TELEMETRY_FIELDS
-from handctl.drives.frame import BRS, ERROR, EXTENDED, FDF, REMOTE, Frame
+from handctl.core import tick_types
+from handctl.core.tick_types import TELEMETRY_FIELDS
+from handctl.drives.frame import BRS, ERROR_FLAG, EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
 from handctl.log.export.parquet import export_parquet
 from handctl.log.export.tables import (
     INTEGER_COLUMNS,
@@ -26,7 +26,7 @@ from handctl.log.export.tables import (
     export_csv,
 )
 from handctl.log.read.reader import RunLog
-from handctl.safety.action import Action
+from handctl.safety.action import SafetyAction
 
 GOLDEN = Path(__file__).parents[2] / "logs" / "golden"
 
@@ -52,7 +52,7 @@ def test_parquet_reads_back_bit_for_bit(log: RunLog, tmp_path: Path) -> None:
         table["tension/ring_tendon"].to_numpy(), log.field("tension")[:, 2]
     )
     assert [tick.phase for tick in log.ticks()] == table["phase"].to_pylist()
-    assert [Action(value).name for value in log.action] == table["action"].to_pylist()
+    assert [SafetyAction(value).name for value in log.action] == table["action"].to_pylist()
 
 
 def test_csv_reads_back_bit_for_bit(log: RunLog, tmp_path: Path) -> None:
@@ -69,7 +69,7 @@ def test_csv_reads_back_bit_for_bit(log: RunLog, tmp_path: Path) -> None:
 
 def test_units_are_those_that_the_telemetry_declares() -> None:
     """The docstring of each field of `Telemetry` ends with its unit in brackets, unless the field has no unit."""
-    source = ast.parse(inspect.getsource(types))
+    source = ast.parse(inspect.getsource(tick_types))
     (telemetry,) = (
         node for node in source.body if isinstance(node, ast.ClassDef) and node.name == "Telemetry"
     )
@@ -170,10 +170,10 @@ def test_time_stamps_of_the_candump_rise(
 @pytest.mark.parametrize(
     "frame",
     [
-        Frame(0x123 | EXTENDED, b"\x01\x02", 0, 0),
-        Frame(0x7FF | REMOTE, b"", 0, 0),
+        Frame(0x123 | EXTENDED_FLAG, b"\x01\x02", 0, 0),
+        Frame(0x7FF | REMOTE_FLAG, b"", 0, 0),
         Frame(0x12, bytes(range(64)), FDF | BRS, 0),
-        Frame(ERROR | 0x80, bytes(8), 0, 0),
+        Frame(ERROR_FLAG | 0x80, bytes(8), 0, 0),
     ],
     ids=["extended", "remote", "FD", "error"],
 )
@@ -183,11 +183,11 @@ def test_python_can_reads_every_kind_of_frame(frame: Frame, tmp_path: Path) -> N
     (message,) = can.CanutilsLogReader(path)
     assert message.is_fd == bool(frame.flags & FDF)
     assert message.bitrate_switch == bool(frame.flags & BRS)
-    assert message.is_remote_frame == bool(frame.can_id & REMOTE)
-    assert message.is_error_frame == bool(frame.can_id & ERROR)
+    assert message.is_remote_frame == bool(frame.can_id & REMOTE_FLAG)
+    assert message.is_error_frame == bool(frame.can_id & ERROR_FLAG)
     if not message.is_error_frame:
         assert message.arbitration_id == frame.can_id & 0x1FFF_FFFF
-        assert message.is_extended_id == bool(frame.can_id & EXTENDED)
+        assert message.is_extended_id == bool(frame.can_id & EXTENDED_FLAG)
         assert bytes(message.data) == frame.data
 
 

@@ -11,7 +11,7 @@ from rerun.chunk import RrdReader
 from rerun.experimental import LeRobotReader
 
 from handctl.cli.main import main
-from handctl.core.types import TELEMETRY_FIELDS, Mode
+from handctl.core.tick_types import TELEMETRY_FIELDS, HandMode
 from handctl.errors import ConfigError, LogError
 from handctl.log.export.camera_video import histogram_statistics
 from handctl.log.export.lerobot import export_lerobot
@@ -41,7 +41,7 @@ def frames_of(path: Path) -> polars.DataFrame:
 @pytest.fixture
 def dataset(log: RunLog, tmp_path: Path) -> Path:
     frames = export_lerobot([log], tmp_path / "x.lerobot")
-    assert frames == int((log.mode == int(Mode.ACTIVE)).sum())
+    assert frames == int((log.mode == int(HandMode.ACTIVE)).sum())
     return tmp_path / "x.lerobot"
 
 
@@ -49,7 +49,7 @@ def test_polars_reads_the_table(log: RunLog, tmp_path: Path) -> None:
     export_parquet(log, tmp_path / "x.parquet")
     table = polars.read_parquet(tmp_path / "x.parquet")
     assert table["k"].to_list() == log.k.tolist()
-    assert table["mode"].to_list() == [Mode(value).name for value in log.mode.tolist()]
+    assert table["mode"].to_list() == [HandMode(value).name for value in log.mode.tolist()]
     np.testing.assert_array_equal(table.select(column_names(log)).to_numpy(), table_of(log))
 
 
@@ -67,7 +67,7 @@ def test_the_dataset_has_the_values_of_the_log(log: RunLog, dataset: Path) -> No
     info = json.loads((dataset / "meta" / "info.json").read_text())
     place = {"chunk_index": 0, "file_index": 0}
     table = polars.read_parquet(dataset / info["data_path"].format(**place))
-    active = log.mode == int(Mode.ACTIVE)
+    active = log.mode == int(HandMode.ACTIVE)
     state = np.hstack([log.field("q")[active], log.field("tension")[active]]).astype(np.float32)
     np.testing.assert_array_equal(table["observation.state"].to_numpy(), state)
     goal, q = log.field("q_goal")[active], log.field("q")[active]
@@ -297,7 +297,7 @@ def test_rerun_reads_the_dataset(log: RunLog, dataset: Path) -> None:
     chunks = {str(chunk.entity_path): chunk for chunk in reader.stream(0).to_chunks()}
     batch = chunks["/observation.state"].to_record_batch()
     values = np.array(batch.column("Scalars:scalars").to_pylist())
-    active = log.mode == int(Mode.ACTIVE)
+    active = log.mode == int(HandMode.ACTIVE)
     np.testing.assert_array_equal(
         values[:, : len(log.header.joints)], log.field("q")[active].astype(np.float32)
     )

@@ -11,7 +11,7 @@ from headers import with_metadata, with_run
 
 from handctl.cli.main import main
 from handctl.errors import LogError
-from handctl.hand.load import PACKAGED_HANDS_FOLDER
+from handctl.hand.hand_loading import PACKAGED_HANDS_FOLDER
 from handctl.log.header import MAX_LOG_TIME_NS, PERIOD_RANGE_NS
 from handctl.log.read.reader import RunLog
 

@@ -20,7 +20,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.writer import Writer
 
-from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS
+from handctl.core.tick_types import TELEMETRY_AXES, TELEMETRY_FIELDS
 from handctl.errors import LogError
 from handctl.log.read.logfile import LogErrorContext
 from handctl.log.read.reader import RunLog

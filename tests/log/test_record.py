@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handctl.core.types import (
+from handctl.core.tick_types import (
     TELEMETRY_AXES,
+    HandMode,
     IoEvent,
-    Mode,
     PackedTelemetry,
     Telemetry,
     TickEvent,
@@ -19,7 +19,7 @@ from handctl.core.types import (
     TickOut,
 )
 from handctl.drives.frame import FDF, Frame
-from handctl.drives.records import frames_as_records
+from handctl.drives.frame_records import frames_as_records
 from handctl.log.record import (
     RECORD_FRAMING_STRUCT,
     message_layout,
@@ -29,7 +29,7 @@ from handctl.log.record import (
     unpack_tick_record,
     unpack_ticks,
 )
-from handctl.safety.action import Action
+from handctl.safety.action import SafetyAction
 
 I64 = st.integers(-(2**63), 2**63 - 1)
 TEXT = st.text(st.characters(codec="utf-8"), max_size=30)
@@ -70,9 +70,9 @@ def telemetries(draw: st.DrawFn) -> Telemetry:
 TICK_OUT = st.builds(
     TickOut,
     FRAMES,
-    st.sampled_from(Mode),
+    st.sampled_from(HandMode),
     TEXT,
-    st.sampled_from(Action),
+    st.sampled_from(SafetyAction),
     telemetries(),
     st.lists(st.builds(TickEvent, TEXT, TEXT, TEXT, TEXT), max_size=3).map(tuple),
     st.binary(min_size=8, max_size=8),
@@ -151,7 +151,7 @@ def test_bytes_behind_a_payload_are_no_part_of_the_frame() -> None:
     message = bytearray(
         pack_tick(
             TickIn(1, 2, 0, (frame,)),
-            TickOut((), Mode.READY, "", Action.PASS, telemetry, (), bytes(8)),
+            TickOut((), HandMode.READY, "", SafetyAction.PASS, telemetry, (), bytes(8)),
         )
     )
     at = message_layout(bytes(message)).received.start
@@ -162,7 +162,7 @@ def test_bytes_behind_a_payload_are_no_part_of_the_frame() -> None:
 
 def test_a_payload_longer_than_any_frames_is_refused() -> None:
     telemetry = Telemetry(**{name: np.zeros(1) for name in TELEMETRY_AXES})
-    quiet = TickOut((), Mode.READY, "", Action.PASS, telemetry, (), bytes(8))
+    quiet = TickOut((), HandMode.READY, "", SafetyAction.PASS, telemetry, (), bytes(8))
     message = bytearray(pack_tick(TickIn(1, 2, 0, (Frame(5, bytes(64), FDF),)), quiet))
     message[message_layout(bytes(message)).received.start + 15] = 65
     for decode in (unpack_tick, lambda one: unpack_ticks([one])):
@@ -191,7 +191,7 @@ def test_a_cut_or_changed_message_never_does_worse_than_value_error(
 def test_a_record_contains_its_length() -> None:
     telemetry = Telemetry(**{name: np.full(2, math.nan) for name in TELEMETRY_AXES})
     record = pack_tick_record(
-        TickIn(1, 2), TickOut((), Mode.READY, "", Action.PASS, telemetry, (), bytes(8))
+        TickIn(1, 2), TickOut((), HandMode.READY, "", SafetyAction.PASS, telemetry, (), bytes(8))
     )
     assert RECORD_FRAMING_STRUCT.unpack_from(record)[0] == len(record) - RECORD_FRAMING_STRUCT.size
     with pytest.raises(ValueError, match="not the record"):
@@ -202,5 +202,6 @@ def test_a_hash_of_another_length_is_refused() -> None:
     telemetry = Telemetry(**{name: np.zeros(1) for name in TELEMETRY_AXES})
     with pytest.raises(ValueError, match="8"):
         pack_tick_record(
-            TickIn(1, 2), TickOut((), Mode.READY, "", Action.PASS, telemetry, (), b"short")
+            TickIn(1, 2),
+            TickOut((), HandMode.READY, "", SafetyAction.PASS, telemetry, (), b"short"),
         )

@@ -16,7 +16,7 @@ import lively
 import pytest
 import synthetic
 
-from handctl.core.types import IoEvent, TickIn
+from handctl.core.tick_types import IoEvent, TickIn
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
 from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record

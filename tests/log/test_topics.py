@@ -18,13 +18,13 @@ from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
 from handctl.hand.digit import DigitModel
+from handctl.hand.hand_loading import load_hand
 from handctl.hand.link_frames import link_transforms
-from handctl.hand.load import load_hand
 from handctl.log.header import RunHeader
 from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record
 from handctl.log.topics.transforms import link_frames
 from handctl.log.write.writer import LogWriter
-from handctl.programs.requests import target_text
+from handctl.programs.requests import target_request_text
 
 
 def _write(
@@ -154,7 +154,7 @@ def test_the_wall_offset_shifts_all_times_alike(tmp_path: Path) -> None:
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 def test_transforms_equal_the_kinematics_of_the_hand(tmp_path: Path, hand: str) -> None:
     run, described = synthetic.header(hand, rate_hz=50), load_hand(hand)
-    digits = [DigitModel.of(described, name) for name in run.digits]
+    digits = [DigitModel.from_hand(described, name) for name in run.digits]
     ticks = list(synthetic.Synthetic(run, 1.0))
     topics = by_topic(
         _write(
@@ -222,10 +222,10 @@ def test_streamed_targets_have_a_topic_and_no_line_in_rosout(tmp_path: Path) -> 
     asked = {
         0: (json.dumps(opening),),
         2: (
-            target_text("s", 0, ticks[2][0].t_ns - 3_000_000, (1.5, math.nan)),
-            target_text("t", 1, 0, (1e308,)),
+            target_request_text("s", 0, ticks[2][0].t_ns - 3_000_000, (1.5, math.nan)),
+            target_request_text("t", 1, 0, (1e308,)),
         ),
-        3: (target_text("s", 2**70, 0, ()), '{"do": "target", nonsense', '{"do": "stop"}'),
+        3: (target_request_text("s", 2**70, 0, ()), '{"do": "target", nonsense', '{"do": "stop"}'),
     }
     ticks = [
         (tick_in._replace(requests=asked.get(i, ())), out) for i, (tick_in, out) in enumerate(ticks)

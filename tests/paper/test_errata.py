@@ -74,7 +74,7 @@ def test_corrected_torques_follow_from_the_lagrangian(i: int) -> None:
 
 def test_the_thumb_equations_are_the_same_without_a_third_link() -> None:
     """With m3 = I3 = 0 the equations have two links, as the thumb of this project."""
-    thumb = DigitModel.of(src.paper_hand(), "thumb").with_gravity((0.0, -9.81, 0.0))
+    thumb = DigitModel.from_hand(src.paper_hand(), "thumb").with_gravity((0.0, -9.81, 0.0))
     chance = np.random.default_rng(3)
     states = {
         "g": 9.81,

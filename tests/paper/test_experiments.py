@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from handctl.errors import HandctlError
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.paper import sections
 from handctl.paper.bench import experiments, force_displacement, payload, pool
 from handctl.report.truth import TruthRecord

@@ -20,7 +20,7 @@ def fresh(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Record a grasp with a fault, a bus event and requests on this machine, and return the path of the log."""
     import runs
 
-    from handctl.core.types import IoEvent
+    from handctl.core.tick_types import IoEvent
 
     folder = tmp_path_factory.mktemp("fresh")
     io_events = {300: (IoEvent("enobufs", "main", 2),)}

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.replay.compare import resampled_field
 from handctl.replay.motion_replay import active_interval

@@ -7,17 +7,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from handctl.controller.setup import make_controller
-from handctl.controller.state import State
+from handctl.controller.controller_state import ControllerState
+from handctl.controller.run_setup import make_controller
 from handctl.core.gains.gains import Gains
-from handctl.core.types import IoEvent, TickIn, TickOut
+from handctl.core.tick_types import IoEvent, TickIn, TickOut
 from handctl.drives.frame import Frame
-from handctl.hand.load import hand_path, load_hand
+from handctl.hand.hand_loading import hand_path, load_hand
 from handctl.log.record import pack_tick_record
 from handctl.log.write.recorder import Recorder
-from handctl.programs.grasp import TaskProgram
 from handctl.programs.program import Program
 from handctl.programs.task import load_task
+from handctl.programs.task_program import TaskProgram
 from handctl.runtime.clocks.lockstep import LockstepBus, LockstepClock, LockstepPeer, load_peer
 from handctl.runtime.loop import ControlLoop
 from handctl.session.header import run_header
@@ -110,7 +110,7 @@ def run(
     io_events: dict[int, tuple[IoEvent, ...]] | None = None,
     requests: dict[int, tuple[str, ...]] | None = None,
     truth: Path | None = None,
-) -> State:
+) -> ControllerState:
     """Run a program in lockstep on a simulated hand that closes on a cylinder, and record a log.
 
     Args:
@@ -134,7 +134,9 @@ def run(
             "homed": True,
         }
         options["truth_path"] = str(truth) if truth else None
-        peer = load_peer("firmware_sim.rig:LockstepHand", **options, period_ns=plan.period_ns)
+        peer = load_peer(
+            "firmware_sim.lockstep_hand:LockstepHand", **options, period_ns=plan.period_ns
+        )
     clock = LockstepClock(spoil(peer), plan.period_ns)
     controller = make_controller(described, plan.gains, rate_hz, program, None, arm_at_once=True)
     header = run_header(plan, controller, None, lockstep=True)
@@ -150,7 +152,7 @@ def run(
         clock,
         plan.period_ns,
         [LockstepBus(clock)],
-        controller.begin,
+        controller.begin_tick,
         controller.cut_frames(),
         lambda: (requests or {}).get(clock.k, ()),
         lambda: [*recorder.events(), *(io_events or {}).get(clock.k, ())],
@@ -159,7 +161,7 @@ def run(
         snapshot_recorder(recorder),
     )
     try:
-        return loop.run(controller.initial())
+        return loop.run(controller.initial_state())
     finally:
         recorder.close("done")
         peer.close()

@@ -13,10 +13,10 @@ import pytest
 
 from handctl.cli.main import main
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode
 from handctl.errors import ConfigError
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.log.export.lerobot import export_lerobot
 from handctl.log.read.reader import RunLog
 from handctl.programs.playback import PlaybackProgram
@@ -90,7 +90,7 @@ def test_the_curve_passes_through_the_actions(dataset: Path) -> None:
 
 
 def test_a_hand_follows_an_episode_in_lockstep(dataset: Path) -> None:
-    jamia = HandModel.of(HAND, Gains(), 1.0 / PERIOD)
+    jamia = HandModel.from_hand(HAND, Gains(), 1.0 / PERIOD)
     program = PlaybackProgram(find_episode(dataset, 1, HAND, jamia.period, 200.0))
     controller = homed_controller(jamia, program)
     errors, faults = [], set()
@@ -103,7 +103,7 @@ def test_a_hand_follows_an_episode_in_lockstep(dataset: Path) -> None:
                     np.degrees(true[:9] - out.telemetry.q_goal[:9]).reshape(3, 3).mean(axis=1)
                 )
         assert run.out is not None
-        assert run.out.mode == Mode.DONE
+        assert run.out.mode == HandMode.DONE
     assert faults == set()
     assert run.state.progress.finished
     assert len(errors) * jamia.period == pytest.approx(len(actions(dataset, 1)) / 200.0, abs=0.1)

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handctl.errors import IncomparableError
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.playback import RecordedGoals
 from handctl.replay.compare import check_same_hand, compare_signals, resampled_field, signal_delay
@@ -82,7 +82,7 @@ def test_a_digit_under_tension_control_follows_tension_and_not_angles(golden: Pa
     assert np.isnan(played.q).any()
     assert not np.isnan(played.tension).any()
     assert (np.isnan(played.q) == np.isnan(played.ddq)).all()
-    reread = RecordedGoals.read(played.text(), 11, 4)
+    reread = RecordedGoals.from_text(played.to_text(), 11, 4)
     assert all(
         one.tobytes() == two.tobytes()
         for one, two in zip(

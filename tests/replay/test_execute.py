@@ -16,16 +16,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handctl.controller.setup import RunSetup, make_controller
+from handctl.controller.run_setup import RunSetup, make_controller
 from handctl.core.gains.gains import Gains
-from handctl.core.types import TickIn, TickOut
+from handctl.core.tick_types import TickIn, TickOut
 from handctl.errors import LogError
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.log.code_identity import code_identity
 from handctl.log.read.reader import RunLog
 from handctl.programs.calibration import Calibration, TendonCalibration
 from handctl.programs.commission import CommissionProgram
-from handctl.programs.live import JogProgram, LiveProgram
+from handctl.programs.live_session import JogProgram, LiveProgram
 from handctl.programs.program import Program
 from handctl.programs.requests import HoldTension, MoveDigits
 from handctl.replay import rebuild as rebuilding
@@ -93,7 +93,7 @@ def test_a_changed_byte_of_the_log_is_named(fresh: Path) -> None:
     with RunLog(fresh) as log:
         controller, columns = rebuild_controller(log), TelemetryColumns.of(log.header)
         logged, numbers = next(zip(log.ticks(), log.packed(), strict=True))
-        _, out = controller.tick(controller.initial(), logged.tick_in)
+        _, out = controller.tick(controller.initial_state(), logged.tick_in)
         assert are_outputs_equal(logged, numbers, out)
         assert list(differing_fields(columns, logged, numbers, out)) == []
         bent = np.frombuffer(numbers, "<f8").copy()
@@ -146,14 +146,14 @@ def calibration(hand_name: str) -> Calibration:
 def test_every_program_is_rebuilt_from_its_setup(program: Program) -> None:
     hand, gains, rate = load_hand("jamia"), Gains(), 333.3
     first = make_controller(hand, gains, rate, program, calibration("jamia"), arm_at_once=False)
-    text = RunSetup.of(first, rate).model_dump_json(by_alias=True)
+    text = RunSetup.from_controller(first, rate).model_dump_json(by_alias=True)
     again = RunSetup.model_validate_json(text).controller(hand, gains)
     assert again.program == program
     assert again.arm_at_once is False
     assert again.model.period == first.model.period
     assert again.tare.tobytes() == first.tare.tobytes()
     assert again.zero.tobytes() == first.zero.tobytes()
-    assert again.initial().digest() == first.initial().digest()
+    assert again.initial_state().digest() == first.initial_state().digest()
 
 
 def test_a_log_without_a_setup_is_refused_in_one_line(fresh: Path) -> None:

@@ -10,12 +10,12 @@ import pytest
 import runs
 
 from handctl.core.gains.gains import Gains
-from handctl.core.identified import IdentifiedParameters
+from handctl.core.identified_parameters import IdentifiedParameters
 from handctl.hand.description import Hand
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.calibration import Calibration, TendonCalibration
-from handctl.programs.live import JogProgram
+from handctl.programs.live_session import JogProgram
 from handctl.programs.requests import HoldTension
 from handctl.replay.execute import execute_log
 from handctl.session.plan import RunPlan

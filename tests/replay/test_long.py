@@ -12,10 +12,10 @@ from typing import Any
 import pytest
 import runs
 
-from handctl.core.types import IoEvent
+from handctl.core.tick_types import IoEvent
 from handctl.log.read.reader import RunLog
-from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import load_task
+from handctl.programs.task_program import TaskProgram
 from handctl.replay.execute import execute_log
 from handctl.runtime.clocks.lockstep import LockstepPeer
 

@@ -12,8 +12,8 @@ import pytest
 import runs
 
 from handctl.cli.main import main
-from handctl.core.types import TickEvent, TickIn, TickOut
-from handctl.drives.frame import EXTENDED
+from handctl.core.tick_types import TickEvent, TickIn, TickOut
+from handctl.drives.frame import EXTENDED_FLAG
 from handctl.errors import LogError
 from handctl.log.header import RunHeader
 from handctl.log.read.reader import RunLog
@@ -137,7 +137,7 @@ def with_frame(**changes: int) -> Callable[[TickOut], TickOut]:
         with_event(TickEvent("info", "mode", "", "hold")),
         with_event(TickEvent("info", "phase", "thumb", "hold")),
         with_frame(flags=4),
-        with_frame(can_id=EXTENDED | 1),
+        with_frame(can_id=EXTENDED_FLAG | 1),
         with_frame(t_ns=5),
     ],
 )

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from handctl.campaign.stage import hand_with_protocol, homed_run
-from handctl.controller.snapshot import restore_state, snapshot_bytes
-from handctl.controller.state import State
+from handctl.controller.controller_state import ControllerState
+from handctl.controller.state_snapshot import restore_state, snapshot_bytes
 from handctl.controller.tick import Controller
-from handctl.core.plain import plain_bytes
-from handctl.core.types import Mode, TickIn, TickOut
+from handctl.core.plain_values import plain_bytes
+from handctl.core.tick_types import HandMode, TickIn, TickOut
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
@@ -26,7 +26,7 @@ from handctl.replay.execute import LogExecution, execute_log
 from handctl.replay.rebuild import rebuild_controller
 from handctl.replay.tick_difference import state_difference
 
-Change = Callable[[State, TickIn], None]
+Change = Callable[[ControllerState, TickIn], None]
 Both = Callable[..., tuple[LogExecution, LogExecution]]
 
 
@@ -40,7 +40,9 @@ def both(fresh: Path, monkeypatch: pytest.MonkeyPatch) -> Both:
     def run(change: Change | None = None) -> tuple[LogExecution, LogExecution]:
         original_tick = Controller.tick
 
-        def tick(controller: Controller, before: State, entry: TickIn) -> tuple[State, TickOut]:
+        def tick(
+            controller: Controller, before: ControllerState, entry: TickIn
+        ) -> tuple[ControllerState, TickOut]:
             if change:
                 change(before, entry)
             return original_tick(controller, before, entry)
@@ -63,7 +65,7 @@ def findings(execution: LogExecution) -> dict[str, Any]:
 def spoil(field: str, at: int) -> Change:
     """Return a change that spoils a field of the second tendon before tick ``at``."""
 
-    def change(before: State, entry: TickIn) -> None:
+    def change(before: ControllerState, entry: TickIn) -> None:
         if entry.k == at:
             before.view(field)[1] += 1e-9
 
@@ -74,7 +76,7 @@ def test_a_snapshot_restores_the_state_unchanged(fresh: Path) -> None:
     """The bytes, the hash and the next tick agree in every tick of a run with faults and requests."""
     with RunLog(fresh) as log:
         controller = rebuild_controller(log)
-        state = controller.initial()
+        state = controller.initial_state()
         for logged in log.ticks():
             again = restore_state(controller.layout, snapshot_bytes(state))
             assert (again.digest(), snapshot_bytes(again)) == (
@@ -91,13 +93,13 @@ def test_a_snapshot_restores_the_state_of_every_protocol(protocol: str) -> None:
     with homed_run(hand_with_protocol("jamia", protocol), 250.0, 0) as simulation:
         seen = set()
         for _ in simulation.ticks(limit_s=10.0):
-            if simulation.state.mode == Mode.ACTIVE:
+            if simulation.state.mode == HandMode.ACTIVE:
                 break
             seen.add(simulation.state.mode)
             again = restore_state(simulation.controller.layout, snapshot_bytes(simulation.state))
             assert plain_bytes(again.decisions) == plain_bytes(simulation.state.decisions)
             assert again.digest() == simulation.state.digest()
-    assert {Mode.SILENT, Mode.INVENTORY, Mode.ARMING} <= seen
+    assert {HandMode.SILENT, HandMode.INVENTORY, HandMode.ARMING} <= seen
 
 
 def test_a_log_has_a_snapshot_every_second(fresh: Path) -> None:
@@ -122,7 +124,7 @@ def test_three_processes_find_the_first_difference_wherever_it_is(both: Both, at
 
 
 def test_the_first_field_of_the_state_that_differs_is_named(both: Both) -> None:
-    def change(before: State, entry: TickIn) -> None:
+    def change(before: ControllerState, entry: TickIn) -> None:
         if entry.k >= 150:
             before.view("nis_mean")[1] += 1e-6
 
@@ -133,7 +135,7 @@ def test_the_first_field_of_the_state_that_differs_is_named(both: Both) -> None:
 
 def test_a_decision_that_differs_is_named(fresh: Path) -> None:
     with RunLog(fresh) as log:
-        state, logged = rebuild_controller(log).initial(), next(log.ticks())
+        state, logged = rebuild_controller(log).initial_state(), next(log.ticks())
         other = state.copy()
         other.decide(unconfirmed=("index_motor",))
         assert state_difference(log.header, logged, state, state) is None
@@ -147,7 +149,7 @@ def test_a_decision_that_differs_is_named(fresh: Path) -> None:
 
 
 def test_a_refusal_of_the_controller_is_reported_with_any_number_of_processes(both: Both) -> None:
-    def change(before: State, entry: TickIn) -> None:
+    def change(before: ControllerState, entry: TickIn) -> None:
         if entry.k == 330:
             raise ValueError("no such angle")
 
@@ -189,7 +191,7 @@ def test_a_wrong_snapshot_is_not_used_as_a_start(
 def test_a_snapshot_with_other_objects_than_decisions_is_refused(fresh: Path, text: str) -> None:
     with RunLog(fresh) as log:
         controller = rebuild_controller(log)
-        state = controller.initial()
+        state = controller.initial_state()
         head = snapshot_bytes(state)[: 8 + state.block.nbytes]
         with pytest.raises(ValueError, match=r"."):
             restore_state(controller.layout, head + text.encode())

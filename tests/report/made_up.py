@@ -6,9 +6,9 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from handctl.core.types import TELEMETRY_AXES, Mode
+from handctl.core.tick_types import TELEMETRY_AXES, HandMode
 from handctl.hand.description import Hand
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.log.read.timeline import PhaseChange
 from handctl.report.truth import TruthRecord
 
@@ -28,7 +28,7 @@ class MadeUpLog:
         self.header = SimpleNamespace(period_ns=PERIOD_NS, tendons=hand.tendon_names)
         self.k = np.arange(ticks)
         self.late_ns = np.zeros(ticks, np.int64)
-        self.mode = np.full(ticks, int(Mode.ACTIVE), np.uint8)
+        self.mode = np.full(ticks, int(HandMode.ACTIVE), np.uint8)
         self.fields = {
             name: np.full((ticks, sizes[axis]), np.nan) for name, axis in TELEMETRY_AXES.items()
         }

@@ -3,7 +3,7 @@
 import pytest
 
 from handctl.digit_colours import DIGITS_WITH_COLOUR, colour_numbers
-from handctl.hand.load import load_hand, packaged_hands
+from handctl.hand.hand_loading import load_hand, packaged_hands
 
 
 @pytest.mark.parametrize("name", packaged_hands())

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from handctl.controller.setup import make_sensors
-from handctl.core.types import IoEvent
-from handctl.hand.load import load_hand
+from handctl.controller.run_setup import make_sensors
+from handctl.core.tick_types import IoEvent
+from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.log.record import TickRecord
 from handctl.report.frame_counts import frame_counts

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from handctl.cli.main import main
-from handctl.hand.load import hand_content, hand_from_content, load_hand, packaged_hands
+from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand, packaged_hands
 from handctl.report.hand_graph import draw_hand, text_graph
 from tests.cli.refused import refused
 

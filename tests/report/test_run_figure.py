@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.core.types import Mode
-from handctl.hand.load import load_hand
+from handctl.core.tick_types import HandMode
+from handctl.hand.hand_loading import load_hand
 from handctl.report.run_figure import draw_run
 from handctl.report.truth import TruthRecord
 from tests.report.made_up import MadeUpLog, truth_of
@@ -20,7 +20,7 @@ def run_of(name: str, lively: bool) -> MadeUpLog:
             field[:] = rng.normal(size=field.shape)
         log.fields["tension"][::7] = np.nan
     else:
-        log.mode[:] = int(Mode.SILENT)
+        log.mode[:] = int(HandMode.SILENT)
     return log
 
 
@@ -49,7 +49,7 @@ def test_hidden_values_do_not_affect_the_height(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     log = run_of("jamia", True)
-    log.mode[60:] = int(Mode.DONE)
+    log.mode[60:] = int(HandMode.DONE)
     log.fields["q"][:], log.fields["q_goal"][:] = 0.1, np.nan
     log.fields["q"][:60] = np.linspace(0.0, 0.5, 60)[:, None]
     log.fields["q"][90:] = -9.0

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from handctl.core.types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.report.summary import (
     hold_windows,
     mean_angles,
@@ -95,7 +95,7 @@ def test_tracking_error_is_computed_in_free_motion_only() -> None:
     force = np.zeros(200)
     force[120:140] = 0.2
     set_column(truth, "contact_force/index/y", force)
-    log.mode[140:160] = Mode.RELAX
+    log.mode[140:160] = HandMode.RELAX
     result = summarise_run(log, JAMIA, truth, 7)
     assert result["tracking_rmse_rad"] == pytest.approx(0.01)
     assert result["tracking_rmse_deg"]["index"] == pytest.approx(math.degrees(0.01))

@@ -31,7 +31,7 @@ def test_a_written_truth_file_is_read(small: TruthRecord, tmp_path: Path) -> Non
 
 
 def test_the_simulators_own_file_is_read(tmp_path: Path) -> None:
-    from firmware_sim.rig import LockstepHand
+    from firmware_sim.lockstep_hand import LockstepHand
 
     path = tmp_path / "t.truth"
     rig = LockstepHand("jamia", scene="cylinder", truth_path=str(path), period_ns=2_000_000)

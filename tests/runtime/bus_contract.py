@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import can
 import pytest
 
-from handctl.drives.frame import BRS, EXTENDED, FDF, REMOTE, Frame
+from handctl.drives.frame import BRS, EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.open import open_bus
 
@@ -70,10 +70,10 @@ def some_frames(count: int, seed: int) -> list[Frame]:
     rng = random.Random(seed)
     frames = []
     for _ in range(count):
-        can_id = rng.choice((rng.randrange(0x800), rng.randrange(1 << 29) | EXTENDED))
+        can_id = rng.choice((rng.randrange(0x800), rng.randrange(1 << 29) | EXTENDED_FLAG))
         kind = rng.randrange(4)
         if kind == 0:
-            frames.append(Frame(can_id | REMOTE, bytes(rng.randrange(9))))
+            frames.append(Frame(can_id | REMOTE_FLAG, bytes(rng.randrange(9))))
         elif kind == 1:
             frames.append(
                 Frame(can_id, rng.randbytes(rng.choice(FD_SIZES)), FDF | rng.choice((0, BRS)))
@@ -160,8 +160,11 @@ def test_python_can_understands_every_frame(medium: Medium) -> None:
         assert ours.send([frame]) == 1
         message = theirs.recv(WAIT_S)
         assert message is not None
-        assert message.arbitration_id | EXTENDED * message.is_extended_id == frame.can_id & ~REMOTE
-        assert message.is_remote_frame == bool(frame.can_id & REMOTE)
+        assert (
+            message.arbitration_id | EXTENDED_FLAG * message.is_extended_id
+            == frame.can_id & ~REMOTE_FLAG
+        )
+        assert message.is_remote_frame == bool(frame.can_id & REMOTE_FLAG)
         assert (message.is_fd, message.bitrate_switch) == (
             bool(frame.flags & FDF),
             bool(frame.flags & BRS),
@@ -189,7 +192,7 @@ def test_every_message_of_python_can_is_understood(medium: Medium) -> None:
         theirs.send(message)
     assert contents(drain_bus(ours, len(sent))) == [
         (0x7FF, b"\x00\xff", 0),
-        (0x1FFFFFFF | EXTENDED, bytes(range(8)), 0),
-        (0x10 | REMOTE, bytes(4), 0),
+        (0x1FFFFFFF | EXTENDED_FLAG, bytes(range(8)), 0),
+        (0x10 | REMOTE_FLAG, bytes(4), 0),
         (0x20, bytes(48), FDF | BRS),
     ]

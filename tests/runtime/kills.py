@@ -22,10 +22,10 @@ import numpy as np
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.tick import Controller
 from handctl.core.gains.gains import Gains
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.calibration import load_calibration
-from handctl.programs.grasp import TaskProgram
+from handctl.programs.task_program import TaskProgram
 from handctl.report.truth import TruthRecord, read_truth
 from handctl.runtime.paths import faults_path, local_bus_path, run_dir
 from handctl.session.plan import RunPlan, bus_specs
@@ -130,7 +130,7 @@ class Range:
         calibration = folder / "c.toml"
         task.write_text(LONG)
         write_homed(calibration, hand)
-        load = tuple(one.at(RATE_HZ) for one in bus_loads(hand))
+        load = tuple(one.load_at(RATE_HZ) for one in bus_loads(hand))
         self.plan = RunPlan(
             hand, Gains(), RATE_HZ, load, bus_specs(hand, [BUS]), time_scale=scale, clear=True
         )

@@ -19,9 +19,9 @@ from pathlib import Path
 
 import pytest
 
-from firmware_sim import paths as simulated
-from firmware_sim.bus.hub import Hub
-from firmware_sim.description import SimulatorError
+from firmware_sim import socket_paths as simulated
+from firmware_sim.bus.hub import BusHub
+from firmware_sim.hand_description import SimulatorError
 from handctl.cli.main import main
 from handctl.errors import BusError, PowerError, UnconfirmedError
 from handctl.programs.requests import describe_request, parse_request
@@ -100,7 +100,7 @@ def refuses(word: str) -> None:
         assert "HANDCTL_RUN_DIR" in str(caught.value)
     with pytest.raises(UnconfirmedError, match=UNCONFIRMED):
         request_action("local:x", "stop")
-    for refused in (lambda: Hub("x"), simulated.run_dir):
+    for refused in (lambda: BusHub("x"), simulated.run_dir):
         with pytest.raises(SimulatorError, match=word) as caught:
             refused()
         assert "\n" not in str(caught.value)
@@ -255,7 +255,7 @@ def test_requests_and_status_lines_of_another_user_are_ignored(shared):
 
 @SECOND_USER
 def test_a_hub_accepts_only_its_own_user(shared):
-    hub = Hub("x")
+    hub = BusHub("x")
     folder = run_dir()
     for path in (folder / "x.bus", folder, folder.parent):
         path.chmod(0o777)
@@ -266,12 +266,12 @@ def test_a_hub_accepts_only_its_own_user(shared):
             return "joined"
 
     assert as_nobody(join) == "joined"
-    hub.serve(hub.readers())
+    hub.serve(hub.read_sockets())
     assert hub.clients == 0
     for path in (folder.parent, folder):
         path.chmod(0o700)
     link = connect_to_hub("x")
-    hub.serve(hub.readers())
+    hub.serve(hub.read_sockets())
     assert hub.clients == 1
     link.close()
     hub.close()

@@ -8,7 +8,7 @@ import os
 import pytest
 
 from benchmarks.streaming import CLIENTS, Homed, measure_clients
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from tests.runtime.processes import BUS, HOMED, write_homed
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.drives.frame import BRS, ERROR, EXTENDED, FDF, Frame
-from handctl.drives.records import WORDS_PER_RECORD, Frames, frames_as_records, join_frames
+from handctl.drives.frame import BRS, ERROR_FLAG, EXTENDED_FLAG, FDF, Frame
+from handctl.drives.frame_records import WORDS_PER_RECORD, Frames, frames_as_records, join_frames
 from handctl.runtime.buses import canfd
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.open import open_bus
@@ -35,7 +35,7 @@ def mixed(count: int, seed: int) -> list[Frame]:
     rng = random.Random(seed)
     frames = []
     for number in range(count):
-        can_id = rng.choice((number & 0x7FF, number | EXTENDED))
+        can_id = rng.choice((number & 0x7FF, number | EXTENDED_FLAG))
         fd = rng.random() < 0.5
         size = rng.choice(LONG_SIZES if fd else SIZES)
         frames.append(
@@ -189,7 +189,7 @@ def test_error_frames_between_others_become_events_and_keep_the_order(
     local: tuple[Bus, socket.socket], udp: tuple[SocketCanBus, socket.socket]
 ) -> None:
     batch = mixed(20, 3)
-    bus_off = Frame(ERROR | 0x40, bytes(8))
+    bus_off = Frame(ERROR_FLAG | 0x40, bytes(8))
     bus, link = local
     link.sendall(
         b"".join(

@@ -4,7 +4,7 @@ import errno
 
 import pytest
 
-from handctl.drives.frame import ERROR
+from handctl.drives.frame import ERROR_FLAG
 from handctl.runtime.buses.events import BusEvents
 
 
@@ -33,34 +33,34 @@ def test_error_frame_gives_the_events_of_its_class(
 ) -> None:
     """The numbers are CAN_ERR_* and CAN_ERR_CRTL_* of the header ``can/error.h`` of Linux."""
     events = BusEvents("can0")
-    events.error_frame(ERROR | can_id, bytes((0, status, 0, 0, 0, 0, 0, 0)))
+    events.error_frame(ERROR_FLAG | can_id, bytes((0, status, 0, 0, 0, 0, 0, 0)))
     assert kinds(events) == expected
 
 
 def test_an_error_frame_names_its_classes() -> None:
     events = BusEvents("can0")
-    events.error_frame(ERROR | 0x28, bytes(8))
+    events.error_frame(ERROR_FLAG | 0x28, bytes(8))
     assert events.take() == [("error_frame", "can0 protocol, no acknowledge", 1)]
 
 
 @pytest.mark.parametrize("data", [b"", b"\x01"])
 def test_a_short_error_frame_is_an_error_frame(data: bytes) -> None:
     events = BusEvents("can0")
-    events.error_frame(ERROR | 0x04, data)
+    events.error_frame(ERROR_FLAG | 0x04, data)
     assert kinds(events) == {"error_frame"}
 
 
 def test_passive_lasts_until_the_controller_reports_another_state() -> None:
     events = BusEvents("can0")
-    events.error_frame(ERROR | 0x04, bytes((0, 0x20)))
+    events.error_frame(ERROR_FLAG | 0x04, bytes((0, 0x20)))
     events.take()
     for _ in range(3):
         assert events.take() == [("error_passive", "can0", 1)]
     events.error_frame(
-        ERROR | 0x04, bytes((0, 0x01))
+        ERROR_FLAG | 0x04, bytes((0, 0x01))
     )  # an overflow leaves the CAN controller's state
     assert "error_passive" in kinds(events)
-    events.error_frame(ERROR | 0x04, bytes((0, 0x08)))
+    events.error_frame(ERROR_FLAG | 0x04, bytes((0, 0x08)))
     events.take()
     assert events.take() == []
 
@@ -68,11 +68,11 @@ def test_passive_lasts_until_the_controller_reports_another_state() -> None:
 @pytest.mark.parametrize("end", ["restarted", "down"])
 def test_bus_off_lasts_until_a_restart(end: str) -> None:
     events = BusEvents("can0")
-    events.error_frame(ERROR | 0x44, bytes((0, 0x20)))
+    events.error_frame(ERROR_FLAG | 0x44, bytes((0, 0x20)))
     events.take()
     assert kinds(events) == {"bus_off", "error_passive"}
     if end == "restarted":
-        events.error_frame(ERROR | 0x100, bytes(8))
+        events.error_frame(ERROR_FLAG | 0x100, bytes(8))
     else:
         events.count_failure(errno.ENETDOWN, "enobufs")
     events.take()

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handctl.drives.frame import ERROR, FDF, Frame
+from handctl.drives.frame import ERROR_FLAG, FDF, Frame
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.open import open_bus
 from tests.runtime.bus_hub import RUN_DIR, ScriptedHub, record
@@ -139,7 +139,7 @@ def test_sending_to_a_lost_hub_does_not_raise(scripted: tuple[Bus, socket.socket
 
 def test_error_frames_become_events(scripted: tuple[Bus, socket.socket]) -> None:
     bus, link = scripted
-    link.send(record(ERROR | 0x40, bytes(8)) + record(7, b"data"))
+    link.send(record(ERROR_FLAG | 0x40, bytes(8)) + record(7, b"data"))
     assert [frame.can_id for frame in bus.drain()] == [7]
     kinds = [kind for kind, _, _ in bus.take_events()]
     assert kinds == ["error_frame", "bus_off"]

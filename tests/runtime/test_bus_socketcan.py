@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from handctl.drives.frame import BRS, ERROR, EXTENDED, FDF, Frame
+from handctl.drives.frame import BRS, ERROR_FLAG, EXTENDED_FLAG, FDF, Frame
 from handctl.runtime.buses.socketcan import SocketCanBus
 from tests.runtime.datagrams import datagram_bus
 
@@ -39,12 +39,12 @@ def test_sent_frames_have_the_kernels_layout(udp: tuple[SocketCanBus, socket.soc
     bus, far = udp
     frames = [
         Frame(0x7FF, b"\x01"),
-        Frame(5 | EXTENDED, bytes(range(64)), FDF | BRS),
+        Frame(5 | EXTENDED_FLAG, bytes(range(64)), FDF | BRS),
         Frame(2, bytes(8)),
     ]
     assert bus.send(frames) == 3
     assert far.recv(100) == CLASSICAL.pack(0x7FF, 1, b"\x01")
-    assert far.recv(100) == FD.pack(5 | EXTENDED, 64, FDF | BRS, bytes(range(64)))
+    assert far.recv(100) == FD.pack(5 | EXTENDED_FLAG, 64, FDF | BRS, bytes(range(64)))
     assert far.recv(100) == CLASSICAL.pack(2, 8, bytes(8))
 
 
@@ -194,7 +194,7 @@ def test_a_broken_socket_is_an_event(udp: tuple[SocketCanBus, socket.socket]) ->
 
 def test_error_frames_become_events(udp: tuple[SocketCanBus, socket.socket]) -> None:
     bus, far = udp
-    far.send(CLASSICAL.pack(ERROR | 0x04, 8, bytes((0, 0x20, 0, 0, 0, 0, 0, 0))))
+    far.send(CLASSICAL.pack(ERROR_FLAG | 0x04, 8, bytes((0, 0x20, 0, 0, 0, 0, 0, 0))))
     far.send(CLASSICAL.pack(3, 0, b""))
     assert [frame.can_id for frame in waited(bus, 1)] == [3]
     assert ("error_passive", "socketcan:test", 1) in bus.take_events()

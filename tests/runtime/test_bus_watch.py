@@ -5,13 +5,13 @@ import math
 
 import pytest
 
-from firmware_sim.rig import LockstepHand
+from firmware_sim.lockstep_hand import LockstepHand
 from handctl.cli.main import main
-from handctl.controller.setup import make_drives, make_sensors
+from handctl.controller.run_setup import make_drives, make_sensors
 from handctl.drives.contract import DrivePhase
 from handctl.drives.frame import Frame
 from handctl.drives.motor_description import PROTOCOL_TRAITS
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.runtime.diagnostics.watch import BusWatch, SensorReading, is_saturated
 from handctl.runtime.mailbox import Mailbox
 from tests.drives.bench_process import run_simulated_drives

@@ -5,8 +5,8 @@ import time
 
 import pytest
 
-from handctl.drives.frame import ERROR, Frame
-from handctl.drives.records import Frames, RecordArray, frames_as_records
+from handctl.drives.frame import ERROR_FLAG, Frame
+from handctl.drives.frame_records import Frames, RecordArray, frames_as_records
 from handctl.errors import ConfigError
 from handctl.runtime.clocks.lockstep import LockstepBus, LockstepClock, load_peer
 from handctl.runtime.clocks.priority import GrantedPriority
@@ -210,7 +210,7 @@ def test_a_peer_with_exchange_and_one_with_step_get_the_same_frames() -> None:
 def test_error_frames_of_a_peer_are_events_of_their_bus() -> None:
     clock = LockstepClock(RecordPeer(), PERIOD)
     bus = LockstepBus(clock)
-    bus.send([Frame(1, b"a"), Frame(ERROR | 0x30, bytes(8), bus=1), Frame(2, b"b", bus=1)])
+    bus.send([Frame(1, b"a"), Frame(ERROR_FLAG | 0x30, bytes(8), bus=1), Frame(2, b"b", bus=1)])
     clock.wait(1)
     assert [frame.data for frame in bus.drain()] == [b"a", b"b"]
     assert ("bus_off", "lockstep:1", 1) in bus.take_events()

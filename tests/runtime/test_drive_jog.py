@@ -7,8 +7,8 @@ import pytest
 
 from firmware_sim.bus.frame import Frame as SimFrame
 from handctl.drives.contract import DrivePhase, DriveTarget
-from handctl.drives.modes import DriveMode, MotionLimits
-from handctl.drives.registry import make_drive, make_mode_drive
+from handctl.drives.drive_modes import DriveMode, MotionLimits
+from handctl.drives.protocol_registry import make_drive, make_mode_drive
 from handctl.errors import ConfigError
 from handctl.runtime.diagnostics.conformance import release_drive
 from handctl.runtime.diagnostics.drive_jog import JogGoal, distance_at, jog_drive

@@ -5,7 +5,7 @@ import pytest
 
 from handctl import ConfigError
 from handctl.client import Fingertips, FingertipStream
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 
 HAND = load_hand("jamia11")
 START = np.radians(20.0)

@@ -11,7 +11,7 @@ import time
 
 import pytest
 
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.replay.execute import execute_log
 from handctl.runtime.mailbox import StatusWatcher

@@ -9,10 +9,10 @@ import pytest
 
 from handctl.core.gains.gains import Gains
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
-from handctl.drives.registry import PROTOCOL_ENTRIES
-from handctl.hand.load import load_hand
-from handctl.programs.grasp import TaskProgram
+from handctl.drives.protocol_registry import PROTOCOL_ENTRIES
+from handctl.hand.hand_loading import load_hand
 from handctl.programs.task import load_task
+from handctl.programs.task_program import TaskProgram
 from handctl.session.plan import RunPlan, default_rate
 from handctl.session.run import make_controller, run_lockstep
 from handctl.session.simulate import SimulatorSettings

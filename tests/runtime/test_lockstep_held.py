@@ -9,10 +9,10 @@ import pytest
 
 from handctl.core.gains.gains import Gains
 from handctl.errors import DriveError
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
-from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import load_task
+from handctl.programs.task_program import TaskProgram
 from handctl.runtime.hold_limit import MAX_HOLD_S
 from handctl.session.plan import RunPlan, default_rate
 from handctl.session.run import make_controller, run_lockstep

@@ -14,9 +14,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from handctl.core.types import IoEvent, Mode, TickIn, TickOut
+from handctl.core.tick_types import HandMode, IoEvent, TickIn, TickOut
 from handctl.drives.frame import Frame
-from handctl.drives.records import Frames, frames_as_records
+from handctl.drives.frame_records import Frames, frames_as_records
 from handctl.errors import PowerError
 from handctl.runtime import loop
 from handctl.runtime.loop import ControlLoop
@@ -118,7 +118,7 @@ class Run:
         self.entries.append(entry)
         self.fail(entry)
         done = state + 1 >= self.ticks
-        mode = Mode.DONE if done else Mode.ACTIVE
+        mode = HandMode.DONE if done else HandMode.ACTIVE
         return state + 1, TickOut(self.frames, mode, "", 0, None, (), b"")  # type: ignore[arg-type]
 
     def go(self) -> int:

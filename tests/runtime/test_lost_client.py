@@ -13,7 +13,7 @@ import time
 import pytest
 
 import handctl as library
-from firmware_sim.truth import read_truth
+from firmware_sim.truth_file import read_truth
 from handctl import ConfigError, DriveError
 from handctl.client.heartbeat import Heartbeat
 from handctl.log.read.reader import RunLog

@@ -11,17 +11,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.core.types import (
+from handctl.core.tick_types import (
     TELEMETRY_AXES,
     TELEMETRY_FIELDS,
-    Mode,
+    HandMode,
     PackedTelemetry,
     TickIn,
     TickOut,
 )
 from handctl.errors import BusError
 from handctl.programs.requests import parse_target
-from handctl.programs.streams import StreamStatus
+from handctl.programs.stream_plans import StreamStatus
 from handctl.runtime.mailbox import Mailbox
 from handctl.runtime.observations import RING_RECORDS, ObservationReader, ObservationWriter
 from handctl.runtime.paths import observations_path, targets_path
@@ -33,7 +33,7 @@ from handctl.runtime.targets import (
     TargetBox,
     TargetSender,
 )
-from handctl.safety.action import Action
+from handctl.safety.action import SafetyAction
 
 AXES = {"joint": 3, "tendon": 2, "motor": 2, "digit": 1}
 
@@ -67,7 +67,7 @@ def ticks_of(reader: ObservationReader) -> list[int]:
 
 def write(writer: ObservationWriter, k: int, status: StreamStatus = NO_STREAM) -> None:
     """Write the record of tick k into the ring of observations."""
-    out = TickOut((), Mode.ACTIVE, "live", Action.WARN, numbers_of(k), (), bytes(8))
+    out = TickOut((), HandMode.ACTIVE, "live", SafetyAction.WARN, numbers_of(k), (), bytes(8))
     writer.publish(TickIn(k, 2_000_000 * k, 7), out, status, time.monotonic_ns())
 
 
@@ -81,8 +81,8 @@ def test_a_record_comes_back_with_every_field() -> None:
     assert record is not None
     assert (record["k"], record["t_ns"], record["late_ns"]) == (41, 82_000_000, 7)
     assert (record["mode"], record["action"], record["phase"]) == (
-        Mode.ACTIVE,
-        Action.WARN,
+        HandMode.ACTIVE,
+        SafetyAction.WARN,
         b"live",
     )
     assert [record[name].item() for name in record.dtype.names or () if name.startswith("stream_")] == [

@@ -10,7 +10,7 @@ import signal
 import pytest
 
 from handctl.hand.file.toml_text import toml_text
-from handctl.hand.load import hand_content, load_hand
+from handctl.hand.hand_loading import hand_content, load_hand
 from handctl.log.read.reader import RunLog
 from handctl.report.truth import read_truth
 from handctl.runtime.mailbox import StatusWatcher

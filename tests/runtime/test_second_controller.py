@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from tests.runtime.kills import Listener, read_syncs
 from tests.runtime.processes import BUS, end, handctl, start_hand, start_handctl, write_homed
 

@@ -9,7 +9,7 @@ from contextlib import closing
 import pytest
 
 from firmware_sim import shared_clock as simulated
-from firmware_sim.bus.ports import is_on_this_machine
+from firmware_sim.bus.bus_ports import is_on_this_machine
 from handctl.runtime.clocks import shared
 from handctl.runtime.clocks.shared import ClockFile, SharedClock
 from handctl.runtime.mailbox import StatusWatcher

@@ -2,7 +2,7 @@
 
 import pytest
 
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.runtime.mailbox import StatusWatcher
 from tests.runtime.processes import (
     handctl,

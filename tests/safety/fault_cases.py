@@ -15,11 +15,11 @@ from handctl.core.detectors.residuals import (
     SLIP,
     TENSION,
 )
-from handctl.core.types import Mode
-from handctl.drives.causes import DriveFaultCause
+from handctl.core.tick_types import HandMode
 from handctl.drives.contract import DrivePhase
-from handctl.safety.action import Action
-from handctl.safety.judge import EventReport, filter_error_frames, second_controller_reports
+from handctl.drives.fault_causes import DriveFaultCause
+from handctl.safety.action import SafetyAction
+from handctl.safety.tick_verdict import EventReport, filter_error_frames, second_controller_reports
 from tests.safety.synthetic_monitor import (
     NOW_NS,
     PERIOD_NS,
@@ -71,7 +71,7 @@ class FaultCase(NamedTuple):
     input_below_limit: TickInput
     instance: str
     debounce: int
-    action: Action
+    action: SafetyAction
     latched: bool
     only_while_armed: bool = False
 
@@ -161,7 +161,7 @@ def merge_inputs(*tick_input: TickInput) -> TickInput:
 
 def without_torque(tick_input: TickInput) -> TickInput:
     """Return an input with the mode of a hand that is ready to be armed."""
-    return TickInput({**tick_input.rows, "mode": {...: int(Mode.READY)}}, tick_input.reports)
+    return TickInput({**tick_input.rows, "mode": {...: int(HandMode.READY)}}, tick_input.reports)
 
 
 def slack_tendon(before: int, tendon: int = 3) -> TickInput:
@@ -203,12 +203,12 @@ def replayed_readings(tendon: int, run: int) -> TickInput:
 
 def alone_on_the_bus(heard: bool) -> TickInput:
     reports = filter_error_frames([("error_frame", "can0 no acknowledge", 3.0)], heard)
-    return TickInput({"mode": {...: int(Mode.INVENTORY)}}, tuple(reports))
+    return TickInput({"mode": {...: int(HandMode.INVENTORY)}}, tuple(reports))
 
 
-RELAXING_ROWS = {"mode": {...: int(Mode.RELAX)}, "mode_since": {...: NOW_NS * 1e-9 - 0.2}}
+RELAXING_ROWS = {"mode": {...: int(HandMode.RELAX)}, "mode_since": {...: NOW_NS * 1e-9 - 0.2}}
 """Rows of the state of a hand that has been relaxing for longer than its tendons need to lose their tension."""
-AFTER_CUT_ROWS = {"mode": {...: int(Mode.CUT)}, "cut_ticks": {...: 49}}
+AFTER_CUT_ROWS = {"mode": {...: int(HandMode.CUT)}, "cut_ticks": {...: 49}}
 """Rows of the state of a hand whose motor torque was cut 100 ms ago."""
 
 
@@ -231,7 +231,7 @@ def partial_torque_reports(motor: int, part: float) -> TickInput:
     )
 
 
-PASS, WARN, HOLD, RELAX, CUT = Action
+PASS, WARN, HOLD, RELAX, CUT = SafetyAction
 CASE_BY_FAULT = {
     "B01": FaultCase(late_motors(m1=1), INPUT_AT_REST, "m1", 1, WARN, False, True),
     "B02": FaultCase(late_motors(m0=6), late_motors(**dict.fromkeys(EIGHT_TENDON_LIMITS.motors, 5)), "m0", 1, RELAX,

@@ -8,14 +8,21 @@ import numpy as np
 
 from handctl.compiled import compile_kernels
 from handctl.controller.apply_requests import clear_latched_faults
-from handctl.controller.state import Decisions, State
-from handctl.core import block as s
-from handctl.core import stages
-from handctl.core.block import STATE, Tables, state_tables
-from handctl.core.constants import AXES, ELEMENTS, HAND, KINDS, ConstantTables, constant_tables
+from handctl.controller.controller_state import ControllerDecisions, ControllerState
+from handctl.core import state_block as s
+from handctl.core import tick_stages
+from handctl.core.constants import (
+    CONSTANT_AXES,
+    CONSTANT_SCHEMA,
+    DESIGN_ELEMENT_COUNT,
+    FILTER_DESIGN_COUNT,
+    ConstantTables,
+    constant_tables,
+)
 from handctl.core.detectors.residuals import QUICK_FORCE, TENSION
 from handctl.core.hand_constants import low_pass_fractions
-from handctl.core.types import Mode
+from handctl.core.state_block import STATE_SCHEMA, StateTables, state_tables
+from handctl.core.tick_types import HandMode
 from handctl.safety.faults.fault import (
     JOINT_INSTANCE,
     MOTOR_INSTANCE,
@@ -23,7 +30,8 @@ from handctl.safety.faults.fault import (
     TENDON_INSTANCE,
 )
 from handctl.safety.faults.table import DETECTOR_ROWS
-from handctl.safety.judge import (
+from handctl.safety.safety_limits import LOAD_CELLS, SafetyLimits
+from handctl.safety.tick_verdict import (
     CountedFault,
     EventReport,
     LatchedFault,
@@ -31,7 +39,6 @@ from handctl.safety.judge import (
     faults_counting_since_now,
     judge_tick,
 )
-from handctl.safety.limits import LOAD_CELLS, SafetyLimits
 
 PERIOD_S, NAN = 0.002, np.nan
 SPOOL_RADIUS_M = 0.005
@@ -62,7 +69,7 @@ class SyntheticMonitor:
         limits: names of the hand's parts, and thresholds of its faults.
         layout, block: layout and block of the state. constants_layout, constants: layout and block of the
             constants. Tests may change them.
-        latched, reported_faults: latched and reported faults, as ``safety.judge`` keeps them.
+        latched, reported_faults: latched and reported faults, as ``safety.tick_verdict`` keeps them.
     """
 
     def __init__(
@@ -75,11 +82,14 @@ class SyntheticMonitor:
         compile_kernels()
         n = len(limits.tendons)
         self.limits = limits
-        sizes = dict.fromkeys((*s.AXES, *AXES), n) | {
-            "node": n + 1, "group": 2 * n, "instance": n + 1, "run": 1, "kind": KINDS, "element": ELEMENTS, "place": 3,
+        sizes = dict.fromkeys((*s.STATE_AXES, *CONSTANT_AXES), n) | {
+            "node": n + 1, "group": 2 * n, "instance": n + 1, "run": 1,
+            "kind": FILTER_DESIGN_COUNT, "element": DESIGN_ELEMENT_COUNT, "place": 3,
         }  # fmt: skip
-        self.layout = STATE.layout({name: sizes[name] for name in s.AXES})
-        self.constants_layout = HAND.layout({name: sizes[name] for name in AXES})
+        self.layout = STATE_SCHEMA.layout({name: sizes[name] for name in s.STATE_AXES})
+        self.constants_layout = CONSTANT_SCHEMA.layout(
+            {name: sizes[name] for name in CONSTANT_AXES}
+        )
         self.constants = self.constants_layout.initial.copy()
         motor_period = np.full(n, 1.0) * motor_period
         every = SimpleNamespace(period=PERIOD_S, tendon_count=n)
@@ -98,7 +108,7 @@ class SyntheticMonitor:
         self.latched: tuple[LatchedFault, ...] = ()
         self.reported_faults: tuple[CountedFault, ...] = ()
         self.set_rows({
-            "mode": int(Mode.ACTIVE), "t_ns": NOW_NS, "feedback_ns": NOW_NS, "group_ns": NOW_NS, "started": 1,
+            "mode": int(HandMode.ACTIVE), "t_ns": NOW_NS, "feedback_ns": NOW_NS, "group_ns": NOW_NS, "started": 1,
             "measured_travel": 0.0, "measured_position": 0.0, "measured_tension": 20.0, "measured_force": 20.0,
             "asked": 20.0, "wanted": 20.0, "followed": 0.0, "temperature": 40.0, "phase": 3, "phase_before": 3,
             "residual": {TENSION: 20.0, QUICK_FORCE: 20.0}, "filtered": 1,
@@ -144,7 +154,7 @@ class SyntheticMonitor:
         self.set_rows({"fault_ticks": present})
 
     @property
-    def state_tables(self) -> Tables:
+    def state_tables(self) -> StateTables:
         """Return the tables of the state, in the form that interpreted functions take."""
         return _uncompiled(state_tables)(self.block, self.layout.places)
 
@@ -159,7 +169,7 @@ class SyntheticMonitor:
         Return the value of each finding by fault and instance.
         """
         self.set_rows({**(rows or {}), **more})
-        self.demanded_action, self.found_values = stages.find_faults(
+        self.demanded_action, self.found_values = tick_stages.find_faults(
             self.block,
             self.layout.places,
             self._read_only_constants(),
@@ -177,7 +187,7 @@ class SyntheticMonitor:
     def observe_readings(self, rows: StateRows | None = None) -> None:
         """Convert received values to measurements and screen positions, as a tick does before the detectors run."""
         self.set_rows(rows or {})
-        stages.observe_tick(
+        tick_stages.observe_tick(
             self.block,
             self.layout.places,
             self._read_only_constants(),
@@ -187,7 +197,7 @@ class SyntheticMonitor:
     def store_commands(self, rows: StateRows | None = None) -> None:
         """Store the commands of this tick, as the end of a tick does."""
         self.set_rows(rows or {})
-        stages.store_commands(
+        tick_stages.store_commands(
             self.block,
             self.layout.places,
             self._read_only_constants(),
@@ -210,8 +220,8 @@ class SyntheticMonitor:
 
     def clear_latched(self) -> None:
         """Clear the latched faults, as a request of the operator does."""
-        decisions = Decisions((), None, self.latched, self.reported_faults)  # type: ignore[arg-type]
-        state = State(self.layout, self.block, decisions)
+        decisions = ControllerDecisions((), None, self.latched, self.reported_faults)  # type: ignore[arg-type]
+        state = ControllerState(self.layout, self.block, decisions)
         clear_latched_faults(state)
         self.latched, self.reported_faults = state.latched, state.decisions.reported_faults
 

@@ -38,7 +38,7 @@ def add_fault_of_page(package: Path) -> None:
     kind = package / "safety" / "faults" / "tendon.py"
     with kind.open("a", encoding="utf-8") as file:
         file.write("\n" + dedent(" " * 4 + declaration.lstrip()))
-    path = package / "core" / "detectors" / "tendon.py"
+    path = package / "core" / "detectors" / "tendon_faults.py"
     source = path.read_text(encoding="utf-8")
     place = "        tension = monitored_tension(x, c, n, True)\n"
     assert place in source

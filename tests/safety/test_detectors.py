@@ -2,11 +2,11 @@
 
 import pytest
 
-from handctl.core.detectors.node import PHASE_FAULT, ROW_OF_CAUSE
-from handctl.drives.causes import DriveFaultCause
+from handctl.core.detectors.node_faults import PHASE_FAULT, ROW_OF_CAUSE
 from handctl.drives.contract import DrivePhase
+from handctl.drives.fault_causes import DriveFaultCause
 from handctl.drives.motor_description import GUARDED_PROTOCOLS, PROTOCOL_TRAITS
-from handctl.safety.action import Action
+from handctl.safety.action import SafetyAction
 from handctl.safety.faults.fault import CatalogueRow, Fault
 from handctl.safety.faults.markdown import (
     catalogue_markdown,
@@ -57,7 +57,15 @@ def test_a_tension_above_its_limit_is_detected() -> None:
 
 
 EXAMPLE_FAULT = Fault(
-    "X01b", "a title", "a sign", Action.HOLD, "by itself", "Why.", "Do.", debounce=3, reports=("x",)
+    "X01b",
+    "a title",
+    "a sign",
+    SafetyAction.HOLD,
+    "by itself",
+    "Why.",
+    "Do.",
+    debounce=3,
+    reports=("x",),
 )
 
 

@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from handctl.safety.action import Action
-from handctl.safety.judge import LatchedFault, locate_reports, second_controller_reports
+from handctl.safety.action import SafetyAction
+from handctl.safety.tick_verdict import LatchedFault, locate_reports, second_controller_reports
 from tests.safety.fault_cases import (
     EIGHT_TENDON_LIMITS,
     INPUT_AT_REST,
@@ -37,8 +37,8 @@ def test_a_latched_fault_remains_in_a_tick_without_symptoms() -> None:
     monitor.latched = (LatchedFault("T03", "t0"), LatchedFault("B12", "can0"))
     verdict = monitor.judge()
     assert monitor.latched == (LatchedFault("T03", "t0"), LatchedFault("B12", "can0"))
-    assert (verdict.action, verdict.findings) == (Action.CUT, ())
-    assert rested_monitor().judge().action == Action.PASS
+    assert (verdict.action, verdict.findings) == (SafetyAction.CUT, ())
+    assert rested_monitor().judge().action == SafetyAction.PASS
 
 
 def test_a_finding_has_its_measured_value() -> None:

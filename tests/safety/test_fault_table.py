@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from handctl.core.detectors import judge as compiled_judge
-from handctl.safety import judge as judgement
-from handctl.safety.action import Action, RelaxMethod
+from handctl.core.detectors import fault_detection as compiled_judge
+from handctl.safety import tick_verdict as judgement
+from handctl.safety.action import RelaxMethod, SafetyAction
 from handctl.safety.faults.fault import ENDED_BY_ITSELF, ENDED_BY_OPERATOR, Fault
 from handctl.safety.faults.table import (
     ACTION_NUMBERS,
@@ -20,8 +20,8 @@ from handctl.safety.faults.table import (
     FAULT_TABLE,
     FAULTS_BY_EVENT_KIND,
 )
-from handctl.safety.judge import TickVerdict
-from handctl.safety.limits import SafetyLimits, ticks_for
+from handctl.safety.safety_limits import SafetyLimits, ticks_for
+from handctl.safety.tick_verdict import TickVerdict
 from tests.safety.fault_cases import (
     CASE_BY_FAULT,
     EIGHT_TENDON_LIMITS,
@@ -53,7 +53,7 @@ def check_ticks(
 
 def check_fault_alone(
     id_: str, *ticks: TickInput, monitor: SyntheticMonitor | None = None
-) -> tuple[SyntheticMonitor, list[Action], list[tuple[str, str]]]:
+) -> tuple[SyntheticMonitor, list[SafetyAction], list[tuple[str, str]]]:
     """Judge several ticks.
 
     Return the monitor, the action of one fault in each tick, and the findings of this fault.
@@ -67,7 +67,7 @@ def check_fault_alone(
         counts = max(present, default=0) >= FAULT_BY_ID[id_].debounce or id_ in {
             mark.id for mark in verdict.latched
         }
-        actions.append(FAULT_BY_ID[id_].action if counts else Action.PASS)
+        actions.append(FAULT_BY_ID[id_].action if counts else SafetyAction.PASS)
         assert verdict.action >= actions[-1], "the largest wins"
         reported += [(f.fault.id, f.instance) for f in verdict.findings if f.fault.id == id_]
     return monitor, actions, reported
@@ -80,7 +80,7 @@ def test_every_row_has_a_case_and_is_there_once() -> None:
 def test_hand_without_disturbance_has_no_fault() -> None:
     monitor, verdicts = check_ticks(*[INPUT_AT_REST] * 50)
     assert (monitor.latched, monitor.reported_faults) == ((), ())
-    assert {verdict.action for verdict in verdicts} == {Action.PASS}
+    assert {verdict.action for verdict in verdicts} == {SafetyAction.PASS}
     assert not any(verdict.findings for verdict in verdicts)
 
 
@@ -88,16 +88,16 @@ def test_hand_without_disturbance_has_no_fault() -> None:
 def test_a_fault_counts_after_its_ticks_and_is_reported_once(id_: str) -> None:
     case = CASE_BY_FAULT[id_]
     _, actions, reported = check_fault_alone(id_, *[case.input_with_fault] * (case.debounce - 1))
-    assert (actions, reported) == ([Action.PASS] * (case.debounce - 1), [])
+    assert (actions, reported) == ([SafetyAction.PASS] * (case.debounce - 1), [])
     _, actions, reported = check_fault_alone(id_, *[case.input_with_fault] * (case.debounce + 5))
-    assert actions == [Action.PASS] * (case.debounce - 1) + [case.action] * 6
+    assert actions == [SafetyAction.PASS] * (case.debounce - 1) + [case.action] * 6
     assert reported == [(id_, case.instance)]
 
 
 @pytest.mark.parametrize("id_", CASE_BY_FAULT)
 def test_just_below_its_threshold_it_never_counts(id_: str) -> None:
     _, actions, reported = check_fault_alone(id_, *[CASE_BY_FAULT[id_].input_below_limit] * 100)
-    assert set(actions) == {Action.PASS}
+    assert set(actions) == {SafetyAction.PASS}
     assert not reported
 
 
@@ -115,7 +115,7 @@ def test_interrupted_fault_counts_from_zero(id_: str) -> None:
         return
     almost = [case.input_with_fault] * (case.debounce - 1)
     _, actions, _ = check_fault_alone(id_, *almost, INPUT_AT_REST, *almost, INPUT_AT_REST)
-    assert set(actions) == {Action.PASS}
+    assert set(actions) == {SafetyAction.PASS}
 
 
 @pytest.mark.parametrize("id_", CASE_BY_FAULT)
@@ -123,11 +123,11 @@ def test_latched_fault_stays_until_cleared(id_: str) -> None:
     case = CASE_BY_FAULT[id_]
     monitor, _, _ = check_fault_alone(id_, *[case.input_with_fault] * case.debounce)
     _, actions, reported = check_fault_alone(id_, *[INPUT_AT_REST] * 100, monitor=monitor)
-    assert set(actions) == {case.action if case.latched else Action.PASS}
+    assert set(actions) == {case.action if case.latched else SafetyAction.PASS}
     assert not reported
     monitor.clear_latched()
     _, actions, _ = check_fault_alone(id_, INPUT_AT_REST, monitor=monitor)
-    assert actions == [Action.PASS]
+    assert actions == [SafetyAction.PASS]
     _, actions, reported = check_fault_alone(
         id_, *[case.input_with_fault] * case.debounce, monitor=monitor
     )
@@ -152,7 +152,7 @@ def test_a_silent_drive_is_no_fault_while_torque_is_off(id_: str) -> None:
     _, actions, _ = check_fault_alone(
         id_, *[without_torque(case.input_with_fault)] * (case.debounce + 1)
     )
-    assert actions[-1] == (Action.PASS if case.only_while_armed else case.action)
+    assert actions[-1] == (SafetyAction.PASS if case.only_while_armed else case.action)
 
 
 def test_a_missing_sample_is_neither_tension_nor_temperature() -> None:
@@ -160,7 +160,7 @@ def test_a_missing_sample_is_neither_tension_nor_temperature() -> None:
     _, verdicts = check_ticks(
         *[merge_inputs(measured_tensions(**nan), drive_temperatures(**nan))] * 30
     )
-    assert {verdict.action for verdict in verdicts} == {Action.PASS}
+    assert {verdict.action for verdict in verdicts} == {SafetyAction.PASS}
 
 
 def test_each_row_is_one_line_for_the_operator() -> None:
@@ -170,7 +170,9 @@ def test_each_row_is_one_line_for_the_operator() -> None:
         assert "\n" not in fault.title + fault.detection
         assert fault.clears in ("by the operator", "by itself")
         assert fault.latched == CASE_BY_FAULT[fault.id].latched
-        assert fault.action < Action.RELAX or fault.latched, "only a person ends a relax or a cut"
+        assert fault.action < SafetyAction.RELAX or fault.latched, (
+            "only a person ends a relax or a cut"
+        )
 
 
 FAULTS_OF_TENSION_LOOP = {
@@ -191,7 +193,7 @@ FAULTS_OF_TENSION_LOOP = {
 
 
 def test_faults_of_the_tension_loop_relax_without_it() -> None:
-    relaxing = {one.id: one.relax_method for one in FAULT_TABLE if one.action >= Action.RELAX}
+    relaxing = {one.id: one.relax_method for one in FAULT_TABLE if one.action >= SafetyAction.RELAX}
     assert {
         one for one, release in relaxing.items() if release is RelaxMethod.OPEN_LOOP
     } == FAULTS_OF_TENSION_LOOP
@@ -213,7 +215,7 @@ def test_the_safety_page_lists_how_each_fault_relaxes() -> None:
         relaxing = {
             one.id
             for one in FAULT_TABLE
-            if one.relax_method is release and one.action is Action.RELAX
+            if one.relax_method is release and one.action is SafetyAction.RELAX
         }
         assert listed[release.value] == relaxing
 
@@ -244,7 +246,7 @@ def test_a_time_is_rounded_to_ticks(seconds: float, period: float, least: int, t
     assert ticks_for(seconds, period, least) == ticks
 
 
-def trace_fault(id_: str) -> list[tuple[Action, int]]:
+def trace_fault(id_: str) -> list[tuple[SafetyAction, int]]:
     """Return the action and the number of findings of one fault in each tick, from before its onset to its end.
 
     Interpreted code debounces the fault.
@@ -302,7 +304,7 @@ def test_a_changed_row_would_be_noticed(id_: str, declare_changed) -> None:
     changed = [replace(fault, debounce=fault.debounce + 1), replace(fault, clears=other)]
     changed += [replace(fault, debounce=fault.debounce - 1)] if fault.debounce > 1 else []
     changed += [
-        replace(fault, action=Action(fault.action + step))
+        replace(fault, action=SafetyAction(fault.action + step))
         for step in (-1, 1)
         if 0 <= fault.action + step <= 4
     ]
@@ -310,9 +312,9 @@ def test_a_changed_row_would_be_noticed(id_: str, declare_changed) -> None:
     right = trace_fault(id_)
     for mutant in changed:
         if (mutant.action, mutant.latched) == (
-            Action.PASS,
+            SafetyAction.PASS,
             True,
-        ) or fault.action == mutant.action == Action.PASS:
+        ) or fault.action == mutant.action == SafetyAction.PASS:
             continue  # a latched fault without an action has no effect
         declare_changed(mutant)
         assert trace_fault(id_) != right, mutant
@@ -339,4 +341,4 @@ def test_a_moved_threshold_would_be_noticed(id_: str, sign: int) -> None:
         *[case.input_with_fault if sign > 0 else case.input_below_limit] * case.debounce,
         monitor=monitor,
     )
-    assert actions[-1] == (Action.PASS if sign > 0 else case.action)
+    assert actions[-1] == (SafetyAction.PASS if sign > 0 else case.action)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from handctl.safety.action import Action
+from handctl.safety.action import SafetyAction
 from tests.safety.fault_cases import measured_tensions, merge_inputs, state_rows, without_torque
 from tests.safety.synthetic_monitor import SyntheticMonitor, synthetic_limits
 
@@ -16,7 +16,7 @@ RAIL_LIMITS = replace(synthetic_limits(2), tension_rail=243.9, tension_low=-4.0)
 def test_a_cell_at_a_rail_relaxes_the_hand_at_the_third_tick(rail: float) -> None:
     monitor = SyntheticMonitor(RAIL_LIMITS)
     actions = [monitor.judge(measured_tensions(t0=5.0, t1=rail).rows).action for _ in range(3)]
-    assert actions == [Action.PASS, Action.PASS, Action.RELAX]
+    assert actions == [SafetyAction.PASS, SafetyAction.PASS, SafetyAction.RELAX]
     assert [(mark.id, mark.instance) for mark in monitor.latched] == [("T06", "t1")]
 
 
@@ -24,7 +24,7 @@ def test_a_cell_at_a_rail_relaxes_the_hand_at_the_third_tick(rail: float) -> Non
 def test_tensions_possible_for_a_tendon_are_no_fault(tension: float) -> None:
     monitor = SyntheticMonitor(RAIL_LIMITS)
     for _ in range(10):
-        assert monitor.judge(measured_tensions(t0=5.0, t1=tension).rows).action == Action.PASS
+        assert monitor.judge(measured_tensions(t0=5.0, t1=tension).rows).action == SafetyAction.PASS
 
 
 def test_a_saturated_load_cell_is_reported_once_with_its_reading_for_any_tare() -> None:

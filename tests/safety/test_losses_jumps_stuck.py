@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handctl.controller.state import Decisions, State
+from handctl.controller.controller_state import ControllerDecisions, ControllerState
 from handctl.controller.tick import Controller
-from handctl.core.detectors import losses, stuck
+from handctl.core.detectors import frame_losses, stuck_sensors
 from handctl.core.detectors.residuals import TENSION
-from handctl.core.types import TickEvent
+from handctl.core.tick_types import TickEvent
 from handctl.safety.faults.bus import LOSS_WINDOW_TICKS, MALFORMED_WINDOW_TICKS
 from tests.safety.synthetic_monitor import (
     NOW_NS,
@@ -32,7 +32,7 @@ def loss_bits(text: str) -> int:
 
 def window_words(window: int) -> tuple[int, int]:
     """Return the two words that store a window of losses: the newer and the older half of its bits."""
-    return window & losses.WORD_MASK, window >> losses.BITS_PER_WORD
+    return window & frame_losses.WORD_MASK, window >> frame_losses.BITS_PER_WORD
 
 
 class LossWindows(SyntheticMonitor):
@@ -64,7 +64,7 @@ class LossWindows(SyntheticMonitor):
         """Return the losses of motor and load cells, one bit per tick."""
         lost = self.view("lost")
         return tuple(
-            int(lost[1, node]) << losses.BITS_PER_WORD | int(lost[0, node]) for node in (0, 1)
+            int(lost[1, node]) << frame_losses.BITS_PER_WORD | int(lost[0, node]) for node in (0, 1)
         )  # type: ignore
 
 
@@ -90,7 +90,8 @@ def test_window_shifts_by_one_bit_per_tick(before, now, after):
 def test_lost_replies_are_counted_per_window():
     window = LossWindows(0b1011, (1 << LOSS_WINDOW_TICKS) - 1)
     assert [
-        call_interpreted(losses.count_lost_replies, window.state_tables, node) for node in (0, 1)
+        call_interpreted(frame_losses.count_lost_replies, window.state_tables, node)
+        for node in (0, 1)
     ] == [
         3,
         LOSS_WINDOW_TICKS,
@@ -101,7 +102,7 @@ def test_lost_replies_are_counted_per_window():
         (1 << (MALFORMED_WINDOW_TICKS - 1), 1),
         ((1 << 62) - 1, 62),
     ):
-        assert call_interpreted(losses.count_set_bits, number) == ones
+        assert call_interpreted(frame_losses.count_set_bits, number) == ones
     window.set_rows({"misshapen": 1 << (MALFORMED_WINDOW_TICKS - 1) | 0b1})
     window.tick({"misread_now": 1})
     assert window.field_values("misshapen") == [0b11, 0b11], (
@@ -119,7 +120,7 @@ def test_lost_replies_are_counted_per_window():
 def test_missing_every_second_tick_is_detected(pattern, half):
     assert (
         call_interpreted(
-            losses.misses_every_second, LossWindows(loss_bits(pattern)).state_tables, 0
+            frame_losses.misses_every_second, LossWindows(loss_bits(pattern)).state_tables, 0
         )
         is half
     )
@@ -144,7 +145,7 @@ def refusal_counter(rate: float) -> Any:
     It returns the ticks of all refusals that still count.
     """
     window = LossWindows()
-    state = State(window.layout, window.block, Decisions((), None))  # type: ignore[arg-type]
+    state = ControllerState(window.layout, window.block, ControllerDecisions((), None))  # type: ignore[arg-type]
     controller: Any = SimpleNamespace(model=SimpleNamespace(period=1.0 / rate))
 
     def count_refusals(refused: int, k: int) -> tuple[int, ...]:
@@ -289,7 +290,7 @@ def add_reading(
     monitor.tick(rows)
     anchor = monitor.view("motor_anchor")[:, 0].tolist()
     away = [
-        call_interpreted(stuck.motion_since_reading, *pair)
+        call_interpreted(stuck_sensors.motion_since_reading, *pair)
         for pair in zip((goal, tension), anchor, strict=True)
     ]
     return int(monitor.view("motor_stuck")[0]), *away

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handctl.controller.monitor import thresholds
-from handctl.core import block as s
-from handctl.core.block import STATE
+from handctl.controller.monitor import safety_thresholds
+from handctl.core import state_block as s
 from handctl.core.detectors import residuals
 from handctl.core.detectors.residuals import (
     BALANCE,
@@ -21,7 +20,8 @@ from handctl.core.detectors.residuals import (
     TENSION,
     TIME_CONSTANTS_S,
 )
-from handctl.core.types import Mode
+from handctl.core.state_block import STATE_SCHEMA
+from handctl.core.tick_types import HandMode
 from tests.safety.synthetic_monitor import (
     NOW_NS,
     PERIOD_NS,
@@ -128,8 +128,8 @@ def test_a_hand_that_is_armed_while_its_tendons_are_taut_is_not_stuck():
 def test_without_torque_all_history_but_the_counts_is_reset():
     monitor, _ = run_ticks(10)
     monitor.set_rows({"unknown": 3.0, "open_questions": [2, 1], "lost": 5, "misshapen": 3})
-    assert monitor.tick(resting_tick(), mode=int(Mode.READY)) == {}
-    for field in STATE.fields:
+    assert monitor.tick(resting_tick(), mode=int(HandMode.READY)) == {}
+    for field in STATE_SCHEMA.fields:
         first, end = {
             "tendon": (s.TENDON_FIRST, s.TENDON_END), "tendon_int": (s.TENDON_INT_FIRST, s.TENDON_INT_END),
             "joint": (s.JOINT_FIRST, s.JOINT_END), "joint_int": (s.JOINT_INT_FIRST, s.JOINT_INT_END),
@@ -146,7 +146,7 @@ def test_without_torque_all_history_but_the_counts_is_reset():
 
 def test_a_tendon_that_stays_taut_after_the_cut_is_reported():
     monitor = run_ticks(3)[0]
-    monitor.set_rows({"mode": int(Mode.CUT)})
+    monitor.set_rows({"mode": int(HandMode.CUT)})
     for _ in range(50):
         assert "N16" not in monitor.tick(resting_tick(tension=[30.0, 8.0]))
     assert monitor.tick(resting_tick(tension=[30.0, 8.0]))["N16"] == {"a": 30.0}
@@ -156,7 +156,7 @@ def test_a_tendon_that_stays_taut_after_the_cut_is_reported():
 def test_a_tendon_that_stays_taut_is_reported_despite_a_lost_sample_at_the_cut():
     monitor = run_ticks(3, tension=[30.0, 25.0])[0]
     run_ticks(2, monitor, tension=NAN)
-    monitor.set_rows({"mode": int(Mode.CUT)})
+    monitor.set_rows({"mode": int(HandMode.CUT)})
     for k in range(51):
         found = monitor.tick(resting_tick(tension=[30.0, 8.0] if k else NAN))
     assert found["N16"] == {"a": 30.0}
@@ -519,7 +519,7 @@ def test_without_lost_replies_no_count_grows():
 @pytest.mark.parametrize(("rows", "lost"), [
     (rows_with_ages(mb=1), [0, 1, 0]), (rows_with_ages(b=1), [0, 0, 1]), (rows_with_ages(ma=3), [1, 0, 0]),
     (rows_with_ages(ma=1, mb=1) | {"missed": 1}, [0, 0, 0]),
-    (rows_with_ages(ma=1, mb=1) | {"mode": int(Mode.READY)}, [0, 0, 0]),
+    (rows_with_ages(ma=1, mb=1) | {"mode": int(HandMode.READY)}, [0, 0, 0]),
 ])  # fmt: skip
 def test_lost_replies_are_recorded_per_node(rows, lost):
     monitor = make_monitor()
@@ -558,7 +558,7 @@ def test_refused_goals_are_reported_in_their_tick():
 
 
 def test_thresholds_follow_from_the_hand():
-    assert thresholds.JUMP_MARGIN == 1.5
+    assert safety_thresholds.POSITION_STEP_FACTOR == 1.5
     assert residuals.GAIN_FRACTION == 0.1
     assert TIME_CONSTANTS_S == (0.2, 0.2, 0.08, 0.02, 0.02, 0.3, 0.1, 5.0)
 

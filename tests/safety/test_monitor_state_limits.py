@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handctl.core.detectors import slip, stuck
+from handctl.core.detectors import stuck_sensors, tendon_slip
 from handctl.core.detectors.residuals import QUICK_FORCE, TENSION
-from handctl.core.detectors.slip import DEG_PER_RAD, SETTLE_S
+from handctl.core.detectors.tendon_slip import DEG_PER_RAD, SETTLE_S
 from handctl.safety.faults.node import STUCK_GOAL_M, STUCK_JOINT_DEG, STUCK_S, STUCK_TENSION_N
 from handctl.safety.faults.tendon import CELL_FORCE_N, CELL_TICKS, DERAILED_DEG, SLACK_N, TAUT_N
 from tests.safety.synthetic_monitor import PERIOD_S, SyntheticMonitor, call_interpreted
@@ -32,7 +32,9 @@ def monitor() -> SyntheticMonitor:
 def joint_turns(monitor: SyntheticMonitor, **given: Any) -> list[float]:
     monitor.set_rows(resting_tick(**given) | {"bears": 1})
     return [
-        call_interpreted(stuck.joint_angle_by_spools, monitor.state_tables, monitor.hand_tables, j)
+        call_interpreted(
+            stuck_sensors.joint_angle_by_spools, monitor.state_tables, monitor.hand_tables, j
+        )
         for j in (0, 1)
     ]
 
@@ -48,7 +50,7 @@ def test_tendon_stretch_is_not_counted_as_joint_motion(monitor: SyntheticMonitor
     np.testing.assert_allclose(wound, [0.05, 0.0], atol=1e-12)
     monitor.set_rows({"bears": [0, 1]})
     angle = call_interpreted(
-        stuck.joint_angle_by_spools, monitor.state_tables, monitor.hand_tables, 0
+        stuck_sensors.joint_angle_by_spools, monitor.state_tables, monitor.hand_tables, 0
     )
     assert math.isnan(angle), "it says nothing"
 
@@ -146,7 +148,7 @@ def test_a_joint_is_off_its_pulley_beyond_the_limit_and_not_at_it(
                 "measured_travel": TAUT_N / SOFT_STIFFNESS,
             }
         )
-        call_interpreted(slip.update_slip, monitor.state_tables, monitor.hand_tables, True)
+        call_interpreted(tendon_slip.update_slip, monitor.state_tables, monitor.hand_tables, True)
         return abs(monitor.field_values("slip")[0]), monitor.field_values("derailed")[0]
 
     apart = DERAILED_DEG / DEG_PER_RAD * 0.02

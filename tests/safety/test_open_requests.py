@@ -5,7 +5,11 @@ An outstanding reply may be late, and a reply without a request is a duplicate.
 
 import pytest
 
-from handctl.core.detectors.answers import MAX_REQUESTS, add_requests, close_answered_requests
+from handctl.core.detectors.outstanding_requests import (
+    MAX_REQUESTS,
+    add_requests,
+    close_answered_requests,
+)
 from handctl.drives.contract import DrivePhase
 from handctl.safety.faults.bus import LOSS_WINDOW_TICKS
 from tests.safety.synthetic_monitor import SyntheticMonitor, call_interpreted, synthetic_limits

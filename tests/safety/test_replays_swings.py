@@ -11,8 +11,8 @@ import pytest
 
 from handctl.campaign.scenarios import GRASP_STAGE
 from handctl.campaign.stage import advance_to, hand_with_protocol, homed_run
-from handctl.core.detectors import replays
-from handctl.core.types import Mode
+from handctl.core.detectors import replayed_readings
+from handctl.core.tick_types import HandMode
 from handctl.safety.faults.node import SWING_S
 from handctl.session.plan import default_rate
 from tests.safety.synthetic_monitor import SyntheticMonitor, synthetic_limits
@@ -44,7 +44,7 @@ def first_found(rows: np.ndarray) -> tuple[int, list[tuple[int, int]]]:
     return -1, []
 
 
-@pytest.mark.parametrize("age", [16, 32, 50, replays.MAX_AGE_TICKS])
+@pytest.mark.parametrize("age", [16, 32, 50, replayed_readings.MAX_AGE_TICKS])
 @pytest.mark.parametrize("seed", NOISE_SEEDS)
 def test_repeated_content_is_found_within_sixteen_ticks(seed: int, age: int) -> None:
     rows = noisy_readings(seed, 300, 0.5)
@@ -132,6 +132,6 @@ def test_a_grasping_hand_relaxes(fault: str, rows: set[str], seconds: float, see
         course.peer.inject(
             fault.format(tendon=hand.tendon[which].name, motor=hand.motor[which].name)
         )
-        assert course.until(lambda out: out.mode in (Mode.RELAX, Mode.CUT), seconds)
+        assert course.until(lambda out: out.mode in (HandMode.RELAX, HandMode.CUT), seconds)
         assert {mark.id for mark in course.state.latched} <= rows
         assert course.peer.fault_states()[0]["felt"]

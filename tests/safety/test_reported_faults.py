@@ -1,6 +1,6 @@
 """Test which faults follow from reports of the buses, the host and the recorder."""
 
-from handctl.safety.judge import EventReport, filter_error_frames, locate_reports
+from handctl.safety.tick_verdict import EventReport, filter_error_frames, locate_reports
 
 
 def faults_of_reports(*reports: EventReport) -> list[tuple[str, str, float]]:
@@ -35,13 +35,13 @@ def test_only_missing_acknowledges_mean_alone_on_the_bus() -> None:
         ("error_frame", "can0 no acknowledge", 3.0),
         ("error_frame", "can0 overload", 2.0),
     )
-    located = locate_reports(filter_error_frames([other, unheard, unheard], heard=False))
+    located = locate_reports(filter_error_frames([other, unheard, unheard], any_node_heard=False))
     assert [(fault.id, name, value) for fault, name, value in located] == [
         ("B18", "can0 no acknowledge", 3.0)
     ]
-    other_kind = filter_error_frames([other, ("enobufs", "protocol", 1.0)], heard=False)
+    other_kind = filter_error_frames([other, ("enobufs", "protocol", 1.0)], any_node_heard=False)
     assert [fault.id for fault, _, _ in locate_reports(other_kind)] == ["B15"]
-    assert locate_reports(filter_error_frames([unheard], heard=True)) == []
+    assert locate_reports(filter_error_frames([unheard], any_node_heard=True)) == []
 
 
 def test_missing_acknowledges_are_reported_only_until_a_node_has_answered() -> None:
@@ -49,11 +49,11 @@ def test_missing_acknowledges_are_reported_only_until_a_node_has_answered() -> N
     unheard = ("error_frame", "can0 no acknowledge", 3.0)
     for word in ("no acknowledge", "bus error", "protocol"):
         one = ("error_frame", f"can0 {word}", 1.0)
-        assert filter_error_frames([one, ("enobufs", "can0", 1.0), one], heard=False) == [
+        assert filter_error_frames([one, ("enobufs", "can0", 1.0), one], any_node_heard=False) == [
             ("enobufs", "can0", 1.0),
             one,
         ]
-    assert filter_error_frames([unheard, ("enobufs", "can0", 1.0)], heard=True) == [
+    assert filter_error_frames([unheard, ("enobufs", "can0", 1.0)], any_node_heard=True) == [
         ("enobufs", "can0", 1.0)
     ]
-    assert filter_error_frames([("error_frame", "can0 overload", 2.0)], heard=False) == []
+    assert filter_error_frames([("error_frame", "can0 overload", 2.0)], any_node_heard=False) == []

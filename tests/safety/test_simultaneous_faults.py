@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handctl.core.types import Mode
-from handctl.safety.action import Action
+from handctl.core.tick_types import HandMode
+from handctl.safety.action import SafetyAction
 from handctl.safety.faults.table import FAULT_TABLE
-from handctl.safety.judge import LatchedFault
+from handctl.safety.tick_verdict import LatchedFault
 from tests.safety.fault_cases import (
     CASE_BY_FAULT,
     INPUT_AT_REST,
@@ -31,7 +31,7 @@ from tests.safety.test_fault_table import check_ticks
 FAULTS_WHILE_ARMED = [
     id_
     for id_ in CASE_BY_FAULT
-    if CASE_BY_FAULT[id_].input_with_fault.rows.get("mode", {...: Mode.ACTIVE})[...] in (4, 5)
+    if CASE_BY_FAULT[id_].input_with_fault.rows.get("mode", {...: HandMode.ACTIVE})[...] in (4, 5)
 ]
 FAULT_PAIRS = list(pairwise([*FAULTS_WHILE_ARMED, FAULTS_WHILE_ARMED[0]])) + [
     (a, b) for a in ("B02", "T03", "N09b") for b in FAULTS_WHILE_ARMED if a != b
@@ -69,16 +69,16 @@ def test_a_second_fault_neither_ends_nor_hides_the_first(first: str, second: str
     a, b = CASE_BY_FAULT[first], CASE_BY_FAULT[second]
     monitor, first_verdicts = check_ticks(*[a.input_with_fault] * a.debounce, INPUT_AT_REST)
     _, verdicts = check_ticks(*[b.input_with_fault] * b.debounce, monitor=monitor)
-    expected = max(b.action, a.action if a.latched else Action.PASS)
+    expected = max(b.action, a.action if a.latched else SafetyAction.PASS)
     assert verdicts[-1].action >= expected
     reported = [f.fault.id for verdict in (*first_verdicts, *verdicts) for f in verdict.findings]
     assert second in reported
     _, (after,) = check_ticks(INPUT_AT_REST, monitor=monitor)
     left = [case.action for case in (a, b) if case.latched]
-    assert after.action >= max(left, default=Action.PASS)
+    assert after.action >= max(left, default=SafetyAction.PASS)
     monitor.clear_latched()
     _, (calm,) = check_ticks(INPUT_AT_REST, monitor=monitor)
-    assert calm.action == Action.PASS
+    assert calm.action == SafetyAction.PASS
     assert monitor.latched == ()
 
 
@@ -93,7 +93,7 @@ def test_the_same_fault_of_two_instances_is_two_faults() -> None:
 def test_instances_do_not_share_their_debounce_counts() -> None:
     left, right = measured_tensions(t0=244.0), measured_tensions(t1=244.0)
     _, verdicts = check_ticks(left, right, left, right, left, right)
-    assert {verdict.action for verdict in verdicts} == {Action.PASS}
+    assert {verdict.action for verdict in verdicts} == {SafetyAction.PASS}
 
 
 def test_two_events_of_one_bus_in_one_tick_are_one_tick() -> None:
@@ -104,9 +104,9 @@ def test_two_events_of_one_bus_in_one_tick_are_one_tick() -> None:
         )
     )
     _, verdicts = check_ticks(twice)
-    assert verdicts[0].action == Action.PASS
+    assert verdicts[0].action == SafetyAction.PASS
     _, verdicts = check_ticks(twice, twice)
-    assert verdicts[-1].action == Action.RELAX
+    assert verdicts[-1].action == SafetyAction.RELAX
     assert len(verdicts[-1].findings) == 1
 
 
@@ -154,7 +154,7 @@ def test_latches_only_grow_between_clearings(
         assert len(set(monitor.latched)) == len(monitor.latched)
         actions = {fault.id: fault.action for fault in FAULT_TABLE}
         assert verdict.action >= max(
-            (actions[mark.id] for mark in monitor.latched), default=Action.PASS
+            (actions[mark.id] for mark in monitor.latched), default=SafetyAction.PASS
         )
         reported += [(f.fault.id, f.instance) for f in verdict.findings]
         assert {(mark.id, mark.instance) for mark in monitor.latched} <= set(reported), (
@@ -163,4 +163,10 @@ def test_latches_only_grow_between_clearings(
 
 
 def test_actions_are_ordered() -> None:
-    assert Action.PASS < Action.WARN < Action.HOLD < Action.RELAX < Action.CUT
+    assert (
+        SafetyAction.PASS
+        < SafetyAction.WARN
+        < SafetyAction.HOLD
+        < SafetyAction.RELAX
+        < SafetyAction.CUT
+    )

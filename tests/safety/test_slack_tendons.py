@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from handctl.core.detectors.residuals import TENSION
-from handctl.core.types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.safety.faults.node import STILL_PULLING_N
 from handctl.safety.faults.tendon import SLACK_N, SNAP_N, TAUT_N
 from tests.safety.synthetic_monitor import PERIOD_S, SyntheticMonitor, synthetic_limits
@@ -40,7 +40,7 @@ class FilteredTendons(SyntheticMonitor):
 
     def run_tick_after_cut(self, tension: TensionList, **rows: Any) -> dict[str, float]:
         """Run a tick with load-cell readings after the torque was cut. Return the tendons that are still pulled."""
-        return self.tick(measured_tension=tension, mode=int(Mode.CUT), **rows).get("N16", {})
+        return self.tick(measured_tension=tension, mode=int(HandMode.CUT), **rows).get("N16", {})
 
 
 @pytest.mark.parametrize(("cell", "goal", "before", "after"), [

@@ -15,11 +15,11 @@ from handctl.core.detectors.residuals import (
     BALANCE,
     COMMAND_DIFFERENCE,
     EXCESS_FRICTION,
-    FULL_FRICTION_SPEED,
+    FULL_FRICTION_SPEED_M_S,
     TENSION,
     TIME_CONSTANTS_S,
 )
-from handctl.core.types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.safety.faults.node import NOT_OBEYED_N
 from handctl.safety.faults.tendon import FRICTION_WARN_N, RESIDUAL_WARN_N
 from tests.safety.synthetic_monitor import (
@@ -232,7 +232,7 @@ def test_a_tendon_snaps_if_it_was_taut_a_moment_ago():
 def test_a_tendon_still_pulled_after_the_cut_is_detected():
     monitor = SyntheticMonitor(synthetic_limits(2))
     monitor.tick(measured_tension=30.0)
-    assert "N16" not in monitor.tick(mode=int(Mode.CUT), measured_tension=[30.0, 30.0])
+    assert "N16" not in monitor.tick(mode=int(HandMode.CUT), measured_tension=[30.0, 30.0])
     for _ in range(49):
         assert "N16" not in monitor.tick(measured_tension=[29.0, 8.0])
     assert monitor.tick(measured_tension=[29.0, 8.0])["N16"] == {"t0": 29.0}
@@ -249,7 +249,7 @@ def test_the_residual_filter_takes_the_exact_share_per_tick(speed):
 
 @pytest.mark.parametrize(
     ("speed", "counts"),
-    [(FULL_FRICTION_SPEED, False), (np.nextafter(FULL_FRICTION_SPEED, 1.0), True)],
+    [(FULL_FRICTION_SPEED_M_S, False), (np.nextafter(FULL_FRICTION_SPEED_M_S, 1.0), True)],
 )
 def test_friction_is_judged_above_the_speed_of_full_friction(speed, counts):
     rotor = MotorWithTendon(last_speed=speed)

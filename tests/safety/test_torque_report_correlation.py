@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from handctl.core.detectors.correlation import fraction_of_command_reported
+from handctl.core.detectors.torque_correlation import fraction_of_command_reported
 from tests.safety.synthetic_monitor import SyntheticMonitor, call_interpreted, synthetic_limits
 
 COMMAND_TICKS = 1000

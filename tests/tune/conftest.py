@@ -3,17 +3,17 @@
 import pytest
 
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.hand.load import load_hand
+from handctl.core.hand_model import HandModel
+from handctl.hand.hand_loading import load_hand
 
 
 @pytest.fixture(scope="session")
 def jamia() -> HandModel:
     """Return the model of ``jamia``, a hand with one tendon per digit, at 500 Hz."""
-    return HandModel.of(load_hand("jamia"), Gains(), 500.0)
+    return HandModel.from_hand(load_hand("jamia"), Gains(), 500.0)
 
 
 @pytest.fixture(scope="session")
 def jamia11() -> HandModel:
     """Return the model of ``jamia11``, a hand with one tendon per joint, at 200 Hz."""
-    return HandModel.of(load_hand("jamia11"), Gains(), 200.0)
+    return HandModel.from_hand(load_hand("jamia11"), Gains(), 200.0)

@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.identify import draw_gains, draw_plant, excite_and_fit, truth
 from handctl.core.gains.gains import Gains
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.tune.identify.contact_detection import (
     CLEAR_SCORE,
     CONTACT_SCORE,

@@ -8,9 +8,9 @@ from scipy.signal import cont2discrete
 
 from handctl.controller.bus_load import bus_loads
 from handctl.core.gains.gains import Gains, packaged_gains
-from handctl.core.identified import IdentifiedParameters
-from handctl.core.model import HandModel
-from handctl.hand.load import load_hand, packaged_hands
+from handctl.core.hand_model import HandModel
+from handctl.core.identified_parameters import IdentifiedParameters
+from handctl.hand.hand_loading import load_hand, packaged_hands
 from handctl.session.plan import control_rate
 from handctl.tune.loops.design import (
     design_gains,
@@ -36,7 +36,9 @@ FEW_PLANTS = 2
 def test_the_packaged_gains_keep_their_margins(name: str) -> None:
     """Regression: with the gains of jamia, orca_like oscillated at 140 Hz, and t42 had a gain margin of 2.4 dB."""
     hand = load_hand(name)
-    model = HandModel.of(hand, packaged_gains(name), control_rate(None, hand, bus_loads(hand)))
+    model = HandModel.from_hand(
+        hand, packaged_gains(name), control_rate(None, hand, bus_loads(hand))
+    )
     count = MANY_PLANTS if len(distinct_tendons(model)) < 5 or NIGHTLY else FEW_PLANTS
     worst = worst_margins(model, tuple(linear_factors(one) for one in draw_ensemble(count, 0)))
     assert worst.are_sufficient, worst
@@ -49,11 +51,11 @@ def test_a_heavy_digit_does_not_make_a_light_one_slow() -> None:
     heavy = left.model_copy(
         update={"link_mass_kg": tuple(20.0 * mass for mass in left.link_mass_kg)}
     )
-    model = HandModel.of(
+    model = HandModel.from_hand(
         hand.model_copy(update={"digit": (heavy, right)}), packaged_gains("t42"), 500.0
     )
     plants = (PlantFactors(),)
-    both = design_gains(HandModel.of(hand, packaged_gains("t42"), 500.0), plants)
+    both = design_gains(HandModel.from_hand(hand, packaged_gains("t42"), 500.0), plants)
     assert both.gains.tendon == ()
     found = design_gains(model, plants)
     assert found.worst_after.are_sufficient
@@ -110,7 +112,7 @@ def test_a_filter_that_leaves_no_margin_is_refused(jamia: HandModel) -> None:
 def test_the_closed_loop_has_the_requested_poles(jamia: HandModel, hz: float) -> None:
     """Rotor and digit are one mass with sampled state feedback. The control rate is far above the poles."""
     gains = gains_with_poles(jamia, LoopKind.MOTION, hz, 1.0)
-    fast = HandModel.of(jamia.hand, gains, 4000.0)
+    fast = HandModel.from_hand(jamia.hand, gains, 4000.0)
     A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]])
     F, G, *_ = cont2discrete((A, B, np.eye(2), np.zeros((2, 1))), fast.period)
     K = np.array([[fast.motion.stiffness[0], fast.motion.damping[0]]])

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from handctl.core.gains.bounds import with_values
+from handctl.core.gains.gain_bounds import with_values
 from handctl.core.gains.gains import Gains, GainsProvenance, gains_text, load_gains, load_gains_file
 from handctl.errors import ConfigError
 from handctl.tune.gains_store import EDITED_BY_HAND_NOTE, GainsStore

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.identify import TOLERANCES, measure_digit, summary
 from handctl.cli.tuning.tune_files import load_tuned_hand
-from handctl.core.identified import (
+from handctl.core.identified_parameters import (
     PARAMETER_UNITS,
     IdentifiedParameters,
     identified_hand,
@@ -17,7 +17,7 @@ from handctl.core.identified import (
 )
 from handctl.errors import ConfigError
 from handctl.hand.dynamics import DigitModel
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.programs.calibration import Calibration, TendonCalibration, load_calibration
 from handctl.session.calibration import write_calibration
 from handctl.tune.identify.excitation import excitation_steps, lift_off_tension
@@ -119,7 +119,7 @@ def test_the_window_is_smooth_and_its_derivatives_are_its_derivatives() -> None:
 
 def test_the_load_model_balances_every_joint() -> None:
     """With the tension that the load model computes, the torques of every joint are in balance."""
-    digit = DigitModel.of(load_hand("jamia"), "index")
+    digit = DigitModel.from_hand(load_hand("jamia"), "index")
     load = DigitLoad.of(digit)
     p = LoadParameters(1e5, 1.1, 0.9, 0.1, 1.0, 1.0, 2e-4)
     seen = SignalBins(

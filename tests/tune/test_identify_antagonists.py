@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from benchmarks.identify import TOLERANCES, measure_digit, summary
-from handctl.core.identified import IdentifiedParameters, identified_hand
-from handctl.core.types import Mode
+from handctl.core.identified_parameters import IdentifiedParameters, identified_hand
+from handctl.core.tick_types import HandMode
 from handctl.errors import DriveError
 from handctl.hand.digit import DigitModel
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.runtime.hold_limit import HoldLimit
-from handctl.safety.action import Action
+from handctl.safety.action import SafetyAction
 from handctl.tune.identify.excitation import excitation_steps
 from handctl.tune.identify.excitation_antagonists import (
     PAIR_HIGH_FRACTION,
@@ -83,7 +83,7 @@ def test_intervals_cover_the_parameters_of_twenty_hands(tmp_path: Path, hand: st
 def test_the_excitation_of_antagonists_keeps_within_the_limits(name: str) -> None:
     hand = load_hand(name)
     steps = excitation_steps(hand, hand.digit_names)
-    for digit in map(DigitModel.of, [hand] * len(hand.digit_names), hand.digit_names):
+    for digit in map(DigitModel.from_hand, [hand] * len(hand.digit_names), hand.digit_names):
         own = [step for step in steps if step.digit == digit.name]
         assert sum(step.duration_s for step in own) < 35.0
         low, high = sweep_range(digit)
@@ -109,7 +109,7 @@ def test_a_stretched_tendon_does_not_lift_its_digit_off_the_stops() -> None:
     hand = load_hand("n_plus_1")
     for step in excitation_steps(hand, hand.digit_names):
         if step.name == "stretch":
-            digit = DigitModel.of(hand, step.digit)
+            digit = DigitModel.from_hand(hand, step.digit)
             assert (digit.reduced_moment_arms.T @ np.array(step.targets) < 0.0).all()
 
 
@@ -141,19 +141,19 @@ def test_a_fault_that_holds_the_hand_ends_the_run() -> None:
     """Regression: the time of the program stops while a fault holds the hand, so such a run had no end."""
     limit = HoldLimit()
 
-    def ticks(action: Action, begin_s: float, end_s: float) -> list[str]:
+    def ticks(action: SafetyAction, begin_s: float, end_s: float) -> list[str]:
         requests = []
         for t in np.arange(begin_s, end_s, 0.1):
             event = SimpleNamespace(name="fault", text="N07 a noisy encoder: HOLD")
-            out = SimpleNamespace(mode=Mode.ACTIVE, action=action, events=(event,))
+            out = SimpleNamespace(mode=HandMode.ACTIVE, action=action, events=(event,))
             limit.on_tick(SimpleNamespace(t_ns=round(1e9 * t)), out)  # type: ignore[arg-type]
             requests += limit.poll_requests()
         return requests
 
-    assert ticks(Action.HOLD, 0.0, 4.0) == []
-    assert ticks(Action.WARN, 4.0, 9.0) == []
+    assert ticks(SafetyAction.HOLD, 0.0, 4.0) == []
+    assert ticks(SafetyAction.WARN, 4.0, 9.0) == []
     limit.refuse_stopped("a run")
-    assert ticks(Action.HOLD, 9.0, 20.0) == ['{"do": "stop"}']
+    assert ticks(SafetyAction.HOLD, 9.0, 20.0) == ['{"do": "stop"}']
     with pytest.raises(DriveError, match=r"held for 5 s by N07 a noisy encoder.*tune design"):
         limit.refuse_stopped("a run")
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from handctl.core.types import Mode
-from handctl.hand.load import load_hand
+from handctl.core.tick_types import HandMode
+from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.tune.identify.data import STOP_DISTANCE_DEG, TRANSIENT_S, tendon_data
 
@@ -18,7 +18,7 @@ def test_a_digit_that_is_held_or_rests_on_a_stop_is_not_free() -> None:
     with RunLog(GRASP) as log:
         held = np.isnan(log.field("q_goal"))
         angles, period = np.degrees(log.field("q")), log.header.period_ns * 1e-9
-        found, active = 0, (log.mode == Mode.ACTIVE)[:-1]
+        found, active = 0, (log.mode == HandMode.ACTIVE)[:-1]
         for data, digit in zip(tendon_data(log, hand), hand.digit, strict=True):
             joints = hand.digit_joints[digit.name]
             found += int((data.free & active).sum())

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from control import frd, stability_margins
 
-from handctl.core.model import HandModel
+from handctl.core.hand_model import HandModel
 from handctl.tune.loops import linear
 from handctl.tune.loops.linear import (
     LoopKind,

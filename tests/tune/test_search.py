@@ -12,7 +12,7 @@ import pytest
 
 from handctl.core.gains.gains import Gains, MotionGains
 from handctl.errors import ConfigError
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.tune.scoring import GainScore, evaluate_job
 from handctl.tune.search.ensemble import draw_ensemble
 from handctl.tune.search.search import (

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.hand.load import hand_from_content, load_hand, packaged_hands
+from handctl.core.hand_model import HandModel
+from handctl.hand.hand_loading import hand_from_content, load_hand, packaged_hands
 from handctl.tune.loops.design import GainDesign, design_gains, distinct_tendons, linear_factors
 from handctl.tune.loops.linear import (
     LinearSystem,
@@ -67,13 +67,13 @@ def random_gains(seed: int, wide: float = 10.0) -> Gains:
 @cache
 def model_of(hand: str, seed: int, wide: float = 10.0) -> HandModel:
     """Return the model of a packaged hand with random gains."""
-    return HandModel.of(load_hand(hand), random_gains(seed, wide), RATES.get(hand, 200.0))
+    return HandModel.from_hand(load_hand(hand), random_gains(seed, wide), RATES.get(hand, 200.0))
 
 
 def with_force(force: float) -> HandModel:
     """Return the model of jamia with the tension weights ``SATURATED`` and a force weight [N]."""
     table = SATURATED | {"tension": SATURATED["tension"] | {"force_N": force}}
-    return HandModel.of(load_hand("jamia"), Gains.model_validate(table), 500.0)
+    return HandModel.from_hand(load_hand("jamia"), Gains.model_validate(table), 500.0)
 
 
 @pytest.mark.parametrize("force", [5.0, 50.0, 150.0, 393.0])
@@ -169,7 +169,7 @@ def test_margins_are_those_of_brute_force(hand: str, seed: int) -> None:
 
 def judged_stable(model: HandModel, found: GainDesign, seed: int) -> HandModel:
     """Check that all loops of a design are stable on both plants, and return the designed model."""
-    after = HandModel.of(model.hand, found.gains, 1.0 / model.period)
+    after = HandModel.from_hand(model.hand, found.gains, 1.0 / model.period)
     for factors in draw_ensemble(2, seed):
         for i in distinct_tendons(after):
             assert all(
@@ -221,7 +221,7 @@ def rest_test_of(model: HandModel) -> RestTest:
 
 def test_closing_spool_pairs_are_not_reported_as_torn_tendons() -> None:
     """Regression: a digit without load cells that closed with 30 N ended every step test with the fault T01."""
-    model = HandModel.of(load_hand("orca_like"), Gains(), RATES["orca_like"])
+    model = HandModel.from_hand(load_hand("orca_like"), Gains(), RATES["orca_like"])
     swing = simulate_swing(model.hand, model, {}, 0)
     assert swing.failure == ""
     assert swing.at_rest
@@ -230,7 +230,7 @@ def test_closing_spool_pairs_are_not_reported_as_torn_tendons() -> None:
 @pytest.mark.parametrize("hand", QUICK)
 def test_packaged_gains_come_to_rest_on_the_plant_with_the_least_friction(hand: str) -> None:
     """An oscillation that the plant has without feedback does not count as one of the control loop."""
-    model = HandModel.of(load_hand(hand), Gains(), RATES.get(hand, 200.0))
+    model = HandModel.from_hand(load_hand(hand), Gains(), RATES.get(hand, 200.0))
     proof = rest_test_of(model)
     assert proof(model), proof.reason
 
@@ -244,7 +244,7 @@ def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
     monkeypatch: pytest.MonkeyPatch, hand: str, swing_N: float, chatter_N: float, accepted: bool
 ) -> None:
     """The gains are refused although all other plants come to rest."""
-    model = HandModel.of(load_hand(hand), Gains(), RATES.get(hand, 200.0))
+    model = HandModel.from_hand(load_hand(hand), Gains(), RATES.get(hand, 200.0))
 
     def fake(
         hand: object, tried: HandModel, factors: dict[str, float], seed: int
@@ -304,7 +304,7 @@ def test_an_oscillating_loop_is_not_hidden_by_chatter(
     """
     chatter = (4.0, 4.0, 4.0, 4.0)
     slow = {"tension": {"integral_per_s": 30.0, "force_N": 1.0}}
-    ringing = HandModel.of(jamia.hand, Gains.model_validate(slow), 500.0)
+    ringing = HandModel.from_hand(jamia.hand, Gains.model_validate(slow), 500.0)
     assert is_stable(open_loop(ringing, 0, LoopKind.TENSION))
     assert all(
         is_loop_ringing(model, linear_factors({"friction": 0.5}))
@@ -345,7 +345,9 @@ def test_a_coupled_digit_is_linearised_at_a_posture_that_it_can_have(
     content["digit"][0]["coupling"] = [list(row) for row in column]
     if column[1][0] < 0:
         content["digit"][0]["joint_min_deg"] = [0.0, -90.0, 0.0]
-    model = HandModel.of(hand_from_content(content, "a hand with another coupling"), Gains(), 500.0)
+    model = HandModel.from_hand(
+        hand_from_content(content, "a hand with another coupling"), Gains(), 500.0
+    )
     digit = model.digits[0]
     coordinates = _half_closed(digit)
     joints = digit.coupling @ coordinates

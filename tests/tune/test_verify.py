@@ -6,7 +6,7 @@ import pytest
 
 from handctl.cli.tuning.tune_verify import _gains_label
 from handctl.core.gains.gains import Gains, MotionGains, TensionGains
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.exercise import ExerciseProgram
 from handctl.replay.execute import execute_log

@@ -8,7 +8,7 @@ import synthetic
 from rrd_entities import Entity, of_file, run_info_of
 
 from handctl.cli.main import main
-from handctl.hand.formats.meshes import meshes_of_hand
+from handctl.hand.formats.link_meshes import meshes_of_hand
 from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.link_frames import quaternion_of_rotation
 from handctl.log.attached_meshes import mesh_attachments

@@ -9,7 +9,7 @@ import pytest
 from rerun.chunk import RrdReader
 from rrd_entities import Entity, entities, of_file, run_info_of
 
-from handctl.core.types import TELEMETRY_FIELDS
+from handctl.core.tick_types import TELEMETRY_FIELDS
 from handctl.drives.frame_time import frame_time_s
 from handctl.errors import ConfigError, LogError
 from handctl.hand.digit import DigitModel
@@ -140,7 +140,9 @@ def test_frames_put_the_fingertips_where_kinematics_does(
     at = int(np.searchsorted(log.t_ns, recorded["/tf"].times[recorded["/tf"].times <= now].max()))
     hand = run_info_of(log_path).hand
     for digit, joints in zip(hand.digit, hand.digit_joints.values(), strict=True):
-        tip = link_transforms(DigitModel.of(hand, digit.name), log.field("q")[at, joints])[-1]
+        tip = link_transforms(DigitModel.from_hand(hand, digit.name), log.field("q")[at, joints])[
+            -1
+        ]
         np.testing.assert_allclose(_place(edges, tip.frame), tip.position, atol=1e-7)
 
 

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from handctl.controller.bus_load import bus_loads
-from handctl.core.types import Mode
-from handctl.hand.load import load_hand
+from handctl.core.tick_types import HandMode
+from handctl.hand.hand_loading import load_hand
 from tools.figures import runs
 from tools.figures.style import (
     BLOCK_COLOURS,
@@ -85,7 +85,7 @@ def snapped_tendon(folder: Path) -> Any:
     for mode in np.unique(modes):
         part = ms[modes == mode]
         length_ms = part[-1] - part[0] + 2.0
-        colour = BLOCK_COLOURS["host" if mode == Mode.ACTIVE else "safety"]
+        colour = BLOCK_COLOURS["host" if mode == HandMode.ACTIVE else "safety"]
         bottom.barh(
             0,
             length_ms,
@@ -95,7 +95,7 @@ def snapped_tendon(folder: Path) -> Any:
             linewidth=0.6,
             height=0.8,
         )
-        bottom.text(part[0] + length_ms / 2.0, 0, Mode(mode).name, ha="center", va="center", color=INK_COLOUR,
+        bottom.text(part[0] + length_ms / 2.0, 0, HandMode(mode).name, ha="center", va="center", color=INK_COLOUR,
                     fontsize=7.5 if length_ms > 10.0 else 5.5, rotation=0.0 if length_ms > 10.0 else 90.0)  # fmt: skip
     bottom.set(yticks=[], ylabel="mode", xlabel="time after the snap [ms]")
     bottom.grid(visible=False)

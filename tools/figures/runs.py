@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 
 from handctl.campaign.stage import advance_to, homed_run
 from handctl.cli.main import main
-from handctl.controller.setup import make_controller
+from handctl.controller.run_setup import make_controller
 from handctl.core.gains.gains import Gains
-from handctl.core.types import Mode
-from handctl.hand.load import load_hand
+from handctl.core.tick_types import HandMode
+from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
-from handctl.programs.grasp import TaskProgram
 from handctl.programs.program import Program
 from handctl.programs.task import Task
+from handctl.programs.task_program import TaskProgram
 from handctl.replay.motion_replay import active_interval, playback_program
 from handctl.report.truth import TruthRecord, read_truth
 from handctl.session.simulate import SimulatedRun, SimulatorSettings
@@ -68,7 +68,7 @@ class RunRecording:
     t: Array
     values: dict[str, Array]
     phase: list[str]
-    mode: list[Mode]
+    mode: list[HandMode]
     events: list[tuple[float, str]] = field(default_factory=list)
 
 
@@ -104,7 +104,7 @@ def record_run(run: SimulatedRun, seconds: float, until: str = "") -> RunRecordi
         made.phase.append(out.phase)
         made.mode.append(out.mode)
         made.events += [(t, event.text) for event in out.events]
-        if out.mode == Mode.DONE or (until and out.phase == until):
+        if out.mode == HandMode.DONE or (until and out.phase == until):
             break
     made.t = np.array(times)
     made.values = {name: np.array(values) for name, values in rows.items()}

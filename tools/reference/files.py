@@ -6,16 +6,16 @@ from typing import Annotated, Any, get_args, get_origin
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from handctl.core.gains.bounds import (
+from handctl.core.gains.gain_bounds import (
     GAIN_SECTIONS,
     SHARED_KEYS,
     TENDON_SECTION,
-    bound_of,
+    bounds_of_key,
     gain_bounds,
 )
 from handctl.core.gains.gains import Gains, TendonForces
 from handctl.hand.description import Hand
-from handctl.hand.file.descriptions import key_description
+from handctl.hand.file.key_descriptions import key_description
 from handctl.programs.requests import CommandBase, Request
 from tools.reference.markdown import code, prose, table
 
@@ -157,7 +157,7 @@ def gains() -> str:
     ]
     forces = []
     for field, shared in SHARED_KEYS.items():
-        if bound := bound_of(f"{TENDON_SECTION}.NAME.{field}"):
+        if bound := bounds_of_key(f"{TENDON_SECTION}.NAME.{field}"):
             forces.append((code(bound.key), code(shared), str(bound), prose(bound.why)))
     parts.append(table(("gain", "default", "bounds", "meaning"), forces))
     return "\n\n".join(parts)

@@ -2,8 +2,8 @@
 
 import re
 
-from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS, Telemetry
-from handctl.hand.load import load_hand
+from handctl.core.tick_types import TELEMETRY_AXES, TELEMETRY_FIELDS, Telemetry
+from handctl.hand.hand_loading import load_hand
 from handctl.log.export.tables import column_unit
 from handctl.log.header import RunHeader
 from handctl.log.message_types import MESSAGE_DEFINITIONS

@@ -11,14 +11,14 @@ import ctypes
 from typing import Any
 
 from firmware_sim.compiled import kernel_helper
-from firmware_sim.nodes.cia402.power import ENABLED_STATE, PowerStruct, status
+from firmware_sim.nodes.cia402.power_stage import ENABLED_STATE, PowerStruct, status_word
 
 OPERATIONAL_STATE = 0x05
 """NMT state: operational."""
 CYCLIC_TORQUE_MODE = 10
 """Number of the mode cyclic synchronous torque (0x6060).
 
-The module ``motion`` has the other modes.
+The module ``motion_modes`` has the other modes.
 """
 THERMAL_PERIOD_NS = 100_000_000
 """Period of the update of the drive's temperatures [ns]."""
@@ -42,9 +42,9 @@ SPEED_BAND = 0.1
 
 An assumption.
 """
-_INT16 = (1 << 15) - 1
+_MAX_INT16 = (1 << 15) - 1
 """Maximum value of a signed object of two bytes."""
-_INT32 = (1 << 31) - 1
+_MAX_INT32 = (1 << 31) - 1
 """Maximum value of a signed object of four bytes."""
 
 
@@ -85,7 +85,9 @@ def _saturated(value: int, limit: int) -> int:
 
 
 @kernel_helper
-def measure(node: Any, power: Any, angle: float, velocity: float, torque: float) -> None:
+def update_measured_objects(
+    node: Any, power: Any, angle: float, velocity: float, torque: float
+) -> None:
     """Update the objects of a drive with measured values.
 
     Args:
@@ -99,17 +101,17 @@ def measure(node: Any, power: Any, angle: float, velocity: float, torque: float)
     sign = node.direction
     gear = node.gear
     shaft = sign * gear * angle + node.offset
-    word = status(power)
+    word = status_word(power)
     if node.mode_bits >= 0:
         # Bits 10 to 13 depend on the mode of operation.
         word = word & ~0x3C00 | node.mode_bits
     values[STATUS_WORD] = word
     # The position is in encoder counts at the motor shaft.
-    values[POSITION] = _saturated(round(shaft / TURN_RAD * node.counts), _INT32)
+    values[POSITION] = _saturated(round(shaft / TURN_RAD * node.counts), _MAX_INT32)
     # In this drive, object 0x606C (velocity) is in revolutions per minute.
-    values[VELOCITY] = _saturated(round(sign * gear * velocity / TURN_RAD * 60.0), _INT32)
+    values[VELOCITY] = _saturated(round(sign * gear * velocity / TURN_RAD * 60.0), _MAX_INT32)
     values[TORQUE] = values[CURRENT] = _saturated(
-        round(sign * torque / gear / node.rated * 1000.0), _INT16
+        round(sign * torque / gear / node.rated * 1000.0), _MAX_INT16
     )
 
 
@@ -162,7 +164,7 @@ def watchdog_expired(node: Any, t_ns: int) -> bool:
 
 
 @kernel_helper
-def schedule(node: Any, t_ns: int, frame_pending: bool) -> None:
+def schedule_wake(node: Any, t_ns: int, frame_pending: bool) -> None:
     """Schedule the next wake of a drive, for temperatures, heartbeat, timeout of the master or motion.
 
     Args:

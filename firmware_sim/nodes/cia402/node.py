@@ -1,7 +1,7 @@
 """A motor with the firmware of a CiA 402 drive. Source: fact sheet cia402.
 
 The mode cyclic synchronous torque is in this module and in ``kernels``. All other modes are in
-``motion``.
+``motion_modes``.
 
 Frames (COB-ID, payload little-endian):
 
@@ -28,17 +28,8 @@ Choices where the fact sheet is not definite:
 - The host can change PDOs only while the node is pre-operational.
 """
 
-from firmware_sim.bus.frame import FDF, REMOTE, Frame
-from firmware_sim.description import MotorSpec
-from firmware_sim.nodes.cia402.dictionary import (
-    CLIENT_ABORTS,
-    UNKNOWN_COMMAND,
-    WRONG_STATE,
-    ObjectDictionary,
-    ObjectKey,
-    SdoAbort,
-    sdo_reply,
-)
+from firmware_sim.bus.frame import FDF, REMOTE_FLAG, Frame
+from firmware_sim.hand_description import MotorSpec
 from firmware_sim.nodes.cia402.kernels import (
     CYCLIC_TORQUE_MODE,
     OPERATIONAL_STATE,
@@ -47,20 +38,29 @@ from firmware_sim.nodes.cia402.kernels import (
     apply_torque,
     follows_torque,
     heartbeat_due,
-    measure,
-    schedule,
+    schedule_wake,
+    update_measured_objects,
     watchdog_expired,
 )
-from firmware_sim.nodes.cia402.motion import MOTION_MODES, MotionModes, check_write
+from firmware_sim.nodes.cia402.motion_modes import MOTION_MODES, MotionModes, check_write
+from firmware_sim.nodes.cia402.object_dictionary import (
+    CLIENT_ABORTS,
+    UNKNOWN_COMMAND,
+    WRONG_STATE,
+    ObjectDictionary,
+    ObjectKey,
+    SdoAbort,
+    sdo_reply,
+)
 from firmware_sim.nodes.cia402.pdo import NodePdos
-from firmware_sim.nodes.cia402.power import (
+from firmware_sim.nodes.cia402.power_stage import (
     ENABLED_STATE,
     FAULT_STATE,
     OFF_STATE,
     PowerStage,
     PowerStruct,
 )
-from firmware_sim.nodes.thermal import DriveTemperatures
+from firmware_sim.nodes.drive_temperatures import DriveTemperatures
 from firmware_sim.plant.motor import Motor
 
 PRE_OPERATIONAL = 0x7F
@@ -106,7 +106,7 @@ class Cia402Node:
         values: values of the object dictionary.
         frame_pending: True if a frame of the drive waits to be sent.
         motion: the position, velocity and homing modes of the drive.
-        motion_due_ns: time of the next update of ``motion`` [ns], 0 in torque mode.
+        motion_due_ns: time of the next update of ``motion_modes`` [ns], 0 in torque mode.
         mode_bits: bits that the motion mode sets in the status word, -1 in torque mode.
     """
 
@@ -199,7 +199,7 @@ class Cia402Node:
         can_id = frame.can_id
         data = frame.data
         self._now_ns = t_ns
-        if frame.flags & FDF or can_id & REMOTE:
+        if frame.flags & FDF or can_id & REMOTE_FLAG:
             return None
         if can_id == 0x000:
             handled = len(data) == 2 and data[1] in (0, self.node_id)
@@ -210,13 +210,13 @@ class Cia402Node:
         elif can_id == 0x600 + self.node_id:
             handled = self.nmt != STOPPED_STATE
             if handled:
-                self._sdo(data)
+                self._answer_sdo_request(data)
         elif can_id == self.master_id:
             handled = True
             self.watchdog_fed_ns = t_ns
         else:
-            handled = self._rpdo(can_id, data)
-        schedule(self, t_ns, bool(self._unsolicited))
+            handled = self._process_rpdo(can_id, data)
+        schedule_wake(self, t_ns, bool(self._unsolicited))
         return self._take_unsolicited() if handled else None
 
     def _take_unsolicited(self) -> list[Frame]:
@@ -240,22 +240,22 @@ class Cia402Node:
         elif state == OPERATIONAL_STATE:
             self._send_event_pdos()
 
-    def _connection_lost(self, code: int) -> None:
+    def _connection_lost(self, error_code: int) -> None:
         """React to a lost connection as object 0x6007 (abort connection option) demands."""
         option = self.objects[0x6007, 0]
         if option == 1:
-            self.trip(code)
+            self.trip(error_code)
         elif option:
             self.power.state = OFF_STATE
             self._apply_torque()
 
-    def trip(self, code: int) -> None:
+    def trip(self, error_code: int) -> None:
         """Enter the fault state and send an emergency message."""
         self.frame_pending = True
         self.power.fail()
-        self.objects[0x603F, 0] = code
-        self.objects[0x1001, 0] = 0x11 if code == HEARTBEAT_LOST else 0x01
-        self._emergency(code)
+        self.objects[0x603F, 0] = error_code
+        self.objects[0x1001, 0] = 0x11 if error_code == HEARTBEAT_LOST else 0x01
+        self._send_emergency(error_code)
         self._apply_torque()
 
     def lose_settings(self) -> None:
@@ -267,13 +267,13 @@ class Cia402Node:
         self._update_derived()
         self._apply_torque()
 
-    def _emergency(self, code: int) -> None:
+    def _send_emergency(self, error_code: int) -> None:
         """Send an emergency message, unless the node is in the NMT state stopped."""
         if self.nmt != STOPPED_STATE:
-            data = code.to_bytes(2, "little") + bytes((self.objects[0x1001, 0],)) + bytes(5)
+            data = error_code.to_bytes(2, "little") + bytes((self.objects[0x1001, 0],)) + bytes(5)
             self._unsolicited.append(Frame(0x80 + self.node_id, data))
 
-    def _sdo(self, data: bytes) -> None:
+    def _answer_sdo_request(self, data: bytes) -> None:
         """Answer a request to the SDO server.
 
         Numbers have up to four bytes and are transferred in one frame.
@@ -282,9 +282,11 @@ class Cia402Node:
             self.malformed += 1
             return
         if data[0] != CLIENT_ABORTS:
-            self._unsolicited.append(Frame(0x580 + self.node_id, sdo_reply(data, self._access)))
+            self._unsolicited.append(
+                Frame(0x580 + self.node_id, sdo_reply(data, self._execute_sdo_request))
+            )
 
-    def _access(self, data: bytes, key: tuple[int, int]) -> bytes:
+    def _execute_sdo_request(self, data: bytes, key: tuple[int, int]) -> bytes:
         """Execute an SDO request.
 
         Returns:
@@ -299,7 +301,7 @@ class Cia402Node:
         if specifier >> 5 == 2 and key in self.objects.texts:
             return self._first_segment(data[1:4], self.objects.texts[key])
         if specifier >> 5 == 2:
-            self._measure()
+            self._update_measured_objects()
             raw = self.objects.read(key)
             return bytes((0x43 | (4 - len(raw)) << 2,)) + data[1:4] + raw.ljust(4, b"\0")
         # Command 1 is a download request. Bit 1 is set if the transfer is expedited (in one frame).
@@ -308,7 +310,7 @@ class Cia402Node:
         # Bit 0 tells whether the request gives a size, by the number of unused bytes in bits 3..2.
         # Otherwise the size of the object counts.
         size = 4 - (specifier >> 2 & 3) if specifier & 1 else self.objects.size(key)
-        self._write(key, data[4 : 4 + size])
+        self._write_object(key, data[4 : 4 + size])
         return b"\x60" + data[1:4] + bytes(4)
 
     def _first_segment(self, name: bytes, text: bytes) -> bytes:
@@ -333,21 +335,21 @@ class Cia402Node:
         head = toggle << 4 | (7 - len(segment)) << 1 | (not self._segments)
         return bytes((head,)) + segment.ljust(7, b"\0")
 
-    def _write(self, key: tuple[int, int], raw: bytes) -> None:
+    def _write_object(self, key: tuple[int, int], value_bytes: bytes) -> None:
         """Write an object as a host requests it, and apply the new value."""
         # These are the communication and mapping objects of RPDOs (0x1400, 0x1600) and TPDOs
         # (0x1800, 0x1A00).
         if 0x1400 <= key[0] < 0x1C00:
             if self.nmt != PRE_OPERATIONAL:
                 raise SdoAbort(WRONG_STATE)
-            self.pdos.write(key, raw)
+            self.pdos.write(key, value_bytes)
         else:
-            check_write(key[0], int.from_bytes(raw, "little", signed=True))
-            self.objects.write(key, raw)
+            check_write(key[0], int.from_bytes(value_bytes, "little", signed=True))
+            self.objects.write(key, value_bytes)
         if key[0] < 0x2000:
             self._update_derived()
         if key == (0x1010, 1):
-            if raw == b"save":
+            if value_bytes == b"save":
                 self._stored = self.objects.settings()
             self.objects[key] = 1
         if key == (0x1016, 1):
@@ -359,30 +361,30 @@ class Cia402Node:
     def _apply_object(self, key: tuple[int, int]) -> None:
         """Apply the new value of an object that a host has written."""
         if key == (0x6040, 0):
-            self._control(self.objects[key])
+            self._apply_control_word(self.objects[key])
         elif key == (0x6060, 0):
             mode = self.objects[key]
             self.objects[0x6061, 0] = mode if mode in (CYCLIC_TORQUE_MODE, *MOTION_MODES) else 0
         self.motion.take(key[0])
         self._apply_torque()
 
-    def _control(self, word: int) -> None:
+    def _apply_control_word(self, word: int) -> None:
         """Apply a control word to the power stage."""
         before = self.power.state
         self.power.command(word)
         if before == FAULT_STATE != self.power.state:
             self.objects[0x603F, 0] = self.objects[0x1001, 0] = 0
-            self._emergency(0)
+            self._send_emergency(0)
         if self.power.state != before:
             self._send_event_pdos()
 
     def _send_event_pdos(self) -> None:
         """Send the TPDOs whose transmission type is *on a change*."""
         if self.nmt == OPERATIONAL_STATE:
-            self._measure()
+            self._update_measured_objects()
             self._unsolicited += self.pdos.on_event()
 
-    def _rpdo(self, can_id: int, data: bytes) -> bool:
+    def _process_rpdo(self, can_id: int, data: bytes) -> bool:
         """Process an RPDO of this node. Other frames are left alone.
 
         Returns:
@@ -395,7 +397,7 @@ class Cia402Node:
         keys = self.pdos.unpack(can_id, data)
         if keys is None:
             self.malformed += 1
-            self._emergency(RPDO_SHORT)
+            self._send_emergency(RPDO_SHORT)
         for key in keys or ():
             self._apply_object(key)
         return True
@@ -410,14 +412,16 @@ class Cia402Node:
             return False
         for key in self.pdos.synchronise():
             self._apply_object(key)
-        self._measure()
+        self._update_measured_objects()
         self.syncs += 1
         self._unsolicited += self.pdos.on_sync(self.syncs)
         return True
 
-    def _measure(self) -> None:
+    def _update_measured_objects(self) -> None:
         """Update the objects of the drive with measured values."""
-        measure(self, self.power, self.motor.encoder(), self.motor.velocity, self.motor.torque)
+        update_measured_objects(
+            self, self.power, self.motor.encoder(), self.motor.velocity, self.motor.torque
+        )
 
     def _apply_torque(self) -> None:
         """Follow the target torque or a motion mode, if the power stage and the mode of operation allow it."""
@@ -451,7 +455,7 @@ class Cia402Node:
         if watchdog_expired(self, t_ns):
             self.watchdog_fed_ns = -1
             self._connection_lost(HEARTBEAT_LOST)
-        schedule(self, t_ns, bool(self._unsolicited))
+        schedule_wake(self, t_ns, bool(self._unsolicited))
         return self._take_unsolicited()
 
     def _update_thermal(self, t_ns: int) -> None:

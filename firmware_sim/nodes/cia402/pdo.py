@@ -13,7 +13,12 @@ Objects of PDO i:
 from collections.abc import Iterator
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.nodes.cia402.dictionary import OUT_OF_RANGE, ObjectDictionary, ObjectKey, SdoAbort
+from firmware_sim.nodes.cia402.object_dictionary import (
+    OUT_OF_RANGE,
+    ObjectDictionary,
+    ObjectKey,
+    SdoAbort,
+)
 
 PDO_OFF_BIT = 1 << 31
 """Bit in the identifier object of a PDO: the PDO is off."""
@@ -37,7 +42,7 @@ class NodePdos:
         self._objects = objects
         self._waiting: dict[int, bytes] = {}
 
-    def write(self, key: ObjectKey, raw: bytes) -> None:
+    def write(self, key: ObjectKey, value_bytes: bytes) -> None:
         """Write a communication or mapping object over SDO.
 
         Raises:
@@ -47,35 +52,35 @@ class NodePdos:
         if index & 0x200:
             if not self._objects[index - 0x200, 1] & PDO_OFF_BIT:
                 raise SdoAbort(0x08000022)
-            value = int.from_bytes(raw, "little")
+            value = int.from_bytes(value_bytes, "little")
             if sub == 0:
-                self._check(index, value)
+                self._check_mapping(index, value)
             elif self._objects[index, 0]:
                 raise SdoAbort(0x08000022)
             elif value and not self._objects.mappable((value >> 16, value >> 8 & 0xFF)):
                 raise SdoAbort(NOT_MAPPABLE)
-        self._objects.write(key, raw)
+        self._objects.write(key, value_bytes)
 
-    def _check(self, index: int, count: int) -> None:
+    def _check_mapping(self, mapping_index: int, entry_count: int) -> None:
         """Check that the number of entries and the length of a mapping are allowed."""
-        if count > 4:
+        if entry_count > 4:
             raise SdoAbort(OUT_OF_RANGE)
-        if sum(self._objects[index, i + 1] & 0xFF for i in range(count)) > 64:
+        if sum(self._objects[mapping_index, i + 1] & 0xFF for i in range(entry_count)) > 64:
             raise SdoAbort(TOO_LONG)
 
-    def _entries(self, mapping: int) -> Iterator[tuple[ObjectKey, int]]:
+    def _mapped_objects(self, mapping: int) -> Iterator[tuple[ObjectKey, int]]:
         """Iterate over the objects in a mapping, with sizes [bytes]."""
         for i in range(self._objects[mapping, 0]):
             entry = self._objects[mapping, i + 1]
             yield (entry >> 16, entry >> 8 & 0xFF), (entry & 0xFF) // 8
 
-    def _receiver(self, can_id: int) -> int:
+    def _rpdo_index(self, can_id: int) -> int:
         """Return the index of the RPDO with an identifier, -1 if no RPDO has the identifier."""
         return next((i for i in range(4) if self._objects[0x1400 + i, 1] == can_id), -1)
 
     def receives(self, can_id: int) -> bool:
         """Return True if an RPDO has this identifier."""
-        return self._receiver(can_id) >= 0
+        return self._rpdo_index(can_id) >= 0
 
     def unpack(self, can_id: int, data: bytes) -> list[ObjectKey] | None:
         """Write the objects of an RPDO, or keep the RPDO until SYNC.
@@ -83,19 +88,19 @@ class NodePdos:
         Returns:
             The objects that were written at once, None if the RPDO is too short.
         """
-        number = self._receiver(can_id)
-        if len(data) < sum(size for _, size in self._entries(0x1600 + number)):
+        number = self._rpdo_index(can_id)
+        if len(data) < sum(size for _, size in self._mapped_objects(0x1600 + number)):
             return None
         if self._objects[0x1400 + number, 2] <= MAX_SYNCHRONOUS_TYPE:
             self._waiting[number] = data
             return []
-        return self._store(number, data)
+        return self._store_rpdo(number, data)
 
-    def _store(self, number: int, data: bytes) -> list[ObjectKey]:
+    def _store_rpdo(self, pdo_number: int, data: bytes) -> list[ObjectKey]:
         """Write the objects of an RPDO and return their keys."""
         keys = []
         offset = 0
-        for key, size in self._entries(0x1600 + number):
+        for key, size in self._mapped_objects(0x1600 + pdo_number):
             self._objects.write(key, data[offset : offset + size])
             keys.append(key)
             offset += size
@@ -109,7 +114,7 @@ class NodePdos:
         """
         waiting = self._waiting
         self._waiting = {}
-        return [key for number, data in waiting.items() for key in self._store(number, data)]
+        return [key for number, data in waiting.items() for key in self._store_rpdo(number, data)]
 
     def on_sync(self, syncs: int) -> list[Frame]:
         """Return the TPDOs that the node sends at a SYNC.
@@ -117,9 +122,9 @@ class NodePdos:
         Args:
             syncs: number of SYNC frames since the last reset.
         """
-        transmissions = {i: self._objects[0x1800 + i, 2] for i in self._active()}
+        transmissions = {i: self._objects[0x1800 + i, 2] for i in self._active_tpdos()}
         return [
-            self._frame(i)
+            self._tpdo_frame(i)
             for i, transmission in transmissions.items()
             if 1 <= transmission <= MAX_SYNCHRONOUS_TYPE and syncs % transmission == 0
         ]
@@ -140,9 +145,9 @@ class NodePdos:
             if (
                 can_id < 0x800
                 and transmission > MAX_SYNCHRONOUS_TYPE
-                and self._receiver(can_id) == i
+                and self._rpdo_index(can_id) == i
             ):
-                return can_id if list(self._entries(0x1600 + i)) == STANDARD_RPDO else -1
+                return can_id if list(self._mapped_objects(0x1600 + i)) == STANDARD_RPDO else -1
         return -1
 
     def standard_tpdo(self) -> tuple[int, int]:
@@ -152,7 +157,7 @@ class NodePdos:
         TPDO. With any other arrangement of PDOs, or if an RPDO depends on SYNC, the identifier is
         -1.
         """
-        active = self._active()
+        active = self._active_tpdos()
         waits = any(
             self._objects[0x1400 + i, 2] <= MAX_SYNCHRONOUS_TYPE
             for i in range(4)
@@ -164,19 +169,23 @@ class NodePdos:
         transmission = self._objects[0x1800 + i, 2]
         standard = (
             1 <= transmission <= MAX_SYNCHRONOUS_TYPE
-            and list(self._entries(0x1A00 + i)) == STANDARD_TPDO
+            and list(self._mapped_objects(0x1A00 + i)) == STANDARD_TPDO
         )
         return (self._objects[0x1800 + i, 1] & 0x7FF if standard else -1), transmission
 
     def on_event(self) -> list[Frame]:
         """Return the frames of the TPDOs that are sent on a change."""
-        return [self._frame(i) for i in self._active() if self._objects[0x1800 + i, 2] >= 254]
+        return [
+            self._tpdo_frame(i) for i in self._active_tpdos() if self._objects[0x1800 + i, 2] >= 254
+        ]
 
-    def _active(self) -> list[int]:
+    def _active_tpdos(self) -> list[int]:
         """List the indices of the TPDOs that are on."""
         return [i for i in range(4) if not self._objects[0x1800 + i, 1] & PDO_OFF_BIT]
 
-    def _frame(self, number: int) -> Frame:
+    def _tpdo_frame(self, pdo_number: int) -> Frame:
         """Build the frame of a TPDO."""
-        data = b"".join(self._objects.read(key) for key, _ in self._entries(0x1A00 + number))
-        return Frame(self._objects[0x1800 + number, 1] & 0x7FF, data)
+        data = b"".join(
+            self._objects.read(key) for key, _ in self._mapped_objects(0x1A00 + pdo_number)
+        )
+        return Frame(self._objects[0x1800 + pdo_number, 1] & 0x7FF, data)

@@ -21,9 +21,9 @@ from typing import Any
 
 import numpy as np
 
-from firmware_sim.bus.frame import FDF, REMOTE, Frame
-from firmware_sim.description import SensorSpec
-from firmware_sim.nodes.cia402.dictionary import (
+from firmware_sim.bus.frame import FDF, REMOTE_FLAG, Frame
+from firmware_sim.hand_description import SensorSpec
+from firmware_sim.nodes.cia402.object_dictionary import (
     CLIENT_ABORTS,
     UNKNOWN_COMMAND,
     WRONG_STATE,
@@ -165,7 +165,7 @@ class AmplifierNode:
         """
         can_id = frame.can_id
         data = frame.data
-        if frame.flags & FDF or can_id & REMOTE or can_id not in self.ids:
+        if frame.flags & FDF or can_id & REMOTE_FLAG or can_id not in self.ids:
             return None
         self._now_ns = t_ns
         if can_id == 0x000:
@@ -175,8 +175,8 @@ class AmplifierNode:
         elif can_id == self._sync_id:
             self._synchronise(data)
         elif self.nmt != STOPPED_STATE:
-            self._sdo(data)
-        return self._take_out()
+            self._answer_sdo_request(data)
+        return self._take_waiting_frames()
 
     def wake(self, t_ns: int) -> list[Frame]:
         """Return the heartbeat if due, and all frames waiting to be sent."""
@@ -185,9 +185,9 @@ class AmplifierNode:
         if period_ns and not self._out:
             self._out.append(Frame(0x700 + self.node_id, bytes((self.nmt,))))
         self.wake_ns = t_ns + period_ns if period_ns else _NEVER_NS
-        return self._take_out()
+        return self._take_waiting_frames()
 
-    def _take_out(self) -> list[Frame]:
+    def _take_waiting_frames(self) -> list[Frame]:
         """Return the frames waiting to be sent, without suppressed frames, and empty the list."""
         out = self._out
         self._out = []
@@ -208,7 +208,7 @@ class AmplifierNode:
         )
         if self.nmt == OPERATIONAL_STATE != before:
             self._syncs = 0
-            self._send(lambda kind: kind > MAX_SYNCHRONOUS_TYPE)
+            self._send_tpdos(lambda kind: kind > MAX_SYNCHRONOUS_TYPE)
 
     def _synchronise(self, data: bytes) -> None:
         """Process a SYNC frame: sample the load cells, and send the TPDOs that are due."""
@@ -217,22 +217,24 @@ class AmplifierNode:
             return
         if self.nmt == OPERATIONAL_STATE:
             self._syncs += 1
-            self._send(lambda kind: 1 <= kind <= MAX_SYNCHRONOUS_TYPE and self._syncs % kind == 0)
+            self._send_tpdos(
+                lambda kind: 1 <= kind <= MAX_SYNCHRONOUS_TYPE and self._syncs % kind == 0
+            )
 
-    def _send(self, is_due: Callable[[int], bool]) -> None:
+    def _send_tpdos(self, is_due: Callable[[int], bool]) -> None:
         """Send the TPDOs for whose transmission type ``is_due`` returns True."""
-        self._sample()
+        self._sample_load_cells()
         for i in range(TPDO_COUNT):
             can_id = self.objects[0x1800 + i, 1]
             if not can_id & PDO_OFF_BIT and is_due(self.objects[0x1800 + i, 2]):
                 self._out.append(Frame(can_id & 0x7FF, self.objects.payload(i)))
 
-    def _sample(self) -> None:
+    def _sample_load_cells(self) -> None:
         """Read the load cells of this amplifier."""
         readings = self._load_cells.sample(self._now_ns)
         self.objects.readings = [float(readings[i]) for i in self.cells]
 
-    def _sdo(self, data: bytes) -> None:
+    def _answer_sdo_request(self, data: bytes) -> None:
         """Answer a request to the SDO server.
 
         Objects have up to four bytes and are transferred in one frame.
@@ -241,9 +243,11 @@ class AmplifierNode:
             self.malformed += 1
             return
         if data[0] != CLIENT_ABORTS:
-            self._out.append(Frame(0x580 + self.node_id, sdo_reply(data, self._access)))
+            self._out.append(
+                Frame(0x580 + self.node_id, sdo_reply(data, self._execute_sdo_request))
+            )
 
-    def _access(self, data: bytes, key: tuple[int, int]) -> bytes:
+    def _execute_sdo_request(self, data: bytes, key: tuple[int, int]) -> bytes:
         """Execute an SDO request.
 
         Returns:
@@ -253,7 +257,7 @@ class AmplifierNode:
             Abort: the amplifier refuses the request.
         """
         if data[0] >> 5 == 2:
-            self._sample()
+            self._sample_load_cells()
             raw = self.objects.read(key)
             return bytes((0x43 | (4 - len(raw)) << 2,)) + data[1:4] + raw.ljust(4, b"\0")
         # Command 1 is a download request. Bit 1 is set if the transfer is expedited (in one frame),

@@ -19,7 +19,7 @@ from 1.
 import math
 import struct
 
-from firmware_sim.nodes.cia402.dictionary import (
+from firmware_sim.nodes.cia402.object_dictionary import (
     NO_OBJECT,
     NO_SUB,
     OUT_OF_RANGE,
@@ -94,10 +94,10 @@ class AmplifierObjects:
         self._sizes: dict[ObjectKey, int] = {}
         self._values: dict[ObjectKey, int] = {}
         self._fixed: set[ObjectKey] = set()
-        self._add((0x1000, 0), 4, 0x0002_0194, fixed=True)
-        self._add((0x1005, 0), 4, 0x080)
-        self._add((0x1017, 0), 2, 0)
-        self._add((0x1018, 4), 4, serial, fixed=True)
+        self._add_object((0x1000, 0), 4, 0x0002_0194, fixed=True)
+        self._add_object((0x1005, 0), 4, 0x080)
+        self._add_object((0x1017, 0), 2, 0)
+        self._add_object((0x1018, 4), 4, serial, fixed=True)
         for i in range(TPDO_COUNT):
             mapped = [
                 INT32_VALUE_INDEX << 16 | c << 8 | 32
@@ -106,16 +106,16 @@ class AmplifierObjects:
             ]
             can_id = 0x180 + 0x100 * i + node_id | (0 if mapped else PDO_OFF_BIT)
             for sub, size, value in ((1, 4, can_id), (2, 1, 254), (3, 2, 0), (5, 2, 0)):
-                self._add((0x1800 + i, sub), size, value)
-            self._add((0x1A00 + i, 0), 1, len(mapped))
+                self._add_object((0x1800 + i, sub), size, value)
+            self._add_object((0x1A00 + i, 0), 1, len(mapped))
             for sub in range(1, 9):
-                self._add((0x1A00 + i, sub), 4, mapped[sub - 1] if sub <= len(mapped) else 0)
-        self._add((0x6131, 0), 1, channels, fixed=True)
+                self._add_object((0x1A00 + i, sub), 4, mapped[sub - 1] if sub <= len(mapped) else 0)
+        self._add_object((0x6131, 0), 1, channels, fixed=True)
         for channel in range(1, channels + 1):
-            self._add((0x6131, channel), 4, AS_DELIVERED)
-            self._add((0x6132, channel), 1, 2)
+            self._add_object((0x6131, channel), 4, AS_DELIVERED)
+            self._add_object((0x6132, channel), 1, 2)
 
-    def _add(self, key: ObjectKey, size: int, value: int, fixed: bool = False) -> None:
+    def _add_object(self, key: ObjectKey, size: int, value: int, fixed: bool = False) -> None:
         """Add an object to the dictionary. A fixed object is read-only for hosts."""
         self._sizes[key] = size
         self._values[key] = value
@@ -139,14 +139,14 @@ class AmplifierObjects:
         if key[0] in _MAPPABLE_SIZES_BYTES:
             if not 1 <= key[1] <= len(self.readings):
                 raise SdoAbort(NO_SUB)
-            return self._measured(*key)
+            return self._measured_bytes(*key)
         if key not in self._sizes:
             raise SdoAbort(
                 NO_SUB if any(index == key[0] for index, _ in self._sizes) else NO_OBJECT
             )
         return self._values[key].to_bytes(self._sizes[key], "little")
 
-    def write(self, key: ObjectKey, raw: bytes) -> None:
+    def write(self, key: ObjectKey, value_bytes: bytes) -> None:
         """Write the bytes of a received frame to an object.
 
         Raises:
@@ -155,9 +155,9 @@ class AmplifierObjects:
         self.read(key)
         if key[0] in _MAPPABLE_SIZES_BYTES or key in self._fixed:
             raise SdoAbort(READ_ONLY)
-        if len(raw) != self._sizes[key]:
+        if len(value_bytes) != self._sizes[key]:
             raise SdoAbort(WRONG_TYPE)
-        value = int.from_bytes(raw, "little")
+        value = int.from_bytes(value_bytes, "little")
         if 0x1A00 <= key[0] < 0x1A00 + TPDO_COUNT:
             self._check_mapping(key, value)
         self._values[key] = value
@@ -182,18 +182,18 @@ class AmplifierObjects:
     def payload(self, tpdo: int) -> bytes:
         """Return the payload of a TPDO with the present readings."""
         entries = [self[0x1A00 + tpdo, i + 1] for i in range(self[0x1A00 + tpdo, 0])]
-        return b"".join(self._measured(entry >> 16, entry >> 8 & 0xFF) for entry in entries)
+        return b"".join(self._measured_bytes(entry >> 16, entry >> 8 & 0xFF) for entry in entries)
 
-    def _status(self, channel: int) -> int:
+    def _channel_status(self, channel: int) -> int:
         """Return the status of a channel."""
         reading = self.readings[channel - 1]
         if abs(reading) < OVERLOAD_RATIO * self._range:
             return 0
         return NOT_VALID | (POSITIVE_OVERLOAD if reading > 0 else NEGATIVE_OVERLOAD)
 
-    def _measured(self, index: int, channel: int) -> bytes:
+    def _measured_bytes(self, index: int, channel: int) -> bytes:
         """Return the process value or the status of a channel as bytes."""
-        status = self._status(channel)
+        status = self._channel_status(channel)
         if index == 0x6150:
             return bytes((status,))
         # The maker's unit is assumed to be 1/100 N, so a host that does not set the unit reads

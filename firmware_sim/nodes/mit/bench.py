@@ -95,19 +95,19 @@ A DM-J4310 (10 N m) has 2e-3 kg m2.
 """
 
 
-def shaft_of_mit_motor(kind: str, **options: object) -> ShaftSpec:
+def shaft_of_mit_motor(motor_type: str, **options: object) -> ShaftSpec:
     """Build the shaft of a motor type.
 
     Args:
-        kind: key of ``MOTOR_TYPE_RANGES``.
+        motor_type: key of ``MOTOR_TYPE_RANGES``.
         options: options of the motor, as in a hand file.
     """
-    position, velocity, peak = MOTOR_TYPE_RANGES[kind]
+    position, velocity, peak = MOTOR_TYPE_RANGES[motor_type]
     inertia = INERTIA_PER_TORQUE * peak
-    if kind not in MOTOR_RATINGS:
+    if motor_type not in MOTOR_RATINGS:
         limits = peak, velocity, STALL_FACTOR * peak
     else:
-        rating = MOTOR_RATINGS[kind]
+        rating = MOTOR_RATINGS[motor_type]
         limits = rating.peak, rating.top_speed, rating.stall_torque
     return ShaftSpec(peak, inertia, 1.0, position, velocity, dict(options), *limits)
 

@@ -28,7 +28,7 @@ import struct
 from typing import Any, NamedTuple
 
 from firmware_sim.compiled import compiled, kernel_helper
-from firmware_sim.nodes.thermal import ThermalStruct
+from firmware_sim.nodes.drive_temperatures import ThermalStruct
 
 PAYLOAD_WORD_STRUCT = struct.Struct(">q")
 """Conversion between the eight bytes of a payload and a 64-bit integer."""
@@ -142,13 +142,13 @@ def _degrees(value: float) -> int:
 
 @compiled("count", *("real",) * 8)
 def write_feedback(
-    head: int, p: float, v: float, t: float, position: float, velocity: float, torque: float,
+    state_and_id: int, p: float, v: float, t: float, position: float, velocity: float, torque: float,
     mosfet: float, winding: float,
 ) -> int:  # fmt: skip
     """Encode the feedback of an MIT drive.
 
     Args:
-        head: state or error nibble and low four bits of ESC_ID, as one byte.
+        state_and_id: state or error nibble and low four bits of ESC_ID, as one byte.
         p: measured position [rad], saturated at its range.
         v: measured velocity [rad/s], saturated at its range.
         t: measured torque [N m], saturated at its range.
@@ -166,7 +166,7 @@ def write_feedback(
     )
     # The head is made a signed byte first. In compiled code, shifting a head above 127 would
     # overflow 64 bits.
-    signed = head - 256 if head > 127 else head
+    signed = state_and_id - 256 if state_and_id > 127 else state_and_id
     return signed << 56 | motion << 16 | _degrees(mosfet) << 8 | _degrees(winding)
 
 
@@ -212,7 +212,7 @@ def feedback_word(node: Any, rotor: Any, angle: float, mosfet: float, winding: f
 
 
 @kernel_helper
-def schedule(node: Any) -> None:
+def schedule_wake(node: Any) -> None:
     """Schedule the next wake of a drive: at the update of temperatures, or earlier if the watchdog must be checked."""
     node.wake_ns = node.thermal_ns + THERMAL_PERIOD_NS
     if node.timeout_ns != 0 and node.state == ENABLED_STATE:

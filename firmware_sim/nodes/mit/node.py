@@ -9,7 +9,7 @@ Choices where the fact sheet has only an assumption:
   ``WATCHDOG_BEHAVIOURS``.
 - The special command FE (set zero) acts only while the motor is disabled.
 - A command for another mode than that in CTRL_MODE is answered, but has no effect.
-- Position and velocity modes use cascaded controllers with fixed gains, see ``motion``.
+- Position and velocity modes use cascaded controllers with fixed gains, see ``motion_modes``.
 - Positions beyond PMAX are saturated in the feedback.
 - Requests for unknown registers are not answered.
 
@@ -29,7 +29,8 @@ import math
 import struct
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.description import MotorSpec
+from firmware_sim.hand_description import MotorSpec
+from firmware_sim.nodes.drive_temperatures import DriveTemperatures, ThermalStruct
 from firmware_sim.nodes.mit import registers as reg
 from firmware_sim.nodes.mit.codec import (
     PAYLOAD_WORD_STRUCT,
@@ -37,10 +38,9 @@ from firmware_sim.nodes.mit.codec import (
     MitStruct,
     apply_command,
     feedback_word,
-    schedule,
+    schedule_wake,
 )
-from firmware_sim.nodes.mit.motion import MotionModes
-from firmware_sim.nodes.thermal import DriveTemperatures, ThermalStruct
+from firmware_sim.nodes.mit.motion_modes import MotionModes
 from firmware_sim.plant.motor import Motor
 
 REGISTER_ID = 0x7FF
@@ -95,7 +95,7 @@ class FeedbackState(enum.IntEnum):
 
 
 _ENABLED = FeedbackState.ENABLED
-"""The state ENABLED as a module constant, because its look-up in ``_command`` is then faster."""
+"""The state ENABLED as a module constant, because its look-up in ``_process_command`` is then faster."""
 
 
 class MitNode:
@@ -134,7 +134,7 @@ class MitNode:
         """
         self.motor = motor
         self.offset = offset
-        self.registers = reg.Registers(spec)
+        self.registers = reg.MitRegisters(spec)
         self.thermal = self._temperatures(spec.torque_constant)
         self.state = FeedbackState.DISABLED
         self.malformed = 0
@@ -171,7 +171,7 @@ class MitNode:
         mode = int(self.registers[reg.CTRL_MODE])
         if mode != self.mode:
             # A setpoint is valid only in the mode for which it was sent.
-            self._release()
+            self._release_motor()
         self.mode = mode
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
@@ -184,22 +184,22 @@ class MitNode:
         if can_id == self.node_id:
             if t_ns >= self.wake_ns:
                 self.wake(t_ns)
-            answer = self._command(data, t_ns)
+            answer = self._process_command(data, t_ns)
         elif can_id == REGISTER_ID:
             if len(data) < 4 or int.from_bytes(data[:2], "little") != self.node_id:
                 return None
             self.wake(t_ns)
             if self._watchdog == FED_BY_FRAMES:
                 self.watchdog_fed_ns = t_ns
-            answer = self._register(data)
+            answer = self._process_register_request(data)
         elif can_id in self._mode_ids:
             self.wake(t_ns)
             # Some hosts send the special commands FD and FE to the identifier of a motion mode.
             is_special = data[:7] == _SPECIAL_COMMAND_START and len(data) == 8
             answer = (
-                self._special(data, t_ns)
+                self._process_special_command(data, t_ns)
                 if is_special
-                else self._motion(can_id - self.node_id >> 8, data, t_ns)
+                else self._process_motion_command(can_id - self.node_id >> 8, data, t_ns)
             )
         else:
             return None
@@ -210,20 +210,20 @@ class MitNode:
             return []
         return [Frame(self.reply_id, answer, flags, bus, t_ns)]
 
-    def _command(self, data: bytes, t_ns: int) -> bytes | None:
+    def _process_command(self, data: bytes, t_ns: int) -> bytes | None:
         """Process a frame to ESC_ID and return the payload of the answer, None if the frame is malformed."""
         if len(data) != 8:
             return None
         # The last byte is compared first. It differs in most commands, so the comparison of seven
         # bytes is rarely made.
         if data[7] >= _CLEAR_COMMAND and data[7] != 0xFF and data[:7] == _SPECIAL_COMMAND_START:
-            return self._special(data, t_ns)
+            return self._process_special_command(data, t_ns)
         self.watchdog_fed_ns = t_ns
         if self.state == _ENABLED and self.mode == reg.MODE_MIT:
             apply_command(self, self.motor.servo, PAYLOAD_WORD_STRUCT.unpack(data)[0])
         return self.feedback()
 
-    def _motion(self, kind: int, data: bytes, t_ns: int) -> bytes | None:
+    def _process_motion_command(self, kind: int, data: bytes, t_ns: int) -> bytes | None:
         """Process a command of the position-velocity (1), velocity (2) or force-position mode (3).
 
         Returns:
@@ -252,7 +252,7 @@ class MitNode:
         self._motion_modes.start(t_ns)
         return self.feedback()
 
-    def _special(self, data: bytes, t_ns: int) -> bytes | None:
+    def _process_special_command(self, data: bytes, t_ns: int) -> bytes | None:
         """Execute a special command and return the payload of the answer, None if the command is malformed."""
         if len(data) != 8 or data[:7] != _SPECIAL_COMMAND_START:
             return None
@@ -276,18 +276,18 @@ class MitNode:
             return None
         return self.feedback()
 
-    def _release(self) -> None:
+    def _release_motor(self) -> None:
         """Let the motor turn freely until the next command."""
         self._motion_modes.end()
         self.motor.servo.release()
 
     def _enable(self) -> None:
         if self.state == FeedbackState.DISABLED:
-            self._release()
+            self._release_motor()
             self.state = FeedbackState.ENABLED
 
     def _disable(self) -> None:
-        self._release()
+        self._release_motor()
         if self.state == FeedbackState.ENABLED:
             self.state = FeedbackState.DISABLED
 
@@ -300,7 +300,7 @@ class MitNode:
 
         Torque returns only after the error has been cleared and the motor enabled.
         """
-        self._release()
+        self._release_motor()
         self.state = state
 
     def feedback(self) -> bytes:
@@ -311,7 +311,7 @@ class MitNode:
             feedback_word(self, motor, motor.encoder(), thermal.mosfet, thermal.winding)
         )
 
-    def _register(self, data: bytes) -> bytes | None:
+    def _process_register_request(self, data: bytes) -> bytes | None:
         """Execute a register request and return the payload of the reply, None if the request is malformed."""
         operation = data[2]
         register = data[3]
@@ -328,10 +328,10 @@ class MitNode:
                 return None
             self.registers.write(register, data[4:])
             self._update_derived()
-        self._measure()
+        self._update_measured_registers()
         return head + data[3:4] + self.registers.read(register)
 
-    def _measure(self) -> None:
+    def _update_measured_registers(self) -> None:
         """Update the registers that hold measured values."""
         position = self.direction * self.motor.encoder() + self.offset
         self.registers.show(reg.MOTOR_POSITION, position)
@@ -342,7 +342,7 @@ class MitNode:
     def power_cycle(self) -> None:
         """Restart the motor, disabled and with the saved registers."""
         self.registers.power_cycle()
-        self._release()
+        self._release_motor()
         self.state = FeedbackState.DISABLED
         self._update_derived()
 
@@ -376,7 +376,7 @@ class MitNode:
 
         Compiled code does not handle motion modes.
         """
-        schedule(self)
+        schedule_wake(self)
         self.wake_ns = min(self.wake_ns, self._motion_modes.due_ns)
 
     def _update_thermal(self, t_ns: int) -> None:

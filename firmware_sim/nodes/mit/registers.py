@@ -6,7 +6,7 @@ Source: fact sheet mit_damiao.
 import math
 import struct
 
-from firmware_sim.description import MotorSpec
+from firmware_sim.hand_description import MotorSpec
 
 KT = 1
 """Register: torque constant [N m/A]."""
@@ -72,7 +72,7 @@ MODE_MIT, MODE_POSITION, MODE_VELOCITY, MODE_FORCE = range(1, 5)
 """Values of the register CTRL_MODE: MIT, position-velocity, velocity and force-position mode."""
 
 
-class Registers:
+class MitRegisters:
     """The registers of one motor.
 
     A written value acts at once, but is lost at power-off unless saved.
@@ -104,12 +104,12 @@ class Registers:
             else struct.pack("<f", value)
         )
 
-    def write(self, register: int, raw: bytes) -> None:
+    def write(self, register: int, value_bytes: bytes) -> None:
         """Write the four bytes of a received frame to a register.
 
         Read-only registers and impossible values are ignored.
         """
-        value = float(struct.unpack("<I" if register in _UINT_REGISTERS else "<f", raw)[0])
+        value = float(struct.unpack("<I" if register in _UINT_REGISTERS else "<f", value_bytes)[0])
         if register not in _READ_ONLY_REGISTERS and _is_value_possible(register, value):
             self._values[register] = value
 

@@ -3,7 +3,7 @@
 The data of motor and free shaft are assumptions, for a motor like mj5208.
 """
 
-from firmware_sim.bus.frame import EXTENDED, FDF, Frame
+from firmware_sim.bus.frame import EXTENDED_FLAG, FDF, Frame
 from firmware_sim.nodes.moteus.node import MoteusNode
 from firmware_sim.nodes.protocol_spec import ProtocolSpec, ShaftSpec
 
@@ -15,7 +15,7 @@ STOP_PAYLOAD = b"\x01\x00\x00"
 
 def _host_frame(node_id: int) -> tuple[int, bytes]:
     """Return a request that reads the mode, to be answered to the sender with number 0."""
-    return EXTENDED | 0x8000 | node_id, b"\x11\x00"
+    return EXTENDED_FLAG | 0x8000 | node_id, b"\x11\x00"
 
 
 def _corrupt_command(frame: Frame) -> Frame:

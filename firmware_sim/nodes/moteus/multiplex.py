@@ -32,17 +32,17 @@ PADDING_SUBFRAME = b"\x50"
 """Subframe *no operation*, which fills a payload up to a length of CAN FD."""
 
 # Value of one integer step as int8, int16 and int32, for each kind of quantity.
-PLAIN = (1.0, 1.0, 1.0)
-POSITION = (0.01, 0.0001, 0.00001)
-VELOCITY = (0.1, 0.00025, 0.00001)
-TORQUE = (0.5, 0.01, 0.001)
-TEMPERATURE = (1.0, 0.1, 0.001)
-TIME = (0.01, 0.001, 0.000001)
-CURRENT = (1.0, 0.1, 0.001)
-VOLTAGE = (0.5, 0.1, 0.001)
-POWER = (10.0, 0.05, 0.0001)
-ACCELERATION = (0.05, 0.001, 0.00001)
-FRACTION = (1.0 / 127, 1.0 / 32767, 1.0 / 2147483647)
+UNSCALED_STEPS = (1.0, 1.0, 1.0)
+POSITION_STEPS = (0.01, 0.0001, 0.00001)
+VELOCITY_STEPS = (0.1, 0.00025, 0.00001)
+TORQUE_STEPS = (0.5, 0.01, 0.001)
+TEMPERATURE_STEPS = (1.0, 0.1, 0.001)
+TIME_STEPS = (0.01, 0.001, 0.000001)
+CURRENT_STEPS = (1.0, 0.1, 0.001)
+VOLTAGE_STEPS = (0.5, 0.1, 0.001)
+POWER_STEPS = (10.0, 0.05, 0.0001)
+ACCELERATION_STEPS = (0.05, 0.001, 0.00001)
+FRACTION_STEPS = (1.0 / 127, 1.0 / 32767, 1.0 / 2147483647)
 
 
 class MalformedPayload(Exception):  # noqa: N818 - never leaves the node
@@ -96,33 +96,37 @@ def encode_varuint(value: int) -> bytes:
     return bytes([128 | value & 127]) + encode_varuint(value >> 7)
 
 
-def decode_register(raw: bytes, kind: int, steps: tuple[float, float, float]) -> float:
+def decode_register(raw: bytes, value_type: int, steps: tuple[float, float, float]) -> float:
     """Decode the bytes of a register value. The most negative integer means NaN."""
-    (number,) = REGISTER_STRUCTS[kind].unpack(raw)
-    if kind == FLOAT:
+    (number,) = REGISTER_STRUCTS[value_type].unpack(raw)
+    if value_type == FLOAT:
         return float(number)
-    return math.nan if number < -MAX_COUNTS[kind] else float(number * steps[kind])
+    return math.nan if number < -MAX_COUNTS[value_type] else float(number * steps[value_type])
 
 
-def encode_register(value: float, kind: int, steps: tuple[float, float, float]) -> bytes:
+def encode_register(value: float, value_type: int, steps: tuple[float, float, float]) -> bytes:
     """Encode a register value, limited to the range of its type and truncated towards 0."""
-    if kind == FLOAT:
+    if value_type == FLOAT:
         return REGISTER_STRUCTS[FLOAT].pack(value)
     if not math.isfinite(value):
-        return REGISTER_STRUCTS[kind].pack(-MAX_COUNTS[kind] - 1)
+        return REGISTER_STRUCTS[value_type].pack(-MAX_COUNTS[value_type] - 1)
     # The quotient is rounded to float32 as in the drive. In float64, 0.00003 / 1e-5 would be just
     # below 3.
-    count = struct.unpack("<f", struct.pack("<f", value / steps[kind]))[0]
-    return REGISTER_STRUCTS[kind].pack(int(max(-MAX_COUNTS[kind], min(MAX_COUNTS[kind], count))))
-
-
-def subframe_head(base: int, kind: int, count: int, first: int) -> bytes:
-    """Return the first bytes of a register subframe, in front of the values."""
-    subframe = base | kind << 2
-    start = (
-        bytes([subframe | count]) if 0 < count < 4 else bytes([subframe]) + encode_varuint(count)
+    count = struct.unpack("<f", struct.pack("<f", value / steps[value_type]))[0]
+    return REGISTER_STRUCTS[value_type].pack(
+        int(max(-MAX_COUNTS[value_type], min(MAX_COUNTS[value_type], count)))
     )
-    return start + encode_varuint(first)
+
+
+def subframe_head(base: int, value_type: int, register_count: int, first_register: int) -> bytes:
+    """Return the first bytes of a register subframe, in front of the values."""
+    subframe = base | value_type << 2
+    start = (
+        bytes([subframe | register_count])
+        if 0 < register_count < 4
+        else bytes([subframe]) + encode_varuint(register_count)
+    )
+    return start + encode_varuint(first_register)
 
 
 def padded_payload(data: bytes) -> bytes:

@@ -10,7 +10,7 @@ command. A command without a position keeps the present target.
 Choices where the fact sheet has only an assumption:
 
 - The preparation of the power stage (modes 2, 3 and 4) takes 10 ms.
-- The drive is calibrated and has the gains of ``text.FACTORY_CONFIGURATION``. Its integrator is not
+- The drive is calibrated and has the gains of ``text_channel.FACTORY_CONFIGURATION``. Its integrator is not
   simulated.
 - Limits of velocity, acceleration and slip have no effect. The target moves as if they were nan.
 - Stop position, fixed current and the voltage modes are not simulated. A command with one of these
@@ -22,12 +22,12 @@ Choices where the fact sheet has only an assumption:
 import math
 import struct
 
-from firmware_sim.bus.frame import BRS, EXTENDED, FDF, REMOTE, Frame
-from firmware_sim.description import MotorSpec
+from firmware_sim.bus.frame import BRS, EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
+from firmware_sim.hand_description import MotorSpec
+from firmware_sim.nodes.drive_temperatures import DriveTemperatures
 from firmware_sim.nodes.moteus import multiplex as mp
 from firmware_sim.nodes.moteus import registers as reg
-from firmware_sim.nodes.moteus.text import TextChannel
-from firmware_sim.nodes.thermal import DriveTemperatures
+from firmware_sim.nodes.moteus.text_channel import TextChannel
 from firmware_sim.plant.motor import Motor
 
 STOPPED, FAULT, ENABLING, CALIBRATING, CALIBRATED = range(5)
@@ -119,36 +119,36 @@ class MoteusNode:
         Returns:
             The answers, None if the frame is not for this controller.
         """
-        number = frame.can_id & ~EXTENDED
+        number = frame.can_id & ~EXTENDED_FLAG
         if (
-            frame.can_id & REMOTE
+            frame.can_id & REMOTE_FLAG
             or number >> 16
             or number & 0xFF not in (self.node_id, BROADCAST_NUMBER)
         ):
             return None
         self._t_ns = t_ns
         self._pending = None
-        reply = self._execute(frame.data)
+        reply = self._execute_payload(frame.data)
         if self._pending is not None:
-            self._apply(self._pending, t_ns)
+            self._apply_mode(self._pending, t_ns)
         if not number & 0x8000:
             return []
-        return [self._reply(reply, number >> 8 & 0x7F, frame)]
+        return [self._reply_frame(reply, number >> 8 & 0x7F, frame)]
 
-    def _reply(self, data: bytes, host: int, frame: Frame) -> Frame:
+    def _reply_frame(self, data: bytes, host: int, frame: Frame) -> Frame:
         """Return the frame of a reply to a host.
 
         A reply too long for the format of the request has the format CAN FD.
         """
         number = self.node_id << 8 | host
-        can_id = number | EXTENDED if number >= 0x800 else number
+        can_id = number | EXTENDED_FLAG if number >= 0x800 else number
         classical = not frame.flags & FDF and len(data) <= 8
         flags = 0 if classical else FDF | frame.flags & BRS
         return Frame(
             can_id, data if classical else mp.padded_payload(data), flags, frame.bus, self._t_ns
         )
 
-    def _execute(self, data: bytes) -> bytes:
+    def _execute_payload(self, data: bytes) -> bytes:
         """Execute the subframes of a payload and return the reply."""
         reader = mp.PayloadReader(data)
         out = b""
@@ -158,19 +158,19 @@ class MoteusNode:
                 if kind == mp.PADDING_SUBFRAME[0]:
                     continue
                 if kind < 0x20:
-                    part = self._registers(kind, reader)
+                    part = self._execute_register_subframe(kind, reader)
                     if part is None:
                         return out
                     out += part
                 elif kind in (0x40, 0x42):
-                    out += self._text(kind, reader)
+                    out += self._execute_text_subframe(kind, reader)
                 else:
                     raise mp.MalformedPayload
         except mp.MalformedPayload:
             self.malformed += 1
         return out
 
-    def _registers(self, subframe: int, reader: mp.PayloadReader) -> bytes | None:
+    def _execute_register_subframe(self, subframe: int, reader: mp.PayloadReader) -> bytes | None:
         """Execute a subframe that writes or reads registers.
 
         Returns:
@@ -181,19 +181,19 @@ class MoteusNode:
         first = reader.varuint()
         out = b""
         if subframe >= 0x10:
-            return self._read_all(kind, count, first)
+            return self._read_registers(kind, count, first)
         for number in range(first, first + count):
             raw = reader.take(mp.REGISTER_STRUCTS[kind].size)
             if reg.UUID_MASK <= number < reg.UUID_MASK + 4:
-                expected = struct.pack("<I", self._uuid(number - reg.UUID_MASK))
+                expected = struct.pack("<I", self._uuid_word(number - reg.UUID_MASK))
                 if kind != mp.INT32 or raw != expected:
                     return None
                 continue
-            if error := self._write(number, kind, raw):
+            if error := self._write_register(number, kind, raw):
                 out += b"\x30" + mp.encode_varuint(number) + mp.encode_varuint(error)
         return out
 
-    def _read_all(self, kind: int, count: int, first: int) -> bytes:
+    def _read_registers(self, value_type: int, count: int, first: int) -> bytes:
         """Return the reply to a request that reads registers.
 
         The reply ends with an error at a register without a value.
@@ -201,7 +201,7 @@ class MoteusNode:
         values = list[bytes]()
         error = b""
         for number in range(first, first + min(count, 64)):
-            raw = self._read(number, kind)
+            raw = self._read_register(number, value_type)
             if raw is None:
                 error = (
                     b"\x31"
@@ -211,27 +211,31 @@ class MoteusNode:
                 break
             values.append(raw)
         return (
-            mp.subframe_head(0x20, kind, len(values), first) + b"".join(values) if values else b""
+            mp.subframe_head(0x20, value_type, len(values), first) + b"".join(values)
+            if values
+            else b""
         ) + error
 
-    def _write(self, number: int, kind: int, raw: bytes) -> int:
+    def _write_register(self, register: int, value_type: int, raw: bytes) -> int:
         """Write a register and return an error number, 0 for no error."""
-        number = reg.SHADOW_REGISTERS.get(number, number)
-        if number == reg.MODE:
-            mode = mp.decode_register(raw, kind, mp.PLAIN)
+        register = reg.SHADOW_REGISTERS.get(register, register)
+        if register == reg.MODE:
+            mode = mp.decode_register(raw, value_type, mp.UNSCALED_STEPS)
             if mode not in COMMANDABLE_MODES:
                 return reg.INVALID_VALUE_ERROR
             self._pending = int(mode)
             self.command = dict(reg.REGISTER_DEFAULTS)
-        elif number in reg.COMMAND_REGISTER_STEPS:
-            self.command[number] = mp.decode_register(raw, kind, reg.COMMAND_REGISTER_STEPS[number])
-        elif number in (reg.SET_NEAREST, reg.SET_EXACT):
-            self._set_position(
-                mp.decode_register(raw, kind, mp.POSITION), number == reg.SET_NEAREST
+        elif register in reg.COMMAND_REGISTER_STEPS:
+            self.command[register] = mp.decode_register(
+                raw, value_type, reg.COMMAND_REGISTER_STEPS[register]
             )
-        elif number == reg.RECAPTURE:
-            self._apply(self.mode, self._t_ns)
-        elif number in reg.MEASURED_REGISTER_STEPS or number in INT32_ONLY_REGISTERS:
+        elif register in (reg.SET_NEAREST, reg.SET_EXACT):
+            self._set_position(
+                mp.decode_register(raw, value_type, mp.POSITION_STEPS), register == reg.SET_NEAREST
+            )
+        elif register == reg.RECAPTURE:
+            self._apply_mode(self.mode, self._t_ns)
+        elif register in reg.MEASURED_REGISTER_STEPS or register in INT32_ONLY_REGISTERS:
             return reg.NOT_WRITEABLE_ERROR
         else:
             return reg.UNKNOWN_REGISTER_ERROR
@@ -243,26 +247,34 @@ class MoteusNode:
             shift = turns - self._position
             self.offset += TURN_RAD * (round(shift) if nearest else shift)
 
-    def _read(self, number: int, kind: int) -> bytes | None:
+    def _read_register(self, register: int, value_type: int) -> bytes | None:
         """Return the bytes of a register, None if the register is unknown or cannot have the type."""
-        number = reg.SHADOW_REGISTERS.get(number, number)
-        if number in INT32_ONLY_REGISTERS:
-            return struct.pack("<I", self._integer(number)) if kind == mp.INT32 else None
-        if number == reg.MODE:
-            return mp.encode_register(self.mode, kind, mp.PLAIN)
-        if number in reg.COMMAND_REGISTER_STEPS:
-            return mp.encode_register(
-                self.command[number], kind, reg.COMMAND_REGISTER_STEPS[number]
+        register = reg.SHADOW_REGISTERS.get(register, register)
+        if register in INT32_ONLY_REGISTERS:
+            return (
+                struct.pack("<I", self._integer_register(register))
+                if value_type == mp.INT32
+                else None
             )
-        steps = reg.MEASURED_REGISTER_STEPS.get(number)
-        return None if steps is None else mp.encode_register(self._measured(number), kind, steps)
+        if register == reg.MODE:
+            return mp.encode_register(self.mode, value_type, mp.UNSCALED_STEPS)
+        if register in reg.COMMAND_REGISTER_STEPS:
+            return mp.encode_register(
+                self.command[register], value_type, reg.COMMAND_REGISTER_STEPS[register]
+            )
+        steps = reg.MEASURED_REGISTER_STEPS.get(register)
+        return (
+            None
+            if steps is None
+            else mp.encode_register(self._measured_value(register), value_type, steps)
+        )
 
-    def _integer(self, number: int) -> int:
+    def _integer_register(self, register: int) -> int:
         """Return the value of a register that exists only as int32."""
-        if 0x120 <= number <= 0x122:
-            return self._serial >> 32 * (number - 0x120) & 0xFFFFFFFF
-        if reg.UUID <= number < reg.UUID + 4:
-            return self._uuid(number - reg.UUID)
+        if 0x120 <= register <= 0x122:
+            return self._serial >> 32 * (register - 0x120) & 0xFFFFFFFF
+        if reg.UUID <= register < reg.UUID + 4:
+            return self._uuid_word(register - reg.UUID)
         # These registers are model number, firmware version, version of the register map, node
         # number and support of the UUID mask.
         fixed = {
@@ -272,11 +284,11 @@ class MoteusNode:
             reg.MULTIPLEX_ID: self.node_id,
             0x158: 1,
         }
-        return fixed[number]
+        return fixed[register]
 
-    def _uuid(self, part: int) -> int:
+    def _uuid_word(self, word_index: int) -> int:
         """Return 32 of the 128 bits of the drive's UUID."""
-        return (self._serial << 32 | 0x5AFE) >> 32 * part & 0xFFFFFFFF
+        return (self._serial << 32 | 0x5AFE) >> 32 * word_index & 0xFFFFFFFF
 
     @property
     def _position(self) -> float:
@@ -289,7 +301,7 @@ class MoteusNode:
         return (self._direction * self.motor.servo.position + self.offset) / TURN_RAD
 
     @property
-    def _code(self) -> int:
+    def _fault_code(self) -> int:
         """Return the fault code, or in position mode the code of a limit that acts on the loop's torque."""
         motor = self.motor
         servo = motor.servo
@@ -300,7 +312,7 @@ class MoteusNode:
         )
         return MAX_TORQUE_LIMITS if abs(torque + servo.torque) > servo.limit else 0
 
-    def _measured(self, number: int) -> float:
+    def _measured_value(self, register: int) -> float:
         """Return the measured value of a register."""
         motor = self.motor
         sign = self._direction
@@ -310,28 +322,28 @@ class MoteusNode:
         values: dict[int, float] = {
             0x001: self._position, 0x002: velocity, 0x003: torque, 0x004: torque / self._torque_constant,
             0x006: self._position, 0x007: motor.torque * motor.velocity, 0x00A: self.thermal.winding, 0x00B: 1.0,
-            0x00C: 1.0, 0x00D: 24.0, 0x00E: self.thermal.mosfet, 0x00F: self._code, 0x033: commanded,
+            0x00C: 1.0, 0x00D: 24.0, 0x00E: self.thermal.mosfet, 0x00F: self._fault_code, 0x033: commanded,
             0x034: commanded, 0x038: self._target, 0x039: sign * motor.servo.velocity / TURN_RAD, 0x03A: commanded,
             0x03D: torque - commanded, 0x050: self._position, 0x051: velocity,
             0x070: self._t_ns // 1_000_000 % 8388608,
         }  # fmt: skip
-        return values.get(number, 0.0)
+        return values.get(register, 0.0)
 
-    def _text(self, kind: int, reader: mp.PayloadReader) -> bytes:
+    def _execute_text_subframe(self, subframe: int, reader: mp.PayloadReader) -> bytes:
         """Execute a subframe of the text channel.
 
         Return as much of the channel's answers as fits into the reply.
         """
         channel = reader.varuint()
         length = reader.varuint()
-        data = reader.take(length) if kind == 0x40 else b""
+        data = reader.take(length) if subframe == 0x40 else b""
         if channel != 1:
             return b""
         self.channel.write(data)
-        part = self.channel.read(min(length, 61)) if kind == 0x42 else b""
+        part = self.channel.read(min(length, 61)) if subframe == 0x42 else b""
         return b"\x41" + mp.encode_varuint(channel) + mp.encode_varuint(len(part)) + part
 
-    def _apply(self, mode: int, t_ns: int) -> None:
+    def _apply_mode(self, mode: int, t_ns: int) -> None:
         """Execute the commanded mode. Only a stop command ends the modes fault and timeout."""
         if mode == STOPPED:
             self._stop()
@@ -345,7 +357,7 @@ class MoteusNode:
             self._enabling_ns = t_ns
         elif self.mode not in (ENABLING, CALIBRATING, CALIBRATED):
             self.mode = mode
-            self._follow()
+            self._follow_mode()
         self._schedule()
 
     def _stop(self) -> None:
@@ -356,27 +368,27 @@ class MoteusNode:
         self.fault = 0
         self._schedule()
 
-    def _item(self, name: str) -> float:
+    def _configuration_item(self, name: str) -> float:
         """Return the present value of a configuration item."""
         return self.channel.items[name]
 
-    def _follow(self) -> None:
+    def _follow_mode(self) -> None:
         """Set the servo as the present mode and command registers demand."""
         command = self.command
-        kp = self._item("servo.pid_position.kp") / TURN_RAD
-        kd = self._item("servo.pid_position.kd") / TURN_RAD
+        kp = self._configuration_item("servo.pid_position.kp") / TURN_RAD
+        kd = self._configuration_item("servo.pid_position.kd") / TURN_RAD
         limit = command[reg.MAX_TORQUE]
         if self.mode == BRAKE:
-            self._servo(0.0, BRAKE_DAMPING, 0.0, 0.0, 0.0, math.nan)
+            self._set_servo(0.0, BRAKE_DAMPING, 0.0, 0.0, 0.0, math.nan)
         elif self.mode == ZERO_VELOCITY:
-            timeout_limit = self._item("servo.timeout_max_torque_Nm")
-            self._servo(0.0, kd * command[reg.KD_SCALE], 0.0, 0.0, 0.0, timeout_limit)
+            timeout_limit = self._configuration_item("servo.timeout_max_torque_Nm")
+            self._set_servo(0.0, kd * command[reg.KD_SCALE], 0.0, 0.0, 0.0, timeout_limit)
         elif self.mode == STAY_WITHIN_MODE:
             target = self._violated_bound()
             scale = 0.0 if target is None else 1.0
             kp *= scale * command[reg.KP_SCALE]
             kd *= scale * command[reg.KD_SCALE]
-            self._servo(kp, kd, target or 0.0, 0.0, command[reg.FEEDFORWARD], limit)
+            self._set_servo(kp, kd, target or 0.0, 0.0, command[reg.FEEDFORWARD], limit)
         else:
             position = command[reg.POSITION]
             velocity = command[reg.VELOCITY]
@@ -385,7 +397,7 @@ class MoteusNode:
             velocity = 0.0 if math.isnan(velocity) else velocity
             kp *= command[reg.KP_SCALE]
             kd *= command[reg.KD_SCALE]
-            self._servo(kp, kd, position, velocity, command[reg.FEEDFORWARD], limit)
+            self._set_servo(kp, kd, position, velocity, command[reg.FEEDFORWARD], limit)
         self._has_target = self.mode == POSITION
 
     def _violated_bound(self) -> float | None:
@@ -396,7 +408,7 @@ class MoteusNode:
             return lower
         return upper if self._position > upper else None
 
-    def _servo(
+    def _set_servo(
         self, kp: float, kd: float, position: float, velocity: float, torque: float, limit: float
     ) -> None:
         """Set gains and setpoints of the servo from values in turn, turn/s and N m.
@@ -405,13 +417,15 @@ class MoteusNode:
         """
         servo = self.motor.servo
         sign = self._direction
-        peak = min(self._peak, self._item("servo.max_current_A") * self._torque_constant)
+        peak = min(
+            self._peak, self._configuration_item("servo.max_current_A") * self._torque_constant
+        )
         largest = peak if math.isnan(limit) else min(peak, abs(limit))
         finite = torque if math.isfinite(torque) else 0.0
         if not self.command[reg.IGNORE_BOUNDS]:
-            if self._position > self._item("servopos.position_max"):
+            if self._position > self._configuration_item("servopos.position_max"):
                 finite = min(0.0, finite)
-            if self._position < self._item("servopos.position_min"):
+            if self._position < self._configuration_item("servopos.position_min"):
                 finite = max(0.0, finite)
         self.fault = MAX_TORQUE_LIMITS if abs(finite) > largest else 0
         servo.kp = kp
@@ -447,7 +461,7 @@ class MoteusNode:
         """Return the time without a command after which the watchdog fires [ns], 0 if the watchdog is off."""
         seconds = self.command[reg.TIMEOUT]
         if seconds == 0.0:
-            seconds = self._item("servo.default_timeout_s")
+            seconds = self._configuration_item("servo.default_timeout_s")
         return int(seconds * 1e9) if 0.0 < seconds < 1e6 else 0
 
     def _schedule(self) -> None:
@@ -463,7 +477,7 @@ class MoteusNode:
         """Do the work that is due: end of the preparation, watchdog and temperatures."""
         self._t_ns = t_ns
         if self.mode == ENABLING and t_ns - self._enabling_ns >= ENABLING_NS:
-            self._start()
+            self._start_mode()
         timeout_ns = self._timeout_ns
         if (
             self.mode in (POSITION, STAY_WITHIN_MODE)
@@ -475,30 +489,30 @@ class MoteusNode:
             self._update_thermal(t_ns)
         self._schedule()
 
-    def _start(self) -> None:
+    def _start_mode(self) -> None:
         """Enter the commanded mode after the preparation.
 
         In position mode, a position outside its limits is a fault.
         """
         position = self._position
-        outside = position < self._item("servopos.position_min") or position > self._item(
-            "servopos.position_max"
-        )
+        outside = position < self._configuration_item(
+            "servopos.position_min"
+        ) or position > self._configuration_item("servopos.position_max")
         if self._next_mode == POSITION and outside and not self.command[reg.IGNORE_BOUNDS]:
             self.trip(OUTSIDE_LIMIT)
             return
         self.mode = self._next_mode
-        self._follow()
+        self._follow_mode()
 
     def _time_out(self) -> None:
         """Enter the mode timeout. An item of the configuration selects the effect of this mode."""
-        effect = int(self._item("servo.timeout_mode"))
+        effect = int(self._configuration_item("servo.timeout_mode"))
         self.mode = effect if effect in (POSITION, ZERO_VELOCITY, BRAKE) else STOPPED
         if self.mode == STOPPED:
             self.motor.servo.release()
         else:
             self.command |= {reg.FEEDFORWARD: 0.0, reg.POSITION: math.nan, reg.VELOCITY: 0.0}
-            self._follow()
+            self._follow_mode()
         self.mode = TIMEOUT
         self.fault = 0
 
@@ -508,8 +522,8 @@ class MoteusNode:
             self.thermal.advance((t_ns - self._thermal_ns) * 1e-9, self.motor.heat)
         self.motor.heat = 0.0
         self._thermal_ns = t_ns
-        too_hot = self.thermal.winding > self._item(
+        too_hot = self.thermal.winding > self._configuration_item(
             "servo.motor_fault_temperature"
-        ) or self.thermal.mosfet > self._item("servo.fault_temperature")
+        ) or self.thermal.mosfet > self._configuration_item("servo.fault_temperature")
         if too_hot and self.mode not in (STOPPED, FAULT):
             self.trip(OVER_TEMPERATURE)

@@ -79,7 +79,7 @@ def set_torque(node: Any, servo: Any, torque: float, t_ns: int) -> None:
     """
     node.watchdog_fed_ns = t_ns
     node.setpoint = torque
-    # Every other mode follows the setpoint at the next update of the mode, see ``motion``.
+    # Every other mode follows the setpoint at the next update of the mode, see ``motion_modes``.
     if (
         node.state != CLOSED_LOOP
         or node.control_mode != TORQUE_CONTROL
@@ -115,13 +115,13 @@ def limit_speed(node: Any, servo: Any) -> None:
 
 
 @kernel_helper
-def turns(node: Any, angle: float) -> float:
+def position_in_turns(node: Any, angle: float) -> float:
     """Convert the spool angle of the encoder [rad] to the position that the drive reports [turn]."""
     return float((node.direction * node.gear * angle + node.offset) / TURN_RAD)
 
 
 @kernel_helper
-def turns_per_s(node: Any, velocity: float) -> float:
+def velocity_in_turns_per_s(node: Any, velocity: float) -> float:
     """Convert the angular velocity of the spool [rad/s] to the velocity that the drive reports [turn/s]."""
     return float(node.direction * node.gear * velocity / TURN_RAD)
 
@@ -137,7 +137,7 @@ def watchdog_expired(node: Any, t_ns: int) -> bool:
 
 
 @kernel_helper
-def schedule(node: Any) -> None:
+def schedule_wake(node: Any) -> None:
     """Schedule the next wake of a drive, for temperatures, cyclic messages, watchdog, calibration or motion."""
     wake_ns = min(node.thermal_ns + THERMAL_PERIOD_NS, node.heartbeat_due_ns, node.encoder_due_ns)
     if node.state == CLOSED_LOOP and node.timeout_ns > 0:

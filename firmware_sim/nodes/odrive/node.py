@@ -39,15 +39,16 @@ Choices where the fact sheet has only an assumption:
 - Endpoints have the numbers that the hand file gives.
 - A calibration takes ``CALIBRATION_NS`` and moves nothing. With the option ``uncalibrated``, the
   axis refuses closed loop before a calibration.
-- The module ``motion`` has position control, velocity control and their input modes.
+- The module ``motion_modes`` has position control, velocity control and their input modes.
 """
 
 import math
 import struct
 from typing import Any
 
-from firmware_sim.bus.frame import FDF, REMOTE, Frame
-from firmware_sim.description import MotorSpec
+from firmware_sim.bus.frame import FDF, REMOTE_FLAG, Frame
+from firmware_sim.hand_description import MotorSpec
+from firmware_sim.nodes.drive_temperatures import DriveTemperatures
 from firmware_sim.nodes.odrive.kernels import (
     CLOSED_LOOP,
     IDLE_STATE,
@@ -56,19 +57,18 @@ from firmware_sim.nodes.odrive.kernels import (
     TURN_RAD,
     OdriveStruct,
     next_due,
-    schedule,
+    position_in_turns,
+    schedule_wake,
     set_torque,
-    turns,
-    turns_per_s,
+    velocity_in_turns_per_s,
     watchdog_expired,
 )
-from firmware_sim.nodes.odrive.motion import (
+from firmware_sim.nodes.odrive.motion_modes import (
     MOTION_ENDPOINTS,
     POSITION_CONTROL,
     MotionModes,
     MotionSettings,
 )
-from firmware_sim.nodes.thermal import DriveTemperatures
 from firmware_sim.plant.motor import Motor
 
 MISSING_INPUT = 1 << 6
@@ -138,7 +138,7 @@ class OdriveNode:
         input_mode: input mode, which selects how setpoints follow the inputs.
         setpoint: torque setpoint, or feedforward torque in other control modes [N m].
         motion: position control, velocity control and input modes of the axis.
-        motion_due_ns: time of the next update of ``motion`` [ns], 0 in torque control without a
+        motion_due_ns: time of the next update of ``motion_modes`` [ns], 0 in torque control without a
             ramp.
         torque_min: lower torque limit, from its endpoint [N m].
         torque_max: upper torque limit, from its endpoint [N m].
@@ -175,7 +175,7 @@ class OdriveNode:
             for node in (spec.node_id, BROADCAST_NUMBER)
             for command in range(0x20)
         ]
-        self.accepted_ids = frozenset((*own_ids, *(can_id | REMOTE for can_id in own_ids)))
+        self.accepted_ids = frozenset((*own_ids, *(can_id | REMOTE_FLAG for can_id in own_ids)))
         self._serial = FIRST_SERIAL_NUMBER + spec.node_id if spec.serial is None else spec.serial
         self.gear = float(options.get("gear_ratio", 1.0))
         self.direction = spec.direction
@@ -217,7 +217,7 @@ class OdriveNode:
             self.endpoints |= {-1: b"\1", -2: struct.pack("<f", usb)}
         self.calibrated = not options.get("uncalibrated", False)
         self.busy_until_ns = 0
-        self._factory = self._settings()
+        self._factory = self._storable_settings()
         self._saved = self._factory
         self.setpoint = 0.0
         self.heartbeat_period_ns = HEARTBEAT_MS * 1_000_000
@@ -237,11 +237,11 @@ class OdriveNode:
     def _update_derived(self) -> None:
         """Update the attributes that are derived from endpoints."""
         self.torque_min, self.torque_max = (
-            self._limit("torque_min", -math.inf),
-            self._limit("torque_max", math.inf),
+            self._endpoint_limit("torque_min", -math.inf),
+            self._endpoint_limit("torque_max", math.inf),
         )
         enabled = self.endpoints.get(self._numbers["enable_watchdog"])
-        seconds = self._limit("watchdog_timeout", 0.0)
+        seconds = self._endpoint_limit("watchdog_timeout", 0.0)
         self.timeout_ns = int(seconds * 1e9) if enabled == b"\1" and 0.0 < seconds < 1e6 else 0
 
     @property
@@ -252,7 +252,7 @@ class OdriveNode:
     @property
     def cyclic_ids(self) -> tuple[int, ...]:
         """Return the identifiers of the frames for the node in every tick."""
-        return self.node_id << 5 | 0x0E, self.node_id << 5 | 0x09 | REMOTE
+        return self.node_id << 5 | 0x0E, self.node_id << 5 | 0x09 | REMOTE_FLAG
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
         """Process a frame from the bus, and answer it.
@@ -260,19 +260,19 @@ class OdriveNode:
         Returns:
             The answers, None if the frame is not for this axis.
         """
-        can_id = frame.can_id & ~REMOTE
+        can_id = frame.can_id & ~REMOTE_FLAG
         node = can_id >> 5
         command = can_id & 0x1F
         if node not in (self.node_id, BROADCAST_NUMBER) or frame.flags & FDF:
             return None
-        if frame.can_id & REMOTE or (not frame.data and command not in _MIN_PAYLOAD_BYTES):
+        if frame.can_id & REMOTE_FLAG or (not frame.data and command not in _MIN_PAYLOAD_BYTES):
             return self._answer_remote(node, command)
         if command not in _MIN_PAYLOAD_BYTES:
             return [] if node == self.node_id else None
         if len(frame.data) < _MIN_PAYLOAD_BYTES[command]:
             self.malformed += 1
             return []
-        return self._execute(command, frame.data, t_ns)
+        return self._execute_message(command, frame.data, t_ns)
 
     def _answer_remote(self, node: int, command: int) -> list[Frame]:
         """Answer a request for a Get message.
@@ -298,7 +298,9 @@ class OdriveNode:
             return bytes((self.node_id,)) + self._serial.to_bytes(6, "little") + b"\0"
         if command == 0x09:
             return struct.pack(
-                "<ff", turns(self, self.motor.encoder()), turns_per_s(self, self.motor.velocity)
+                "<ff",
+                position_in_turns(self, self.motor.encoder()),
+                velocity_in_turns_per_s(self, self.motor.velocity),
             )
         current = sign * self.motor.torque / self.torque_constant
         pairs = {
@@ -310,12 +312,12 @@ class OdriveNode:
         }
         return struct.pack("<ff", *pairs[command]) if command in pairs else b""
 
-    def _execute(self, command: int, data: bytes, t_ns: int) -> list[Frame]:
+    def _execute_message(self, command: int, data: bytes, t_ns: int) -> list[Frame]:
         """Execute a message from the host."""
         if command == 0x02:
             self.disarm(ESTOP_ERROR)
         elif command == 0x04:
-            return self._sdo(data)
+            return self._execute_sdo_request(data)
         elif command == 0x07:
             self._set_state(int.from_bytes(data[:4], "little"), t_ns)
         elif command == 0x0B:
@@ -335,13 +337,13 @@ class OdriveNode:
         elif command == 0x18:
             self.active_errors = self.disarm_reason = 0
             self.result = SUCCESS_RESULT
-        schedule(self)
+        schedule_wake(self)
         return []
 
     def _set_state(self, state: int, t_ns: int) -> None:
         """Set the axis state as the host requests. With an error, the axis refuses closed loop."""
         if state == IDLE_STATE:
-            self._release(CANCELLED_RESULT if self.busy_until_ns else SUCCESS_RESULT)
+            self._release_axis(CANCELLED_RESULT if self.busy_until_ns else SUCCESS_RESULT)
         elif self._can_calibrate(state):
             self.state = state
             self.result = BUSY_RESULT
@@ -384,7 +386,7 @@ class OdriveNode:
             self.disarm(MISSING_INPUT)
             return
         set_torque(self, self.motor.servo, torque, t_ns)
-        self.motion.advance(t_ns, now=True)
+        self.motion.advance(t_ns, update_now=True)
 
     def _set_input(self, command: int, data: bytes, t_ns: int) -> None:
         """Set the inputs of Set_Input_Pos (0x0C) or Set_Input_Vel (0x0D).
@@ -401,24 +403,24 @@ class OdriveNode:
             return
         self.motion.take(command == 0x0C, *values[:2])
         set_torque(self, self.motor.servo, values[2], t_ns)
-        self.motion.advance(t_ns, now=True)
+        self.motion.advance(t_ns, update_now=True)
 
-    def _limit(self, name: str, default: float) -> float:
+    def _endpoint_limit(self, name: str, default: float) -> float:
         """Return the float of a named endpoint, or the default if the hand file does not give its number."""
         raw = self.endpoints.get(self._numbers[name])
         return float(struct.unpack("<f", raw)[0]) if raw else default
 
-    def endpoint_float(self, number: int) -> float:
+    def endpoint_float(self, endpoint: int) -> float:
         """Return a setting of ``MOTION_ENDPOINTS``.
 
         If the hand file reuses its number, return the default.
         """
-        if number in self._numbers.values():
-            return MOTION_ENDPOINTS[number][1]
-        (value,) = struct.unpack("<f", self.endpoints[number])
+        if endpoint in self._numbers.values():
+            return MOTION_ENDPOINTS[endpoint][1]
+        (value,) = struct.unpack("<f", self.endpoints[endpoint])
         return max(0.0, float(value)) if math.isfinite(value) else 0.0
 
-    def _sdo(self, data: bytes) -> list[Frame]:
+    def _execute_sdo_request(self, data: bytes) -> list[Frame]:
         """Read or write an endpoint. A write is not answered, as in firmware before 0.6.11."""
         operation = data[0]
         endpoint = int.from_bytes(data[1:3], "little")
@@ -441,7 +443,7 @@ class OdriveNode:
         if math.isfinite(position):
             self.offset = position * TURN_RAD - self.direction * self.gear * self.motor.encoder()
 
-    def _settings(self) -> dict[str, Any]:
+    def _storable_settings(self) -> dict[str, Any]:
         """Return the settings that Reboot(save) stores."""
         return {
             "endpoints": dict(self.endpoints),
@@ -457,8 +459,8 @@ class OdriveNode:
 
         Action 1 saves the present settings first, and action 2 erases them.
         """
-        self._saved = {1: self._settings(), 2: self._factory}.get(action, self._saved)
-        self._release(SUCCESS_RESULT)
+        self._saved = {1: self._storable_settings(), 2: self._factory}.get(action, self._saved)
+        self._release_axis(SUCCESS_RESULT)
         self.active_errors = self.disarm_reason = 0
         self._set_modes(*self._saved["modes"])
         self.lose_settings()
@@ -474,7 +476,7 @@ class OdriveNode:
         self.endpoints = dict(saved["endpoints"])
         self._update_derived()
 
-    def _release(self, result: int) -> None:
+    def _release_axis(self, result: int) -> None:
         """Enter the axis state idle with a procedure result. The motor turns freely."""
         self.motor.servo.release()
         self.motion_due_ns = 0
@@ -483,10 +485,10 @@ class OdriveNode:
         self.result = result
         self.setpoint = 0.0
 
-    def disarm(self, error: int) -> None:
+    def disarm(self, error_bit: int) -> None:
         """Enter the axis state idle because of an error. The motor turns freely."""
-        self.disarm_reason |= error
-        self._release(DISARMED_RESULT)
+        self.disarm_reason |= error_bit
+        self._release_axis(DISARMED_RESULT)
 
     def wake(self, t_ns: int) -> list[Frame]:
         """Do the work that is due: temperatures, watchdog, calibration, motion and cyclic messages.
@@ -500,19 +502,19 @@ class OdriveNode:
             self.disarm(WATCHDOG_ERROR)
         if 0 < self.busy_until_ns <= t_ns:
             self.calibrated = True
-            self._release(SUCCESS_RESULT)
+            self._release_axis(SUCCESS_RESULT)
         self.motion.advance(t_ns)
         frames = []
         if t_ns >= self.heartbeat_due_ns:
-            frames.append(Frame(self.node_id << 5 | 0x01, self._heartbeat()))
+            frames.append(Frame(self.node_id << 5 | 0x01, self._heartbeat_payload()))
             self.heartbeat_due_ns = next_due(self.heartbeat_due_ns, t_ns, self.heartbeat_period_ns)
         if t_ns >= self.encoder_due_ns:
             frames.append(Frame(self.node_id << 5 | 0x09, self._get_payload(0x09)))
             self.encoder_due_ns = next_due(self.encoder_due_ns, t_ns, self.encoder_period_ns)
-        schedule(self)
+        schedule_wake(self)
         return frames
 
-    def _heartbeat(self) -> bytes:
+    def _heartbeat_payload(self) -> bytes:
         """Return the payload of a heartbeat."""
         if self.legacy:
             errors = sum(

@@ -3,7 +3,7 @@
 The free shaft is an assumption. Source of the ranges: docs/facts/robstride.md.
 """
 
-from firmware_sim.bus.frame import EXTENDED, Frame
+from firmware_sim.bus.frame import EXTENDED_FLAG, Frame
 from firmware_sim.nodes.protocol_spec import ProtocolSpec, ShaftSpec
 from firmware_sim.nodes.robstride.node import (
     DEFAULT_TYPE,
@@ -26,27 +26,27 @@ def shaft_of_robstride_motor(motor_type: str) -> ShaftSpec:
 
 def _host_frame(node_id: int) -> tuple[int, bytes]:
     """Return a request that reads parameter 0x7019, the position."""
-    return EXTENDED | 0x11 << 24 | 0xFD00 | node_id, b"\x19\x70" + bytes(6)
+    return EXTENDED_FLAG | 0x11 << 24 | 0xFD00 | node_id, b"\x19\x70" + bytes(6)
 
 
 def _corrupt_command(frame: Frame) -> Frame:
     """Replace a stop command by a control command without torque, which keeps the motor enabled."""
-    number = frame.can_id & ~EXTENDED
+    number = frame.can_id & ~EXTENDED_FLAG
     if number >> 24 != 4 or frame.data[:1] != b"\0":
         return frame
-    limp = EXTENDED | 1 << 24 | 0x7FFF00 | number & 0xFF
+    limp = EXTENDED_FLAG | 1 << 24 | 0x7FFF00 | number & 0xFF
     return frame._replace(can_id=limp, data=b"\x7f\xff\x7f\xff\0\0\0\0")
 
 
 def _corrupt_reply(frame: Frame) -> Frame:
     """Replace the torque limit by 1 N m in the reply to a read request."""
-    matches = (frame.can_id & ~EXTENDED) >> 24 == 0x11 and frame.data[:2] == b"\x0b\x70"
+    matches = (frame.can_id & ~EXTENDED_FLAG) >> 24 == 0x11 and frame.data[:2] == b"\x0b\x70"
     return frame._replace(data=frame.data[:4] + b"\0\0\x80\x3f") if matches else frame
 
 
 def _force_command(node: RobstrideNode, frame: Frame) -> None:
     """Follow a control command in any mode of the motor."""
-    number = frame.can_id & ~EXTENDED
+    number = frame.can_id & ~EXTENDED_FLAG
     if number >> 24 == 1 and number & 0xFF == node.node_id and len(frame.data) == 8:
         node.follow(number >> 8 & 0xFFFF, frame.data)
 

@@ -29,8 +29,8 @@ Choices where the fact sheet has only an assumption:
 
 import struct
 
-from firmware_sim.bus.frame import EXTENDED, FDF, REMOTE, Frame
-from firmware_sim.description import MotorSpec
+from firmware_sim.bus.frame import EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
+from firmware_sim.hand_description import MotorSpec
 from firmware_sim.nodes.mit.codec import KD_MAX, KP_MAX, FrameRanges, decode_command, to_code
 from firmware_sim.nodes.protocol_spec import ProtocolSpec
 from firmware_sim.nodes.robstride import bench
@@ -83,7 +83,7 @@ class RobstrideMitNode(RobstrideNode):
         Returns:
             The answers, None if the frame is not for the motor.
         """
-        wrong = frame.can_id & (EXTENDED | REMOTE) or frame.flags & FDF
+        wrong = frame.can_id & (EXTENDED_FLAG | REMOTE_FLAG) or frame.flags & FDF
         if wrong or frame.can_id & 0xFF != self.node_id or frame.can_id >> 8 > 2:
             return None
         data = frame.data
@@ -91,60 +91,62 @@ class RobstrideMitNode(RobstrideNode):
             self.malformed += 1
             return []
         if frame.can_id >> 8:
-            return [self._answer(frame)]
+            return [self._feedback_frame(frame)]
         if data[:6] == _SPECIAL_COMMAND_START and data[6:] != b"\xff\xff":
-            return self._special(data[6], data[7], frame, t_ns)
+            return self._process_special_command(data[6], data[7], frame, t_ns)
         self.watchdog_fed_ns = t_ns
         if self.mode == RUN_MODE:
             self.follow_command(data)
         self._schedule()
-        return [self._answer(frame)]
+        return [self._feedback_frame(frame)]
 
-    def _special(self, area: int, code: int, frame: Frame, t_ns: int) -> list[Frame]:
+    def _process_special_command(
+        self, data_area: int, command_code: int, frame: Frame, t_ns: int
+    ) -> list[Frame]:
         """Execute a special command.
 
         Byte 6 of the frame is FF, or a value that belongs to the command.
         """
-        plain = area == 0xFF
-        if code == 0xFB and not plain:
+        plain = data_area == 0xFF
+        if command_code == 0xFB and not plain:
             return [
                 Frame(
                     self.host_id,
                     bytes((self.node_id,)) + struct.pack("<I", self._fault_word) + bytes(3),
                 )
             ]
-        if code == 0xFC and plain:
+        if command_code == 0xFC and plain:
             self._enable(b"", t_ns)
-        elif code == 0xFC and area <= 2:
-            self._set_run_mode(area)
-        elif code == 0xFD and plain:
-            self._stop(clear=False)
-        elif code == 0xFB:
+        elif command_code == 0xFC and data_area <= 2:
+            self._set_run_mode(data_area)
+        elif command_code == 0xFD and plain:
+            self._stop(clear_faults=False)
+        elif command_code == 0xFB:
             # LeRobot polls running motors with this command, so the command must not stop a motor.
             self.fault = 0
-        elif code == 0xFE and plain:
+        elif command_code == 0xFE and plain:
             self.offset = -self._direction * self.motor.encoder()
         else:
-            return self._set_up(area, code)
-        return [self._answer(frame)]
+            return self._change_configuration(data_area, command_code)
+        return [self._feedback_frame(frame)]
 
     def _set_run_mode(self, mode: int) -> None:
         """Set the mode of operation, unless the motor is in run mode."""
         if self.mode != RUN_MODE:
             self.parameters[0x7005] = bytes(((0, 5, 2)[mode], 0, 0, 0))
 
-    def _set_up(self, area: int, code: int) -> list[Frame]:
+    def _change_configuration(self, data_area: int, command_code: int) -> list[Frame]:
         """Change the protocol, or the number of the motor or host.
 
         The motor replies with its identity.
         """
         node_id = self.node_id
-        if code == 0xFD and area <= 2:
-            self.next_protocol = area
-        elif code == 0xFA and 0 < area < 0x80:
-            self.node_id = area
-        elif area == 0xFD and code < 0x80:
-            self.host_id = code
+        if command_code == 0xFD and data_area <= 2:
+            self.next_protocol = data_area
+        elif command_code == 0xFA and 0 < data_area < 0x80:
+            self.node_id = data_area
+        elif data_area == 0xFD and command_code < 0x80:
+            self.host_id = command_code
         else:
             self.malformed += 1
             return []
@@ -171,7 +173,7 @@ class RobstrideMitNode(RobstrideNode):
         servo.torque = sign * max(-limit, min(limit, command.torque))
         servo.limit = limit
 
-    def _answer(self, frame: Frame) -> Frame:
+    def _feedback_frame(self, frame: Frame) -> Frame:
         """Return the frame with the present feedback."""
         motor = self.motor
         sign = self._direction

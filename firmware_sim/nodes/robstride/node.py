@@ -28,9 +28,9 @@ Choices where the fact sheet has only an assumption:
 import math
 import struct
 
-from firmware_sim.bus.frame import EXTENDED, FDF, REMOTE, Frame
-from firmware_sim.description import MotorSpec
-from firmware_sim.nodes.thermal import DriveTemperatures
+from firmware_sim.bus.frame import EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
+from firmware_sim.hand_description import MotorSpec
+from firmware_sim.nodes.drive_temperatures import DriveTemperatures
 from firmware_sim.plant.motor import Motor
 
 FULL_SCALE = {
@@ -177,10 +177,10 @@ class RobstrideNode:
         Returns:
             The answers, None if the frame is not for the motor.
         """
-        number = frame.can_id & ~EXTENDED
+        number = frame.can_id & ~EXTENDED_FLAG
         if (
-            not frame.can_id & EXTENDED
-            or frame.can_id & REMOTE
+            not frame.can_id & EXTENDED_FLAG
+            or frame.can_id & REMOTE_FLAG
             or frame.flags & FDF
             or number & 0xFF != self.node_id
         ):
@@ -192,37 +192,39 @@ class RobstrideNode:
             self.malformed += 1
             return []
         if kind == 1:
-            self._control(number >> 8 & 0xFFFF, frame.data, t_ns)
-            return [self._feedback(frame)]
+            self._follow_control_command(number >> 8 & 0xFFFF, frame.data, t_ns)
+            return [self._feedback_frame(frame)]
         self._host = number >> 8 & 0xFF
-        return self._execute(kind, number >> 16 & 0xFF, frame, t_ns)
+        return self._execute_request(kind, number >> 16 & 0xFF, frame, t_ns)
 
-    def _execute(self, kind: int, area: int, frame: Frame, t_ns: int) -> list[Frame]:
+    def _execute_request(
+        self, frame_type: int, data_area: int, frame: Frame, t_ns: int
+    ) -> list[Frame]:
         """Execute a request of a host and answer it."""
-        if kind in (0, 7):
+        if frame_type in (0, 7):
             # A new motor number takes effect at once, and the answer is the identity.
-            if kind == 7 and 0 < area < 0x80:
-                self.node_id = area
-            return [self._identity(frame)]
-        if kind == 0x11:
-            return [self._read(frame.data, frame)]
+            if frame_type == 7 and 0 < data_area < 0x80:
+                self.node_id = data_area
+            return [self._identity_frame(frame)]
+        if frame_type == 0x11:
+            return [self._read_parameter(frame.data, frame)]
         requests = {
             3: self._enable,
             4: self._stop_on_request,
             6: self._set_zero,
-            0x12: self._write,
-            0x16: self._save,
+            0x12: self._write_parameter,
+            0x16: self._save_parameters,
         }
-        if kind not in requests:
+        if frame_type not in requests:
             self.malformed += 1
             return []
-        requests[kind](frame.data, t_ns)
-        return [self._feedback(frame)]
+        requests[frame_type](frame.data, t_ns)
+        return [self._feedback_frame(frame)]
 
-    def _identity(self, frame: Frame) -> Frame:
+    def _identity_frame(self, frame: Frame) -> Frame:
         """Return the frame with the identity of the motor."""
         return Frame(
-            EXTENDED | self.node_id << 8 | 0xFE, self._serial.to_bytes(8, "big"), 0, frame.bus
+            EXTENDED_FLAG | self.node_id << 8 | 0xFE, self._serial.to_bytes(8, "big"), 0, frame.bus
         )
 
     def _enable(self, _data: bytes, t_ns: int) -> None:
@@ -237,27 +239,27 @@ class RobstrideNode:
 
     def _stop_on_request(self, data: bytes, _t_ns: int) -> None:
         """Enter reset mode. If byte 0 of the request is 1, also clear the faults."""
-        self._stop(clear=data[0] == 1)
+        self._stop(clear_faults=data[0] == 1)
 
     def _set_zero(self, data: bytes, _t_ns: int) -> None:
         """Make the present position zero."""
         if data[0] == 1:
             self.offset = -self._direction * self.motor.encoder()
 
-    def _save(self, data: bytes, _t_ns: int) -> None:
+    def _save_parameters(self, data: bytes, _t_ns: int) -> None:
         """Save the present parameters."""
         if data == bytes(range(1, 9)):
             self._saved = dict(self.parameters)
 
-    def _stop(self, clear: bool) -> None:
-        """Enter reset mode, and clear the faults if ``clear`` is True."""
+    def _stop(self, clear_faults: bool) -> None:
+        """Enter reset mode, and clear the faults if ``clear_faults`` is True."""
         self.motor.servo.release()
         self.mode = RESET_MODE
-        if clear:
+        if clear_faults:
             self.fault = 0
         self._schedule()
 
-    def _control(self, torque: int, data: bytes, t_ns: int) -> None:
+    def _follow_control_command(self, torque: int, data: bytes, t_ns: int) -> None:
         """Follow a control command in run mode."""
         self.watchdog_fed_ns = t_ns
         if self.mode == RUN_MODE:
@@ -278,16 +280,16 @@ class RobstrideNode:
         servo.torque = sign * max(-limit, min(limit, feedforward))
         servo.limit = limit
 
-    def _read(self, data: bytes, frame: Frame) -> Frame:
+    def _read_parameter(self, data: bytes, frame: Frame) -> Frame:
         """Return the reply to a request that reads a parameter."""
         number = int.from_bytes(data[:2], "little")
         value = self.parameters.get(number)
         if value is None and number in READ_ONLY_PARAMETERS:
-            value = struct.pack("<f", self._measured(number))
-        head = EXTENDED | 0x11 << 24 | (value is None) << 16 | self.node_id << 8 | self._host
+            value = struct.pack("<f", self._measured_parameter(number))
+        head = EXTENDED_FLAG | 0x11 << 24 | (value is None) << 16 | self.node_id << 8 | self._host
         return Frame(head, data[:2] + b"\0\0" + (value or bytes(4)), 0, frame.bus)
 
-    def _measured(self, number: int) -> float:
+    def _measured_parameter(self, parameter: int) -> float:
         """Return the present value of a measured parameter."""
         sign = self._direction
         values = {
@@ -296,9 +298,9 @@ class RobstrideNode:
             0x701B: sign * self.motor.velocity,
             0x701C: 48.0,
         }
-        return values[number]
+        return values[parameter]
 
-    def _write(self, data: bytes, _t_ns: int) -> None:
+    def _write_parameter(self, data: bytes, _t_ns: int) -> None:
         """Write a parameter. Unknown parameters and values out of range are ignored."""
         number = int.from_bytes(data[:2], "little")
         coding = WRITABLE_PARAMETERS.get(number)
@@ -311,7 +313,7 @@ class RobstrideNode:
             return
         self.parameters[number] = struct.pack(f"<{coding}", value).ljust(4, b"\0")
 
-    def _feedback(self, frame: Frame) -> Frame:
+    def _feedback_frame(self, frame: Frame) -> Frame:
         """Return the frame with the feedback, to the host that sent the latest request."""
         motor = self.motor
         sign = self._direction
@@ -321,7 +323,10 @@ class RobstrideNode:
         data = struct.pack(">HHHh", position, velocity, torque, int(10 * self.thermal.winding))
         status = self.mode << 6 | self.fault & FEEDBACK_FAULTS
         return Frame(
-            EXTENDED | 2 << 24 | status << 16 | self.node_id << 8 | self._host, data, 0, frame.bus
+            EXTENDED_FLAG | 2 << 24 | status << 16 | self.node_id << 8 | self._host,
+            data,
+            0,
+            frame.bus,
         )
 
     def trip(self, fault: int) -> None:
@@ -338,7 +343,7 @@ class RobstrideNode:
 
     def power_cycle(self) -> None:
         """Restart in reset mode, with the saved parameters."""
-        self._stop(clear=True)
+        self._stop(clear_faults=True)
         self.parameters = dict(self._saved)
         self._host = FACTORY_HOST
 
@@ -373,12 +378,12 @@ class RobstrideNode:
             self._thermal_ns = t_ns
             if self.thermal.winding > HOT_C and not self.fault & HOT_FAULT:
                 self.trip(HOT_FAULT)
-        reports = [self._report(fault) for fault in self._reports]
+        reports = [self._fault_report_frame(fault) for fault in self._reports]
         self._reports.clear()
         self._schedule()
         return reports
 
-    def _report(self, fault: int) -> Frame:
+    def _fault_report_frame(self, fault: int) -> Frame:
         """Return the frame that reports faults."""
         bits = (
             sum(reported for bit, reported in FAULT_REPORT_BITS.items() if fault & bit)
@@ -386,6 +391,6 @@ class RobstrideNode:
         )
         warning = int(self.thermal.winding > HOT_C)
         return Frame(
-            EXTENDED | 0x15 << 24 | self.node_id << 8 | self._host,
+            EXTENDED_FLAG | 0x15 << 24 | self.node_id << 8 | self._host,
             struct.pack("<II", bits, warning),
         )

@@ -8,9 +8,9 @@ from typing import Any
 from handctl.campaign.scenario_run import ScenarioResult, run_scenario
 from handctl.campaign.scenarios import FaultScenario, fault_pairs, scenarios_of_hand
 from handctl.campaign.stage import hand_with_protocol, homed_run, run_experiments
-from handctl.core.types import Mode, TickEvent
+from handctl.core.tick_types import HandMode, TickEvent
 from handctl.hand.description import Hand
-from handctl.safety.action import Action
+from handctl.safety.action import SafetyAction
 from handctl.session.simulate import SimulatedRun
 
 QUICK_EVERY = 7
@@ -186,7 +186,9 @@ def run_fault_free(hand: Hand, rate_hz: float, seconds: float, seed: int = 1) ->
                     for event in out.events
                     if event.name == "fault" and _is_hold_or_more(event)
                 ]
-                ended = out.mode == Mode.DONE or simulation.k * simulation.period_ns >= MAX_RUN_NS
+                ended = (
+                    out.mode == HandMode.DONE or simulation.k * simulation.period_ns >= MAX_RUN_NS
+                )
             if (
                 ended
                 and len(alarms) == alarms_before
@@ -205,4 +207,4 @@ def _is_hold_or_more(event: TickEvent) -> bool:
 
     The text of the fault event ends with the reaction.
     """
-    return Action[event.text.rpartition(" ")[2]] >= Action.HOLD
+    return SafetyAction[event.text.rpartition(" ")[2]] >= SafetyAction.HOLD

@@ -11,18 +11,18 @@ from typing import Any
 import numpy as np
 
 from handctl.campaign.scenarios import GRASP_STAGE, HOST_PREFIX, FaultScenario, MatrixRow
-from handctl.core.model import HandModel
-from handctl.core.types import IoEvent, Mode, TickOut
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode, IoEvent, TickOut
 from handctl.errors import REMOVE_POWER
 from handctl.runtime.mailbox import CUT_REQUEST
-from handctl.safety.action import Action
+from handctl.safety.action import SafetyAction
 from handctl.session.simulate import SimulatedRun
 
 OBSERVATION_TIME_S = 1.3
 """Time for which a run is observed after the largest allowed reaction time, to see the torque disappear [s]."""
 RUNAWAY_FAULT = "runaway"
 """Name of the fault of a drive that ignores all commands and pulls with the largest torque."""
-SHUT_DOWN_MODES = (Mode.DISARM, Mode.DONE)
+SHUT_DOWN_MODES = (HandMode.DISARM, HandMode.DONE)
 """Modes in which the hand shuts down."""
 PAIR_DELAY_TICKS = 5
 """Number of ticks from the first fault of a pair to the second one."""
@@ -128,7 +128,7 @@ def run_scenario(
         _observe_tick(
             result, simulation, scenario, out, _first_effect_ns(simulation, host, start_ns), t_ns
         )
-        if out.mode == Mode.DONE:
+        if out.mode == HandMode.DONE:
             break
     result.effects = 1 if host else int(simulation.peer.fault_states()[0]["felt"])
     result.tension_bound = tension_bound(
@@ -249,9 +249,10 @@ def _observe_tick(
     # If the required action is RELAX or more, a mode that relaxes or shuts down the hand is a
     # reaction too. But if CUT is required, the mode RELAX is not enough.
     reacted = out.action >= row.action or (
-        row.action >= Action.RELAX and out.mode in (*SHUT_DOWN_MODES, Mode.RELAX, Mode.CUT)
+        row.action >= SafetyAction.RELAX
+        and out.mode in (*SHUT_DOWN_MODES, HandMode.RELAX, HandMode.CUT)
     )
-    reacted = reacted and not (row.action == Action.CUT and out.mode == Mode.RELAX)
+    reacted = reacted and not (row.action == SafetyAction.CUT and out.mode == HandMode.RELAX)
     # The controller only reports the fault H01, so the report counts as the reaction.
     if row.id == "H01":
         reacted = bool(result.detected_by)
@@ -276,7 +277,7 @@ def _judge_result(result: ScenarioResult, row: MatrixRow) -> ScenarioResult:
         problems.append(f"late: {result.ticks} ticks, at most {result.bound}")
     elif not result.detected_by and any(row.rows):
         problems.append(f"none of {', '.join(filter(None, row.rows))} was reported")
-    if row.action >= Action.RELAX and result.effects and result.safe_ticks < 0:
+    if row.action >= SafetyAction.RELAX and result.effects and result.safe_ticks < 0:
         problems.append("torque remains")
     if result.tension > result.tension_bound:
         problems.append(

@@ -10,9 +10,9 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
-from handctl.drives.sensors.node import TENSION_RAIL_N
+from handctl.drives.sensors.sensor_node import TENSION_RAIL_N
 from handctl.hand.description import Hand
-from handctl.safety.action import Action
+from handctl.safety.action import SafetyAction
 
 ARMING_STAGE = "arming"
 FREE_STAGE = "free motion"
@@ -74,7 +74,7 @@ class MatrixRow(NamedTuple):
 
     id: str
     fault: str
-    action: Action
+    action: SafetyAction
     ticks: int
     ms: float = 0.0
     rows: tuple[str, ...] = ()
@@ -121,10 +121,10 @@ class FaultScenario(NamedTuple):
         )
 
 
-WARN = Action.WARN
-HOLD = Action.HOLD
-RELAX = Action.RELAX
-CUT = Action.CUT
+WARN = SafetyAction.WARN
+HOLD = SafetyAction.HOLD
+RELAX = SafetyAction.RELAX
+CUT = SafetyAction.CUT
 ONE_ANSWER_PROTOCOLS = (MIT, CIA402, MOTEUS, ROBSTRIDE)
 """Protocols whose drives send exactly one answer to each command."""
 CONFIRMING_PROTOCOLS = (MIT, ODRIVE, MOTEUS, ROBSTRIDE)
@@ -240,7 +240,7 @@ FAULT_MATRIX: tuple[MatrixRow, ...] = (
     MatrixRow("T06", "saturate cell={tendon} size=1", RELAX, 4, rows=("T06",), stages=ALL_STAGES),
     MatrixRow("T06", "saturate cell={tendon} size=-1", RELAX, 4, rows=("T06", "T01"), stages=ALL_STAGES),
     MatrixRow("T08", "offset joint={joint} size=0.5", RELAX, 8, 400.0, ("T08", "N06", "N05")),
-    MatrixRow("H01", HOST_PREFIX + "late 0.4", Action.PASS, 1, rows=("H01",)),
+    MatrixRow("H01", HOST_PREFIX + "late 0.4", SafetyAction.PASS, 1, rows=("H01",)),
     MatrixRow("H02", HOST_PREFIX + "skip 1", WARN, 1, rows=("H02",)),
     MatrixRow("H03", HOST_PREFIX + "skip 14", RELAX, 1, rows=("H03",)),
     MatrixRow("H04", HOST_PREFIX + "io suspended", RELAX, 1, rows=("H04",)),

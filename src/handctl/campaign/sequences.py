@@ -25,8 +25,8 @@ import numpy as np
 from handctl.campaign.scenario_run import RUNAWAY_FAULT, HostFault, ScenarioResult, runaway_tension
 from handctl.campaign.scenarios import FAULT_MATRIX, HOST_PREFIX, texts_of_fault
 from handctl.campaign.stage import RUN_STAGES, run_experiments
-from handctl.controller.state import State
-from handctl.core.types import Mode
+from handctl.controller.controller_state import ControllerState
+from handctl.core.tick_types import HandMode
 from handctl.errors import REMOVE_POWER
 from handctl.hand.description import Hand
 from handctl.runtime.mailbox import CLEAR_REQUEST, STOP_REQUEST
@@ -62,7 +62,14 @@ WATCHDOG_S = 0.05
 """Time without a command after which a drive disables itself [s]."""
 REACTION_TICKS = 10
 """Largest number of ticks after which the controller no longer commands a runaway drive."""
-MODES_IN_ORDER = (Mode.ARMING, Mode.ACTIVE, Mode.RELAX, Mode.CUT, Mode.DISARM, Mode.DONE)
+MODES_IN_ORDER = (
+    HandMode.ARMING,
+    HandMode.ACTIVE,
+    HandMode.RELAX,
+    HandMode.CUT,
+    HandMode.DISARM,
+    HandMode.DONE,
+)
 """Modes of the hand, in the order of a run."""
 
 
@@ -187,7 +194,7 @@ def run_sequence(simulation: SimulatedRun, sequence: FaultSequence) -> ScenarioR
         violations += violations_in_tick(
             before, simulation.state, cleared=CLEAR_REQUEST in inputs["requests"]
         )
-        if simulation.state.mode == Mode.DONE:
+        if simulation.state.mode == HandMode.DONE:
             break
     active_faults = sum(int(fault["felt"]) > 0 for fault in simulation.peer.fault_states())
     bound = _tension_bound(simulation, sequence, start_tension)
@@ -229,7 +236,7 @@ def _sequence_ticks(simulation: SimulatedRun, sequence: FaultSequence) -> Iterat
         yield inputs
 
 
-def violations_in_tick(before: State, after: State, cleared: bool) -> list[str]:
+def violations_in_tick(before: ControllerState, after: ControllerState, cleared: bool) -> list[str]:
     """Return a text for each rule that a tick violates."""
     violations = []
     if MODES_IN_ORDER.index(after.mode) < MODES_IN_ORDER.index(before.mode):
@@ -237,12 +244,12 @@ def violations_in_tick(before: State, after: State, cleared: bool) -> list[str]:
     unlatched = set(before.latched) - set(after.latched)
     if unlatched and not cleared:
         violations.append(f"no longer latched: {', '.join(sorted(mark.id for mark in unlatched))}")
-    if before.mode == after.mode == Mode.RELAX and np.any(
+    if before.mode == after.mode == HandMode.RELAX and np.any(
         after.view("setpoint") > before.view("setpoint") + 1e-9
     ):
         violations.append("a setpoint rises while the hand relaxes")
     # The relative tolerance covers the rounding of torques in the CAN frames.
-    if after.mode == Mode.RELAX and np.any(
+    if after.mode == HandMode.RELAX and np.any(
         after.view("asked") > np.maximum(before.view("asked"), 0.0) * (1.0 + 1e-9)
     ):
         violations.append("a motor is commanded to pull harder while the hand relaxes")
@@ -273,7 +280,7 @@ def violations_at_end(simulation: SimulatedRun) -> list[str]:
     """Return a text for each rule that the end of a run violates."""
     state = simulation.state
     names = simulation.controller.model.hand.tendon_names
-    if state.mode != Mode.DONE:
+    if state.mode != HandMode.DONE:
         return [f"the run does not end: {state.mode.name}"]
     with_torque = [
         name
@@ -287,7 +294,7 @@ def violations_at_end(simulation: SimulatedRun) -> list[str]:
     )
 
 
-def violations_on_replay(simulation: SimulatedRun, state: State, first: int) -> list[str]:
+def violations_on_replay(simulation: SimulatedRun, state: ControllerState, first: int) -> list[str]:
     """Execute the inputs again.
 
     Return a text about the first tick whose state, frames or events differ, if there is one.

@@ -14,17 +14,17 @@ from typing import Any, Protocol, TypeVar, cast
 from handctl.campaign.scenario_run import ScenarioResult
 from handctl.campaign.scenarios import ARMING_STAGE, FREE_STAGE, GRASP_STAGE, MIT
 from handctl.controller.bus_load import with_more_buses
-from handctl.controller.setup import make_controller
+from handctl.controller.run_setup import make_controller
 from handctl.core.gains.gains import packaged_gains
-from handctl.core.types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.document import validate_content
 from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.processes import run_in_copy
-from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
+from handctl.programs.task_program import TaskProgram
 from handctl.session.plan import default_rate
 from handctl.session.simulate import SimulatedRun, SimulatorSettings
 
@@ -133,7 +133,7 @@ def advance_to(simulation: SimulatedRun, stage: str) -> None:
     def reached(out: Any) -> bool:
         nonlocal free_ticks
         if stage == ARMING_STAGE:
-            return bool(out.mode == Mode.ARMING)
+            return bool(out.mode == HandMode.ARMING)
         # A run has reached the grasp if at least one digit is in contact and a tendon has at least
         # 16 N.
         free_ticks += out.phase == "free"

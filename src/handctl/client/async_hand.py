@@ -11,7 +11,7 @@ from handctl.client.hand import DEFAULT_LEASE_S, HandClient, connect
 from handctl.client.observation import Observation
 from handctl.client.stream import TargetStream, TargetValues
 from handctl.hand.description import Hand
-from handctl.programs.streams import StreamStatus
+from handctl.programs.stream_plans import StreamStatus
 from handctl.runtime.confirm import CONFIRMATION_TIMEOUT_S
 
 POLL_OBSERVATION_S = 0.5e-3

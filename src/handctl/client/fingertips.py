@@ -52,7 +52,7 @@ class Fingertips:
             if name not in on_palm or self.digits.count(name) > 1:
                 right = f"some of {', '.join(on_palm)}, each once"
                 raise ConfigError(f"{name!r}: no digit on the palm, or twice", "fingertips", right)
-        self._models = [DigitModel.of(hand, name) for name in self.digits]
+        self._models = [DigitModel.from_hand(hand, name) for name in self.digits]
         self.joints = tuple(joint for model in self._models for joint in model.joint_names)
         self.distances_m = np.full(len(self.digits), np.nan)
         self._coordinates: list[NDArray[np.float64] | None] = [None] * len(self.digits)

@@ -24,11 +24,11 @@ from handctl.client.fingertips import Fingertips, FingertipStream
 from handctl.client.heartbeat import BEATS_PER_LEASE, Heartbeat
 from handctl.client.observation import Observation
 from handctl.client.stream import TargetStream
-from handctl.core.types import SHUTTING_DOWN
+from handctl.core.tick_types import SHUTTING_DOWN
 from handctl.document import validate_content
 from handctl.errors import BusError, ConfigError, DriveError, PowerError, UnconfirmedError
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_from_content, parse_toml
+from handctl.hand.hand_loading import hand_from_content, parse_toml
 from handctl.printing import escape_text
 from handctl.programs.requests import (
     LONGEST_LEASE_S,
@@ -38,7 +38,7 @@ from handctl.programs.requests import (
     MoveDigits,
     OpenStream,
 )
-from handctl.programs.streams import horizon_s
+from handctl.programs.stream_plans import target_horizon_s
 from handctl.programs.task import HoldPhase
 from handctl.runtime.confirm import (
     CONFIRMATION_TIMEOUT_S,
@@ -354,7 +354,7 @@ class HandClient:
             self._set_goal(goal)
             undo.pop_all()
         constants = self._open_reader().description
-        horizon = horizon_s(goal["rate_Hz"], 1.0 / constants["rate_Hz"])
+        horizon = target_horizon_s(goal["rate_Hz"], 1.0 / constants["rate_Hz"])
         if tips is not None:
             return FingertipStream(self, sender, goal, tips, horizon, constants["time_scale"])
         return TargetStream(self, sender, goal, unit, horizon, constants["time_scale"])

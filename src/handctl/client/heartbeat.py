@@ -7,7 +7,7 @@ import threading
 import time
 from contextlib import closing, suppress
 
-from handctl.programs.requests import alive_text
+from handctl.programs.requests import alive_request_text
 from handctl.runtime.mailbox import RequestSender
 
 BEATS_PER_LEASE = 4
@@ -36,7 +36,7 @@ class Heartbeat:
                 given, any time is allowed.
         """
         self._bus = bus
-        self._data = alive_text(client).encode()
+        self._data = alive_request_text(client).encode()
         self._period_s = period_s
         self._watchdog_s = watchdog_s
         self._used_s = time.monotonic()

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.types import TELEMETRY_AXES, Mode, Vector
+from handctl.core.tick_types import TELEMETRY_AXES, HandMode, Vector
 from handctl.hand.description import Hand
-from handctl.programs.streams import StreamStatus
+from handctl.programs.stream_plans import StreamStatus
 from handctl.runtime.observations import PUBLISHED_NAMES
 
 AXIS_OF = {PUBLISHED_NAMES[name]: axis for name, axis in TELEMETRY_AXES.items()}
@@ -101,7 +101,7 @@ class Observation:
     @property
     def mode(self) -> str:
         """Return the mode of the hand, e.g. ``"ACTIVE"``."""
-        return Mode(int(self.record["mode"])).name
+        return HandMode(int(self.record["mode"])).name
 
     @property
     def phase(self) -> str:

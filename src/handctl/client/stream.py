@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from handctl.client.observation import Observation
 from handctl.errors import ConfigError, DriveError
 from handctl.hand.description import Hand
-from handctl.programs.streams import TARGET_UNIT_BY_SPACE, StreamStatus
+from handctl.programs.stream_plans import TARGET_UNIT_BY_SPACE, StreamStatus
 from handctl.runtime.targets import TargetSender
 
 TargetValues = (

@@ -4,22 +4,28 @@ from dataclasses import replace
 
 import numpy as np
 
-from handctl.controller import retune
+from handctl.controller import gain_change
 from handctl.controller.client_lease import begin_lease, renew_lease
-from handctl.controller.modes import OperatorRequests
-from handctl.controller.state import State
-from handctl.controller.streams import (
+from handctl.controller.controller_state import ControllerState
+from handctl.controller.hand_modes import OperatorRequests
+from handctl.controller.target_streams import (
     apply_target,
     bring_to_rest,
     close_stream,
     open_stream,
-    reference_of,
+    present_references,
 )
-from handctl.core import block as s
-from handctl.core.model import HandModel
-from handctl.core.types import SHUTTING_DOWN, Mode, TickEvent
+from handctl.core import state_block as s
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import SHUTTING_DOWN, HandMode, TickEvent
 from handctl.programs.commission import CommissionProgram
-from handctl.programs.live import LiveProgram, apply_goal, begin_task, end_task, release_task
+from handctl.programs.live_session import (
+    LiveProgram,
+    apply_goal,
+    begin_task,
+    end_task,
+    release_task,
+)
 from handctl.programs.program import Program
 from handctl.programs.requests import (
     AliveRequest,
@@ -38,20 +44,20 @@ from handctl.programs.requests import (
     SetGains,
     StopRequest,
     describe_request,
-    is_routine,
-    is_target,
+    is_routine_request,
+    is_stream_target,
     parse_request,
     parse_target,
 )
-from handctl.programs.streams import digits_of
+from handctl.programs.stream_plans import streamed_digits
 from handctl.safety.faults.table import DEBOUNCE_TICKS, FAULT_BY_ID
 
-BEFORE_READY = (Mode.SILENT, Mode.INVENTORY)
+BEFORE_READY = (HandMode.SILENT, HandMode.INVENTORY)
 """Modes in which a request to clear faults also clears the errors of the drives."""
 
 
 def apply_requests(
-    model: HandModel, program: Program, state: State, requests: tuple[str, ...]
+    model: HandModel, program: Program, state: ControllerState, requests: tuple[str, ...]
 ) -> tuple[OperatorRequests, tuple[TickEvent, ...]]:
     """Apply the requests of one tick, in the order of their arrival.
 
@@ -69,14 +75,14 @@ def apply_requests(
     operator = OperatorRequests()
     events = list[TickEvent]()
     for text in requests:
-        if is_target(text):
-            events += apply_target(model, state, parse_target(text), state.whole(s.T_NS))
+        if is_stream_target(text):
+            events += apply_target(model, state, parse_target(text), state.run_integer(s.T_NS))
             continue
         request = parse_request(text)
         if isinstance(request, str):
             events.append(TickEvent("warn", "request", "", request))
             continue
-        if not is_routine(text):
+        if not is_routine_request(text):
             events.append(TickEvent("info", "request", "", describe_request(request)))
         if isinstance(request, StopRequest):
             operator = replace(operator, stop=True)
@@ -93,7 +99,7 @@ def apply_requests(
 
 
 def _apply_other(
-    model: HandModel, program: Program, state: State, request: Request
+    model: HandModel, program: Program, state: ControllerState, request: Request
 ) -> tuple[TickEvent, ...]:
     """Apply a request for gains, a client's sign of life, or a motion command."""
     if isinstance(request, SetGains):
@@ -106,19 +112,21 @@ def _apply_other(
 
 
 def _set_gains(
-    model: HandModel, program: Program, state: State, request: SetGains
+    model: HandModel, program: Program, state: ControllerState, request: SetGains
 ) -> tuple[TickEvent, ...]:
     """Begin the design of the controller for the gains that a request demands."""
     if isinstance(program, CommissionProgram):
         return (TickEvent("warn", "request", "", "refused: the hand is being commissioned"),)
     pending = state.decisions.pending
-    designed, refused = retune.begin_design(pending.gains if pending else model.gains, request.set)
+    designed, refused = gain_change.begin_design(
+        pending.gains if pending else model.gains, request.set
+    )
     state.decide(pending=designed or pending)
     return refused
 
 
 def _apply_command(
-    model: HandModel, program: Program, state: State, request: CommandBase
+    model: HandModel, program: Program, state: ControllerState, request: CommandBase
 ) -> tuple[TickEvent, ...]:
     """Execute a motion command if the run accepts commands from this client."""
     if refusal := _refusal_reason(program, state, request):
@@ -147,7 +155,7 @@ def _apply_command(
 
 
 def _apply_grasp(
-    model: HandModel, state: State, request: GraspRequest | ReleaseGrasp
+    model: HandModel, state: ControllerState, request: GraspRequest | ReleaseGrasp
 ) -> tuple[TickEvent, ...]:
     """Begin a grasp task, or end the hold of the running grasp task."""
     if isinstance(request, ReleaseGrasp):
@@ -161,7 +169,9 @@ def _apply_grasp(
     return events
 
 
-def _refusal_reason(program: Program, state: State, request: CommandBase) -> TickEvent | None:
+def _refusal_reason(
+    program: Program, state: ControllerState, request: CommandBase
+) -> TickEvent | None:
     """Return an event with the reason to refuse a command, or None to accept the command.
 
     A relaxing or commissioning hand must not pull, and only one client may send commands.
@@ -170,7 +180,7 @@ def _refusal_reason(program: Program, state: State, request: CommandBase) -> Tic
         return TickEvent("info", "request", "", "refused: the hand is letting go")
     if not isinstance(program, LiveProgram):
         return TickEvent("warn", "request", "", "refused: this run has goals of its own")
-    if state.mode != Mode.ACTIVE or state.progress.phase in ("start", "tighten"):
+    if state.mode != HandMode.ACTIVE or state.progress.phase in ("start", "tighten"):
         return TickEvent("warn", "request", "", "refused: the hand is not ready yet")
     commander = state.decisions.commander
     if commander in (None, request.client) or request.take_over:
@@ -182,10 +192,10 @@ def _refusal_reason(program: Program, state: State, request: CommandBase) -> Tic
 
 
 def _set_goal(
-    model: HandModel, state: State, request: MoveDigits | HoldTension
+    model: HandModel, state: ControllerState, request: MoveDigits | HoldTension
 ) -> tuple[TickEvent, ...]:
     """Set the goal of a request for its digits. A stream that includes one of these digits ends."""
-    reference = reference_of(model, state)
+    reference = present_references(model, state)
     progress, events = apply_goal(
         model, state.progress, request, state.estimate, state.goal_time, reference
     )
@@ -193,7 +203,7 @@ def _set_goal(
         return events
     stream, goals = state.decisions.stream, state.progress.goals
     if stream is not None and any(
-        progress.goals[d] is not goals[d] for d in digits_of(model, stream)
+        progress.goals[d] is not goals[d] for d in streamed_digits(model, stream)
     ):
         close_stream(model, state)
         progress, _ = apply_goal(
@@ -203,7 +213,7 @@ def _set_goal(
     return events
 
 
-def clear_latched_faults(state: State) -> None:
+def clear_latched_faults(state: ControllerState) -> None:
     """Clear all latched faults at the request of the operator.
 
     A fault that is still present is detected again in this tick, and latches again.

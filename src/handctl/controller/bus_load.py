@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 
-from handctl.controller.setup import make_drives, make_sensors
+from handctl.controller.run_setup import make_drives, make_sensors
 from handctl.drives.cia402.codec import SYNC
 from handctl.drives.cia402.drive import Cia402Drive
 from handctl.drives.contract import Drive
@@ -13,7 +13,7 @@ from handctl.hand.file.sections import Bus
 
 
 @dataclass(frozen=True, slots=True)
-class FrameRow:
+class BusLoadRow:
     """Row of the bus-load table: all frames of one kind on a bus.
 
     Attributes:
@@ -45,7 +45,7 @@ class BusLoad:
 
     name: str
     motors: int
-    rows: tuple[FrameRow, ...]
+    rows: tuple[BusLoadRow, ...]
 
     @property
     def tick_s(self) -> float:
@@ -57,13 +57,17 @@ class BusLoad:
         """Return the fraction of bus time that is taken by frames whose number does not depend on the control rate."""
         return sum(row.per_second * row.frame_s for row in self.rows)
 
-    def at(self, rate_hz: float) -> float:
+    def load_at(self, rate_hz: float) -> float:
         """Return the bus load at a control rate [Hz], as a fraction."""
         return rate_hz * self.tick_s + self.timed_fraction
 
-    def highest(self, limit: float) -> float:
-        """Return the control rate at which the bus load is ``limit`` [Hz], or infinity if no tick has frames."""
-        return max(0.0, limit - self.timed_fraction) / self.tick_s if self.tick_s else float("inf")
+    def highest_rate_hz(self, load_limit: float) -> float:
+        """Return the control rate at which the bus load is ``load_limit`` [Hz], or infinity if no tick has frames."""
+        return (
+            max(0.0, load_limit - self.timed_fraction) / self.tick_s
+            if self.tick_s
+            else float("inf")
+        )
 
 
 def bus_loads(hand: Hand) -> tuple[BusLoad, ...]:
@@ -76,20 +80,20 @@ def bus_loads(hand: Hand) -> tuple[BusLoad, ...]:
     return tuple(_load_of_bus(hand, index, bus, drives) for index, bus in enumerate(hand.bus))
 
 
-def drive_rows(drive: Drive, bus: Bus) -> tuple[FrameRow, ...]:
+def drive_rows(drive: Drive, bus: Bus) -> tuple[BusLoadRow, ...]:
     """Return the rows of the bus-load table for the frames of a motor.
 
     Raises:
         ConfigError: if the motor is set to CAN FD and the bus is not.
     """
-    kinds = [(size, fd, 1.0, 0.0) for size, fd in drive.exchange]
+    kinds = [(size, fd, 1.0, 0.0) for size, fd in drive.frames_per_tick]
     kinds += [(size, fd, 0.0, number) for size, fd, number in drive.background_frames]
     if bus.data_bitrate is None and any(fd for _, fd, _, _ in kinds):
         raise ConfigError(
             "missing, and a motor on it is set to CAN FD", f"bus[{bus.name}].data_bitrate", "bit/s"
         )
     return tuple(
-        FrameRow(
+        BusLoadRow(
             drive.name,
             size,
             fd,
@@ -101,7 +105,7 @@ def drive_rows(drive: Drive, bus: Bus) -> tuple[FrameRow, ...]:
     )
 
 
-def sensor_rows(hand: Hand, bus: Bus) -> tuple[FrameRow, ...]:
+def sensor_rows(hand: Hand, bus: Bus) -> tuple[BusLoadRow, ...]:
     """Return the rows of the bus-load table for the frames of the sensor node and for SYNC."""
     node = make_sensors(hand)
     if not node.ids:
@@ -112,17 +116,18 @@ def sensor_rows(hand: Hand, bus: Bus) -> tuple[FrameRow, ...]:
         + ["joint angles"] * (len(node.ids) - node.tension_frames)
     )
     kinds = [
-        (name, size, number, 0.0) for name, (size, number) in zip(names, node.exchange, strict=True)
+        (name, size, number, 0.0)
+        for name, (size, number) in zip(names, node.frames_per_tick, strict=True)
     ]
     kinds += [("heartbeats", size, 0.0, number) for size, number in node.background_frames]
     return tuple(
-        FrameRow(name, size, False, tick, second, frame_time_s(size, False, bus.bitrate))
+        BusLoadRow(name, size, False, tick, second, frame_time_s(size, False, bus.bitrate))
         for name, size, tick, second in kinds
     )
 
 
-def _load_of_bus(hand: Hand, index: int, bus: Bus, drives: tuple[Drive, ...]) -> BusLoad:
-    bus_drives = [drive for drive in drives if drive.bus == index]
+def _load_of_bus(hand: Hand, bus_index: int, bus: Bus, drives: tuple[Drive, ...]) -> BusLoad:
+    bus_drives = [drive for drive in drives if drive.bus == bus_index]
     rows = [row for drive in bus_drives for row in drive_rows(drive, bus)]
     if hand.sensor_node.bus == bus.name and make_sensors(hand).ids:
         rows += sensor_rows(hand, bus)
@@ -139,7 +144,7 @@ def split_motors_over_buses(hand: Hand, rate_hz: float) -> list[list[str]]:
     """
     first = hand.bus[0]
     # The first bus also carries SYNC and the load-cell frames, so it has less capacity for motors.
-    capacity = MAX_BUS_LOAD - BusLoad("", 0, sensor_rows(hand, first)).at(rate_hz)
+    capacity = MAX_BUS_LOAD - BusLoad("", 0, sensor_rows(hand, first)).load_at(rate_hz)
     # CiA 402 drives reply to SYNC. A bus without the sensor node's SYNC needs another SYNC.
     has_sync = SYNC in make_sensors(hand).host_ids
     sync_load = rate_hz * frame_time_s(0, False, first.bitrate)
@@ -147,7 +152,7 @@ def split_motors_over_buses(hand: Hand, rate_hz: float) -> list[list[str]]:
     for drive in make_drives(hand):
         listens = isinstance(drive, Cia402Drive)
         alone = replace(drive, sync=False) if isinstance(drive, Cia402Drive) else drive
-        load = BusLoad("", 1, drive_rows(alone, first)).at(rate_hz)
+        load = BusLoad("", 1, drive_rows(alone, first)).load_at(rate_hz)
         with_sync = load + sync_load * listens
         if with_sync > MAX_BUS_LOAD:
             return []

@@ -7,29 +7,29 @@ targets enter the tick as requests, so that a log is re-executed with the same l
 
 from dataclasses import replace
 
-from handctl.controller.state import ClientLease, State
-from handctl.controller.streams import bring_to_rest, close_stream
-from handctl.core import block as s
-from handctl.core.model import HandModel
-from handctl.core.types import Mode, TickEvent
+from handctl.controller.controller_state import ClientLease, ControllerState
+from handctl.controller.target_streams import bring_to_rest, close_stream
+from handctl.core import state_block as s
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode, TickEvent
 from handctl.programs.requests import CommandBase, LeaveRequest
 
 RELAX_FACTOR = 2
 """Silence of a client after which the hand relaxes, as a multiple of the duration of its lease."""
 
 
-def begin_lease(state: State, request: CommandBase) -> None:
+def begin_lease(state: ControllerState, request: CommandBase) -> None:
     """Start the lease of the client that sent a command.
 
     If the command has no lease, end the present lease.
     """
     lease = None
     if request.lease_s is not None and not isinstance(request, LeaveRequest):
-        lease = ClientLease(request.client, round(1e9 * request.lease_s), state.whole(s.T_NS))
+        lease = ClientLease(request.client, round(1e9 * request.lease_s), state.run_integer(s.T_NS))
     state.decide(lease=lease)
 
 
-def renew_lease(state: State, client: str) -> tuple[TickEvent, ...]:
+def renew_lease(state: ControllerState, client: str) -> tuple[TickEvent, ...]:
     """Renew the lease after a sign of life of a client.
 
     Returns:
@@ -38,11 +38,11 @@ def renew_lease(state: State, client: str) -> tuple[TickEvent, ...]:
     lease = state.decisions.lease
     if lease is None or lease.client != client:
         return ()
-    state.decide(lease=lease._replace(renewed_ns=state.whole(s.T_NS), resting=False))
+    state.decide(lease=lease._replace(renewed_ns=state.run_integer(s.T_NS), resting=False))
     return (TickEvent("info", "lease", "", f"{client} answers again"),) if lease.resting else ()
 
 
-def expire_lease(model: HandModel, state: State) -> tuple[TickEvent, ...]:
+def expire_lease(model: HandModel, state: ControllerState) -> tuple[TickEvent, ...]:
     """Bring the digits to rest, or end the run, if the commanding client has been silent too long.
 
     A running task, and digits that hold a tension, continue until the run ends. Streamed targets
@@ -58,14 +58,14 @@ def expire_lease(model: HandModel, state: State) -> tuple[TickEvent, ...]:
     lease = state.decisions.lease
     if lease is None:
         return ()
-    if state.mode != Mode.ACTIVE:
+    if state.mode != HandMode.ACTIVE:
         state.decide(lease=None)
         return ()
     heard_ns = lease.renewed_ns
     stream = state.decisions.stream
     if stream is not None and stream.client == lease.client:
-        heard_ns = max(heard_ns, state.whole(s.STREAM_SENT_NS))
-    silence_ns = state.whole(s.T_NS) - heard_ns
+        heard_ns = max(heard_ns, state.run_integer(s.STREAM_SENT_NS))
+    silence_ns = state.run_integer(s.T_NS) - heard_ns
     text = f"client {lease.client or 'without a name'} has been silent for {silence_ns / 1e9:.2f} s"
     if silence_ns > RELAX_FACTOR * lease.duration_ns:
         state.decide(lease=None, progress=replace(state.progress, finished=True, failure=text))

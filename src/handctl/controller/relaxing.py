@@ -18,11 +18,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from handctl.controller.state import State
-from handctl.core import block as s
-from handctl.core.law.goal import DigitGoal, GoalKind
-from handctl.core.model import HandModel
-from handctl.core.types import Vector
+from handctl.controller.controller_state import ControllerState
+from handctl.core import state_block as s
+from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Vector
 from handctl.safety.action import RelaxMethod
 from handctl.safety.faults.table import FAULT_BY_ID
 
@@ -42,7 +42,7 @@ During a steady hold the margin is at most 2 N.
 """
 
 
-def begin_relaxing(model: HandModel, state: State) -> None:
+def begin_relaxing(model: HandModel, state: ControllerState) -> None:
     """Set the state for the start of relaxing: setpoints, rates, and envelope.
 
     Relaxing begins at the present tension. The setpoint of a held digit may be above the present
@@ -86,7 +86,9 @@ def _relaxed_goal(model: HandModel, start: Vector) -> Vector:
     return np.where(model.is_pair, 0.0, np.minimum(start, model.relaxed))
 
 
-def _envelope_start(model: HandModel, state: State, sign: Vector, explained: Vector) -> Vector:
+def _envelope_start(
+    model: HandModel, state: ControllerState, sign: Vector, explained_force: Vector
+) -> Vector:
     """Return the motor forces (N,) at which the envelopes start [N]: the last commands, or smaller forces.
 
     An unstable loop may have commanded 100 N for a tendon with a tension of 10 N. The envelope then
@@ -96,20 +98,20 @@ def _envelope_start(model: HandModel, state: State, sign: Vector, explained: Vec
         model: model of the hand.
         state: state at the start of relaxing.
         sign: (N,) direction of the commanded force.
-        explained: (N,) largest tension in this direction that measurement or setpoint explain [N].
+        explained_force: (N,) largest tension in this direction that measurement or setpoint explain [N].
     """
     commanded = np.nan_to_num(state.tendon[s.COMMANDED_FORCE], nan=0.0)
-    return sign * np.minimum(sign * commanded, explained + model.space.coulomb)
+    return sign * np.minimum(sign * commanded, explained_force + model.space.coulomb)
 
 
-def are_commands_relaxed(model: HandModel, state: State) -> bool:
+def are_commands_relaxed(model: HandModel, state: ControllerState) -> bool:
     """Return True if every motor command is close to the tension of a relaxed tendon, or below it."""
     return not np.any(
         _force_sizes(model, state.tendon[s.COMMANDED_FORCE]) > model.relaxed + RELAXED_WITHIN_N
     )
 
 
-def are_tensions_relaxed(model: HandModel, state: State) -> bool:
+def are_tensions_relaxed(model: HandModel, state: ControllerState) -> bool:
     """Return True if every tension is close to the tension of a relaxed tendon."""
     return bool(
         np.all(_force_sizes(model, state.tendon[s.TENSION]) < model.relaxed + RELAXED_WITHIN_N)
@@ -121,7 +123,7 @@ def _force_sizes(model: HandModel, values: Vector) -> Vector:
     return np.where(model.is_pair, np.abs(values), values)
 
 
-def update_relax_rate(state: State) -> None:
+def update_relax_rate(state: ControllerState) -> None:
     """Switch to the faster relaxing rate as soon as a tendon is overloaded."""
     rate = present_relax_rate(state)
     if state.progress.goals[0].rate != rate:
@@ -129,7 +131,7 @@ def update_relax_rate(state: State) -> None:
         state.decide(progress=replace(state.progress, goals=goals))
 
 
-def present_relax_rate(state: State) -> float:
+def present_relax_rate(state: ControllerState) -> float:
     """Return the rate at which the envelope of the motor forces falls [N/s]."""
     return (
         OVER_TENSION_RATE_N_PER_S
@@ -138,11 +140,11 @@ def present_relax_rate(state: State) -> float:
     )
 
 
-def is_open_loop(state: State) -> bool:
+def is_open_loop(state: ControllerState) -> bool:
     """Return True if the envelope is commanded directly, without measurements."""
     return RelaxMethod.OPEN_LOOP in _release_methods(state)
 
 
-def _release_methods(state: State) -> set[RelaxMethod]:
+def _release_methods(state: ControllerState) -> set[RelaxMethod]:
     """Return the methods of relaxing that the latched faults demand."""
     return {FAULT_BY_ID[mark.id].relax_method for mark in state.latched}

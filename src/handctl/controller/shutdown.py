@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from handctl.controller.state import State
+from handctl.controller.controller_state import ControllerState
 from handctl.controller.tick import Controller
-from handctl.core import block as s
+from handctl.core import state_block as s
 from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.frame import Frame
 
@@ -19,13 +19,13 @@ class ShutdownStep(NamedTuple):
         enabled: names of motors whose drives have not confirmed that they are disabled.
     """
 
-    state: State
+    state: ControllerState
     frames: tuple[Frame, ...]
     enabled: tuple[str, ...]
 
 
 def shutdown_step(
-    controller: Controller, state: State, t_ns: int, received: Sequence[Frame]
+    controller: Controller, state: ControllerState, t_ns: int, received: Sequence[Frame]
 ) -> ShutdownStep:
     """Process received frames, and command every drive to disable.
 
@@ -42,7 +42,7 @@ def shutdown_step(
     """
     after = state.copy()
     enabled = []
-    after.set_whole(s.K, state.k + 1)
+    after.set_run_integer(s.K, state.k + 1)
     frames = [controller.sensors.sync(after.k)] if controller.sends_sync else []
     for n, drive in enumerate(controller.drives):
         drive_state = after.drive(n)
@@ -50,7 +50,7 @@ def shutdown_step(
             drive_state = drive.receive(drive_state, frame)
         # The disable command is repeated until it is confirmed, because a frame may be lost.
         drive_state, new_frames = drive.advance(drive_state, t_ns, DriveTarget.DISABLE, 0.0)
-        controller.keep(after, n, drive_state)
+        controller.store_drive_state(after, n, drive_state)
         frames += new_frames
         if drive_state.phase == DrivePhase.ENABLED:
             enabled.append(drive.name)

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from handctl.core.schema import BlockArray, BlockLayout
-from handctl.core.types import TELEMETRY_FIELDS, PackedTelemetry
+from handctl.core.block_schema import BlockArray, BlockLayout
+from handctl.core.tick_types import TELEMETRY_FIELDS, PackedTelemetry
 
 STATE_FIELD_OF = {
     "joint_encoder": "measured_joint",

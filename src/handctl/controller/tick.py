@@ -13,7 +13,7 @@ decide    requests, safety, mode, program -> goals
 command   goals -> tension -> motor torque
 encode    motor torque -> frames
 
-Compiled stages (``core.stages``) compute the numbers in the state block. ``tick`` makes the
+Compiled stages (``core.tick_stages``) compute the numbers in the state block. ``tick`` makes the
 decisions and calls the stages in order. A tick works on a copy of the state.
 """
 
@@ -22,29 +22,33 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from handctl.compiled import compile_kernels
-from handctl.controller import modes, retune
+from handctl.controller import gain_change, hand_modes
 from handctl.controller.apply_requests import apply_requests
 from handctl.controller.client_lease import expire_lease
-from handctl.controller.monitor.replies import detect_unsolicited_replies
-from handctl.controller.monitor.thresholds import compiled_constants, safety_limits
+from handctl.controller.controller_state import (
+    ControllerDecisions,
+    ControllerState,
+    layout_of_state,
+)
+from handctl.controller.monitor.safety_thresholds import compiled_constants, safety_limits
+from handctl.controller.monitor.unsolicited_replies import detect_unsolicited_replies
 from handctl.controller.relaxing import is_open_loop, present_relax_rate
-from handctl.controller.state import Decisions, State, layout_of_state
 from handctl.controller.telemetry import TelemetryGatherer
-from handctl.core import block as s
-from handctl.core import stages, wire
-from handctl.core.estimation.consistency import consistency_events
-from handctl.core.estimation.prediction import predict_filter_states
+from handctl.core import cyclic_frames, tick_stages
+from handctl.core import state_block as s
+from handctl.core.block_schema import BlockLayout, TablePlaces
+from handctl.core.control_law.goal_writer import sample_trajectories, write_goals
+from handctl.core.control_law.required_tensions import write_tension_goals
+from handctl.core.cyclic_frames import WireTables
+from handctl.core.estimation.consistency_events import consistency_events
+from handctl.core.estimation.filter_prediction import predict_filter_states
 from handctl.core.hand_constants import HandConstants
-from handctl.core.law.goals import sample_trajectories, write_goals
-from handctl.core.law.loads import write_tension_goals
-from handctl.core.model import HandModel
-from handctl.core.schema import BlockLayout, TablePlaces
-from handctl.core.types import Mode, TickEvent, TickIn, TickOut, Vector
-from handctl.core.wire import WireTables
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode, TickEvent, TickIn, TickOut, Vector
 from handctl.drives.cia404.amplifier import AmplifierState
 from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
-from handctl.drives.frame import ERROR, Frame
-from handctl.drives.records import (
+from handctl.drives.frame import ERROR_FLAG, Frame
+from handctl.drives.frame_records import (
     NO_FRAMES,
     PAYLOAD_WORD,
     WORDS_PER_RECORD,
@@ -56,22 +60,25 @@ from handctl.drives.records import (
 from handctl.drives.sensors.contract import SensorInterface
 from handctl.programs.program import TARE_PHASE, Program
 from handctl.programs.requests import REFUSED_PREFIX
-from handctl.safety.action import Action
-from handctl.safety.judge import (
+from handctl.safety.action import SafetyAction
+from handctl.safety.safety_limits import SafetyLimits
+from handctl.safety.tick_verdict import (
     FaultFinding,
     faults_counting_since_now,
     filter_error_frames,
     judge_tick,
     second_controller_reports,
 )
-from handctl.safety.limits import SafetyLimits
 
-NO_REQUESTS: tuple[modes.OperatorRequests, tuple[TickEvent, ...]] = modes.OperatorRequests(), ()
-ACTIVE = Mode.ACTIVE
-CUT = Mode.CUT
-DONE = Mode.DONE
-RELAX = Mode.RELAX
-SILENT = Mode.SILENT
+NO_REQUESTS: tuple[hand_modes.OperatorRequests, tuple[TickEvent, ...]] = (
+    hand_modes.OperatorRequests(),
+    (),
+)
+ACTIVE = HandMode.ACTIVE
+CUT = HandMode.CUT
+DONE = HandMode.DONE
+RELAX = HandMode.RELAX
+SILENT = HandMode.SILENT
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,8 +117,8 @@ class Controller:
     arm_at_once: bool = True
     identities: tuple[str, ...] = ()
     other_limits: SafetyLimits | None = None
-    designs: retune.DesignCache = field(
-        default_factory=retune.DesignCache, compare=False, repr=False
+    designs: gain_change.DesignCache = field(
+        default_factory=gain_change.DesignCache, compare=False, repr=False
     )
     limits: SafetyLimits = field(init=False)
     layout: BlockLayout = field(init=False, compare=False, repr=False)
@@ -162,34 +169,36 @@ class Controller:
         for name, value in made.items():
             object.__setattr__(self, name, value)
 
-    def initial(self) -> State:
+    def initial_state(self) -> ControllerState:
         """Return the state before the first tick, which follows from the configuration alone."""
-        drives = tuple(drive.initial() for drive in self.drives)
-        decisions = Decisions(
+        drives = tuple(drive.initial_state() for drive in self.drives)
+        decisions = ControllerDecisions(
             tuple(drive.with_values() for drive in drives),
-            self.program.initial(self.model),
-            amplifiers=tuple(one.initial() for one in self.sensors.amplifiers),
+            self.program.initial_progress(self.model),
+            amplifiers=tuple(one.initial_state() for one in self.sensors.amplifiers),
         )
-        state = State(self.layout, self.layout.initial.copy(), decisions)
+        state = ControllerState(self.layout, self.layout.initial.copy(), decisions)
         state.armed = self.arm_at_once
         state.view("turn_sigma")[...] = self.constants.layout.view(
             self.constants.block, "range_sigma"
         )
         for n, drive_state in enumerate(drives):
-            self.keep(state, n, drive_state)
+            self.store_drive_state(state, n, drive_state)
         self._write_progress(state, None)
         return state
 
     def cut_frames(self) -> tuple[Frame, ...]:
         """Return the frames that remove the torque of every motor."""
-        return tuple(frame for drive in self.drives for frame in drive.cut())
+        return tuple(frame for drive in self.drives for frame in drive.cut_frames())
 
-    def tick(self, before: State, entry: TickIn) -> tuple[State, TickOut]:
+    def tick(
+        self, last_state: ControllerState, tick_input: TickIn
+    ) -> tuple[ControllerState, TickOut]:
         """Compute one tick of the controller.
 
         Args:
-            before: state after the previous tick.
-            entry: all inputs of the tick.
+            last_state: state after the previous tick.
+            tick_input: all inputs of the tick.
 
         Returns:
             The state after the tick, and the output of the tick.
@@ -197,79 +206,87 @@ class Controller:
         Raises:
             ValueError: a command cannot be encoded. The command is not sent.
         """
-        step = self.begin(before, entry)
-        step.command(entry.requests)
+        step = self.begin_tick(last_state, tick_input)
+        step.command(tick_input.requests)
         return step.conclude()
 
-    def begin(self, before: State, entry: TickIn) -> "OpenTick":
+    def begin_tick(self, last_state: ControllerState, tick_input: TickIn) -> "TickInProgress":
         """Process the received frames, and correct and predict the tension filter.
 
         Args:
-            before: state after the previous tick.
-            entry: inputs of the tick. Its requests are ignored.
+            last_state: state after the previous tick.
+            tick_input: inputs of the tick. Its requests are ignored.
         """
-        gains = before.decisions.gains
+        gains = last_state.decisions.gains
         controller = (
             self
             if gains is None or gains is self.model.gains
             else self.designs.controller(self, gains)
         )
-        state = before.copy()
-        signs = controller._take_in(before, state, entry, frames_as_records(entry.frames))
-        return OpenTick(controller, before, state, entry, signs)
+        state = last_state.copy()
+        signs = controller._process_frames(
+            last_state, state, tick_input, frames_as_records(tick_input.frames)
+        )
+        return TickInProgress(controller, last_state, state, tick_input, signs)
 
-    def _command(self, step: "OpenTick", requests: tuple[str, ...]) -> None:
-        """Apply requests, judge, decide, and compute the frames to send, see ``OpenTick.command``."""
-        before, state, entry = step.before, step.state, step.entry
+    def _command_drives(self, open_tick: "TickInProgress", requests: tuple[str, ...]) -> None:
+        """Apply requests, judge, decide, and compute the frames to send, see ``TickInProgress.command``."""
+        before, state, entry = open_tick.before, open_tick.state, open_tick.entry
         operator, request_events = NO_REQUESTS
         if requests:
             operator, request_events = apply_requests(self.model, self.program, state, requests)
         events = (
             consistency_events(self.model, before, state) + request_events
-            if state.whole(s.CONSISTENCY_CHANGED)
+            if state.run_integer(s.CONSISTENCY_CHANGED)
             else request_events
         )
         self._count_refusals(state, request_events)
         if state.decisions.lease is not None:
             events += expire_lease(self.model, state)
-        action, findings = self._judge(before, state, entry, step.signs)
+        action, findings = self._judge_faults(before, state, entry, open_tick.signs)
         t = entry.t_ns / 1e9
-        mode_events = modes.next_mode(
-            self.model, self.drives, state, action, operator, step.signs, t, self.identities
+        mode_events = hand_modes.next_mode(
+            self.model, self.drives, state, action, operator, open_tick.signs, t, self.identities
         )
         program_events = self._advance_program(state, action)
         self._write_progress(state, before)
-        step.unchanged = state.copy() if state.decisions.pending else None
+        open_tick.unchanged = state.copy() if state.decisions.pending else None
         self._compute_torques(state, action, entry.k - before.k)
-        step.sent = self._encode(state, entry.t_ns)
-        step.action = action
-        step.events = events + tuple(map(_fault_event, findings)) + mode_events + program_events
+        open_tick.sent = self._encode_frames(state, entry.t_ns)
+        open_tick.action = action
+        open_tick.events = (
+            events + tuple(map(_fault_event, findings)) + mode_events + program_events
+        )
 
-    def _conclude(self, step: "OpenTick") -> tuple[State, TickOut]:
-        """Design pending gains, and complete state and output, see ``OpenTick.conclude``."""
-        state = step.state
-        if step.unchanged:
-            step.events += self._retune(
-                step.unchanged, state, step.action, step.entry.k - step.before.k
+    def _conclude_tick(self, open_tick: "TickInProgress") -> tuple[ControllerState, TickOut]:
+        """Design pending gains, and complete state and output, see ``TickInProgress.conclude``."""
+        state = open_tick.state
+        if open_tick.unchanged:
+            open_tick.events += self._design_pending_gains(
+                open_tick.unchanged, state, open_tick.action, open_tick.entry.k - open_tick.before.k
             )
-        stages.store_commands(state.block, self.layout.places, *self._constants)
+        tick_stages.store_commands(state.block, self.layout.places, *self._constants)
         mode = state.mode
         phase = state.progress.phase if mode == ACTIVE else mode.name.lower()
         out = TickOut(
-            step.sent,
+            open_tick.sent,
             mode,
             phase,
-            step.action,
+            open_tick.action,
             self.gather(state.block),
-            step.events,
+            open_tick.events,
             state.digest(),
         )
         return state, out
 
     # receive, estimate
 
-    def _take_in(
-        self, before: State, state: State, entry: TickIn, frames: Frames
+    def _process_frames(
+        self,
+        last_state: ControllerState,
+        state: ControllerState,
+        tick_input: TickIn,
+        frames: Frames,
     ) -> tuple[str, ...]:
         """Process received frames, and correct and predict the tension filter.
 
@@ -277,20 +294,26 @@ class Controller:
         """
         block = state.block
         places = self.layout.places
-        missed = entry.k - before.k - 1
-        wire.begin_tick(block, places, entry.k, entry.t_ns, entry.late_ns, missed, len(frames))
-        signs = self._receive(state, frames, self.sensors.earliest_answer_ns(before.whole(s.T_NS)))
-        stages.observe_tick(block, places, *self._constants)
-        stages.correct_estimate(block, places, *self._constants)
+        missed = tick_input.k - last_state.k - 1
+        cyclic_frames.begin_tick(
+            block, places, tick_input.k, tick_input.t_ns, tick_input.late_ns, missed, len(frames)
+        )
+        signs = self._receive_frames(
+            state, frames, self.sensors.earliest_answer_ns(last_state.run_integer(s.T_NS))
+        )
+        tick_stages.observe_tick(block, places, *self._constants)
+        tick_stages.correct_estimate(block, places, *self._constants)
         if state.started:
             predict_filter_states(self.model, self.layout, block, missed)
-        if stages.conclude_estimate(block, places, *self._constants):
+        if tick_stages.conclude_estimate(block, places, *self._constants):
             signs += detect_unsolicited_replies(
-                self.drives, self.sensors, before, state, entry.frames
+                self.drives, self.sensors, last_state, state, tick_input.frames
             )
         return signs
 
-    def _receive(self, state: State, frames: Frames, fresh_ns: int) -> tuple[str, ...]:
+    def _receive_frames(
+        self, state: ControllerState, frames: Frames, fresh_ns: int
+    ) -> tuple[str, ...]:
         """Process received frames.
 
         Args:
@@ -309,18 +332,20 @@ class Controller:
         if state.decisions.amplifiers:
             entries = tables.entries_without(self._groups_not_ready(state.decisions.amplifiers))
         while True:
-            at = wire.receive_frames(
+            at = cyclic_frames.receive_frames(
                 state.block, self.layout.places, *self._constants, rows, tables.keys, entries, tables.wholes,
                 tables.reals, at, fresh_ns,
             )  # fmt: skip
             if at >= len(rows):
                 return tuple(dict.fromkeys(signs))
             frame = frames[at]
-            owner = self.owners.get((frame.bus, frame.can_id & ~ERROR))
+            owner = self.owners.get((frame.bus, frame.can_id & ~ERROR_FLAG))
             if owner is not None:
-                self.keep(state, owner, self.drives[owner].receive(state.drive(owner), frame))
-            elif (frame.bus, frame.can_id & ~ERROR) in self.amplifier_of:
-                self._receive_service(state, frame)
+                self.store_drive_state(
+                    state, owner, self.drives[owner].receive(state.drive(owner), frame)
+                )
+            elif (frame.bus, frame.can_id & ~ERROR_FLAG) in self.amplifier_of:
+                self._receive_amplifier_frame(state, frame)
             else:
                 signs.append(f"{frame.can_id:#05x}")
             at += 1
@@ -335,7 +360,7 @@ class Controller:
             [group for one, groups in pairs if one.phase != DrivePhase.READY for group in groups]
         )
 
-    def _receive_service(self, state: State, frame: Frame) -> None:
+    def _receive_amplifier_frame(self, state: ControllerState, frame: Frame) -> None:
         """Pass a frame to the state machine of the amplifier that sent it."""
         i = self.amplifier_of[frame.bus, frame.can_id]
         before = state.decisions.amplifiers
@@ -344,7 +369,7 @@ class Controller:
             state.decide(amplifiers=(*before[:i], after, *before[i + 1 :]))
 
     def _advance_amplifiers(
-        self, state: State, target: DriveTarget, t_ns: int
+        self, state: ControllerState, target: DriveTarget, t_ns: int
     ) -> tuple[Frame, ...]:
         """Continue the set-up of the amplifiers, and return the frames to send."""
         states = list[AmplifierState]()
@@ -359,13 +384,13 @@ class Controller:
             state.decide(amplifiers=tuple(states))
         return tuple(out)
 
-    def keep(self, state: State, n: int, drive_state: DriveState) -> None:
+    def store_drive_state(self, state: ControllerState, n: int, drive_state: DriveState) -> None:
         """Store the state of a drive in the state block and in the decisions, after its state machine has run."""
         before = state.decisions.drives[n]
         drive = self.drives[n]
-        wire.store_drive(
+        cyclic_frames.store_drive(
             state.block, self.layout.places, n, *drive_state[1:7], int(drive_state.phase), drive_state.error,
-            int(drive.cause(drive_state.error)) if drive_state.phase == DrivePhase.FAULT else -1,
+            int(drive.fault_cause(drive_state.error)) if drive_state.phase == DrivePhase.FAULT else -1,
             drive.steady_status(drive_state), drive.due_ns(drive_state), int(drive_state.misread != before.misread),
         )  # fmt: skip
         stripped = drive_state.with_values()  # the values are in the block
@@ -375,7 +400,9 @@ class Controller:
 
     # judge, decide
 
-    def _count_refusals(self, state: State, request_events: tuple[TickEvent, ...]) -> None:
+    def _count_refusals(
+        self, state: ControllerState, request_events: tuple[TickEvent, ...]
+    ) -> None:
         """Count the refused requests, and the malformed requests within the last second.
 
         A program may test which requests are in range, so refused requests are no fault. Only
@@ -389,37 +416,41 @@ class Controller:
             rate = 1.0 / self.model.period
             recent = tuple(then for then in (*recent, *(k,) * malformed) if k - then < rate)
             state.decide(refusals=recent)
-            state.set_whole(s.REFUSED_REQUESTS, len(recent))
-            state.set_whole(s.REFUSED_REQUESTS_NOW, len(refused))
+            state.set_run_integer(s.REFUSED_REQUESTS, len(recent))
+            state.set_run_integer(s.REFUSED_REQUESTS_NOW, len(refused))
 
-    def _judge(
-        self, before: State, state: State, entry: TickIn, signs: tuple[str, ...]
-    ) -> tuple[Action, tuple[FaultFinding, ...]]:
+    def _judge_faults(
+        self,
+        last_state: ControllerState,
+        state: ControllerState,
+        tick_input: TickIn,
+        second_controller_signs: tuple[str, ...],
+    ) -> tuple[SafetyAction, tuple[FaultFinding, ...]]:
         """Detect faults, latch them, and choose the reaction."""
-        state.set_whole(
+        state.set_run_integer(
             s.TARED, state.progress.phase != TARE_PHASE
         )  # before its tare, a load cell may read any value
-        demanded, found = stages.find_faults(
+        demanded, found = tick_stages.find_faults(
             state.block, self.layout.places, *self._constants, self.layout.initial
         )
         new_findings = (
             faults_counting_since_now(self.limits, found, state.view("fault_ticks"))
-            if state.whole(s.NEW_FAULTS)
+            if state.run_integer(s.NEW_FAULTS)
             else []
         )
         decisions = state.decisions
         if not (
             new_findings
-            or entry.io_events
-            or signs
+            or tick_input.io_events
+            or second_controller_signs
             or decisions.latched
             or decisions.reported_faults
         ):
             return _ACTION_BY_NUMBER[demanded], ()
-        reports = [(event.kind, event.where, float(event.number)) for event in entry.io_events]
+        reports = [(event.kind, event.where, float(event.number)) for event in tick_input.io_events]
         reports = filter_error_frames(
             reports, self._any_node_seen(state)
-        ) + second_controller_reports(signs)
+        ) + second_controller_reports(second_controller_signs)
         verdict = judge_tick(
             decisions.latched, decisions.reported_faults, new_findings, demanded, reports
         )
@@ -430,19 +461,21 @@ class Controller:
             state.decide(latched=verdict.latched, reported_faults=verdict.reported_faults)
         return verdict.action, verdict.findings
 
-    def _any_node_seen(self, state: State) -> bool:
+    def _any_node_seen(self, state: ControllerState) -> bool:
         """Return True if any node has ever answered, or if torque may act."""
         heard = any(phase != DrivePhase.SILENT for phase in state.phases) or bool(
             state.view("group_frames").any()
         )
-        return heard or Mode.ARMING <= state.mode <= RELAX
+        return heard or HandMode.ARMING <= state.mode <= RELAX
 
-    def _advance_program(self, state: State, action: Action) -> tuple[TickEvent, ...]:
+    def _advance_program(
+        self, state: ControllerState, action: SafetyAction
+    ) -> tuple[TickEvent, ...]:
         """Advance the program while the hand is active.
 
         The program's time stops while the safety monitor holds the hand.
         """
-        if state.mode != ACTIVE or action >= Action.HOLD:
+        if state.mode != ACTIVE or action >= SafetyAction.HOLD:
             return ()
         t = state.goal_time + self.model.period
         progress, events = self.program.advance(
@@ -453,24 +486,24 @@ class Controller:
         state.goal_time = t
         return events
 
-    def _write_progress(self, state: State, before: State | None) -> None:
+    def _write_progress(self, state: ControllerState, last_state: ControllerState | None) -> None:
         """Write the goals that the program has changed into the state block."""
         progress = state.progress
-        old = before.progress if before else None
+        old = last_state.progress if last_state else None
         if progress is old:
             return
         if old is None or progress.goals is not old.goals:
             write_goals(self.model, self.layout, state.block, progress.goals)
         state.view("planned_contact")[...] = progress.contact
         state.view("closing")[...] = progress.closing or 0
-        state.set_whole(s.GRIPPING, progress.grip is not None)
-        state.set_number(s.SLIP_JUDGED_FROM, progress.grip.ready if progress.grip else 0.0)
+        state.set_run_integer(s.GRIPPING, progress.grip is not None)
+        state.set_run_number(s.SLIP_JUDGED_FROM, progress.grip.ready if progress.grip else 0.0)
         if progress.tare:
             state.view("program_tare")[...] = progress.tare
 
     # command
 
-    def _compute_torques(self, state: State, action: Action, ticks: int) -> None:
+    def _compute_torques(self, state: ControllerState, action: SafetyAction, ticks: int) -> None:
         """Compute the motor torques of the tick.
 
         The torques are 0 unless the hand is active or relaxing.
@@ -487,10 +520,10 @@ class Controller:
         rate, opened = (
             (present_relax_rate(state), is_open_loop(state)) if relaxing else (0.0, False)
         )
-        stages.compute_motor_torques(block, places, *self._constants, rate, int(opened), ticks)
+        tick_stages.compute_motor_torques(block, places, *self._constants, rate, int(opened), ticks)
 
-    def _retune(
-        self, unchanged: State, state: State, action: Action, ticks: int
+    def _design_pending_gains(
+        self, unchanged: ControllerState, state: ControllerState, action: SafetyAction, ticks: int
     ) -> tuple[TickEvent, ...]:
         """Design the next loop of the pending gains.
 
@@ -512,17 +545,17 @@ class Controller:
             other._compute_torques(unchanged, action, ticks)
             step = (state.tendon[s.TORQUE] - unchanged.tendon[s.TORQUE]) / self.model.space.spool
             state.tendon[s.TRIM] += step
-            state.set_whole(s.TRIMMED, 1)
+            state.set_run_integer(s.TRIMMED, 1)
         state.decide(gains=pending.gains, pending=None)
-        return retune.gain_change_events(self.model.gains, pending.gains)
+        return gain_change.gain_change_events(self.model.gains, pending.gains)
 
     # encode
 
-    def _encode(self, state: State, t_ns: int) -> Frames:
+    def _encode_frames(self, state: ControllerState, t_ns: int) -> Frames:
         """Return the frames of the tick: cut frames first, then SYNC, then the command of each drive."""
         mode = state.mode
         if mode in (SILENT, DONE):
-            return frames_as_records(modes.shutdown_frames(self.drives, state))
+            return frames_as_records(hand_modes.shutdown_frames(self.drives, state))
         out = np.empty((1 + len(self.wire.templates), WORDS_PER_RECORD), dtype=np.uint64)
         # A hand without sensors has no SYNC, so row 0 is not sent.
         start = 0 if self.sends_sync else 1
@@ -530,17 +563,17 @@ class Controller:
             counter = self.sensors.counter(state.k)
             out[0] = self.sync_row
             out[0, PAYLOAD_WORD] = counter
-            state.set_whole(s.SYNC_COUNTER, counter & 0xF)
+            state.set_run_integer(s.SYNC_COUNTER, counter & 0xF)
             # Until the set-up of an amplifier is complete, its answers are not used, and missing
             # answers do not count as lost.
             amplifiers = state.decisions.amplifiers
             if not amplifiers or all(one.phase == DrivePhase.READY for one in amplifiers):
-                state.set_whole(s.SYNCS, state.whole(s.SYNCS) + 1)
+                state.set_run_integer(s.SYNCS, state.run_integer(s.SYNCS) + 1)
         torque = state.tendon[s.TORQUE]
         if self.model.torque_gain is not None:
             torque = torque / self.model.torque_gain
-        target = modes.drive_target(mode)
-        sent = self._send(state, out, start, target, torque, t_ns)
+        target = hand_modes.drive_target(mode)
+        sent = self._write_commands(state, out, start, target, torque, t_ns)
         if state.decisions.amplifiers and (setup := self._advance_amplifiers(state, target, t_ns)):
             sent = join_frames([sent, frames_as_records(setup)])
         return (
@@ -549,22 +582,22 @@ class Controller:
             else sent
         )
 
-    def _send(
+    def _write_commands(
         self,
-        state: State,
-        out: WordRows,
+        state: ControllerState,
+        frame_words: WordRows,
         start: int,
         target: DriveTarget,
         torque: Vector,
         t_ns: int,
     ) -> Frames:
-        """Write the commands after the SYNC into ``out``.
+        """Write the commands after the SYNC into ``frame_words``.
 
         Drives that are not steady run their state machines.
 
         Args:
             state: state of the tick, modified in place.
-            out: memory for the frames, with SYNC in row 0.
+            frame_words: memory for the frames, with SYNC in row 0.
             start: first row to send: 0 with SYNC, 1 without.
             target: requested state of the drives.
             torque: (N,) commanded torque [N m].
@@ -575,14 +608,14 @@ class Controller:
         first = 0
         pending_row = start
         count = 1
-        clearing = state.clearing and state.mode == Mode.INVENTORY
+        clearing = state.clearing and state.mode == HandMode.INVENTORY
         n = len(self.drives)
         while True:
             if target == DriveTarget.ENABLE:
-                first, count = wire.encode_commands(
-                    state.block, self.layout.places, out, tables.commands, tables.sent_wholes, tables.sent_reals,
-                    tables.templates, torque, tables.servos, tables.servo_templates, tables.servo_wholes,
-                    tables.servo_reals, first, count,
+                first, count = cyclic_frames.encode_commands(
+                    state.block, self.layout.places, frame_words, tables.commands, tables.sent_wholes,
+                    tables.sent_reals, tables.templates, torque, tables.servos, tables.servo_templates,
+                    tables.servo_wholes, tables.servo_reals, first, count,
                 )  # fmt: skip
             if first >= n:
                 break
@@ -594,17 +627,17 @@ class Controller:
                 drive_state, frames = drive.advance(drive_state, t_ns, target, float(torque[first]))
                 if tables.servos[first, 0] < tables.servos[first, 1]:
                     send_torque_only(state, first)
-            self.keep(state, first, drive_state)
+            self.store_drive_state(state, first, drive_state)
             if frames:
-                parts += [Frames.of_rows(out[pending_row:count]), frames_as_records(frames)]
+                parts += [Frames.of_rows(frame_words[pending_row:count]), frames_as_records(frames)]
                 pending_row = count
             first += 1
-        rest = Frames.of_rows(out[pending_row:count])
+        rest = Frames.of_rows(frame_words[pending_row:count])
         return join_frames([*parts, rest]) if parts else rest
 
 
 @dataclass(slots=True)
-class OpenTick:
+class TickInProgress:
     """A tick in progress, between its steps.
 
     Attributes:
@@ -620,14 +653,14 @@ class OpenTick:
     """
 
     controller: Controller
-    before: State
-    state: State
+    before: ControllerState
+    state: ControllerState
     entry: TickIn
     signs: tuple[str, ...]
     sent: Frames = NO_FRAMES
-    action: Action = Action.PASS
+    action: SafetyAction = SafetyAction.PASS
     events: tuple[TickEvent, ...] = ()
-    unchanged: State | None = None
+    unchanged: ControllerState | None = None
 
     def command(self, requests: tuple[str, ...]) -> Frames:
         """Apply requests, and return the frames to send.
@@ -638,29 +671,29 @@ class OpenTick:
         Raises:
             ValueError: a command cannot be encoded. The command is not sent.
         """
-        self.controller._command(self, requests)
+        self.controller._command_drives(self, requests)
         return self.sent
 
-    def conclude(self) -> tuple[State, TickOut]:
+    def conclude(self) -> tuple[ControllerState, TickOut]:
         """Return the state after the tick and the output of the tick."""
-        return self.controller._conclude(self)
+        return self.controller._conclude_tick(self)
 
 
-def send_torque_only(state: State, n: int) -> None:
+def send_torque_only(state: ControllerState, n: int) -> None:
     """Write into the state that a drive's state machine has sent a torque command instead of the position command."""
     servo = state.layout.table(state.block, "servo")
     servo[[s.SERVO_KP, s.SERVO_KD], n] = 0.0
     servo[s.SERVO_TORQUE, n] = state.tendon[s.TORQUE, n]
 
 
-_ACTION_BY_NUMBER = {int(action): action for action in Action}
+_ACTION_BY_NUMBER = {int(action): action for action in SafetyAction}
 
 
 def _fault_event(finding: FaultFinding) -> TickEvent:
     """Return the event that reports a fault that the safety monitor has found."""
     fault = finding.fault
-    level = "error" if fault.action >= Action.RELAX else "warn"
+    level = "error" if fault.action >= SafetyAction.RELAX else "warn"
     text = f"{fault.id} {fault.title}: {finding.instance} ({finding.value:g}): {fault.action.name}"
     return TickEvent(
-        level if fault.action > Action.PASS else "info", "fault", finding.instance, text
+        level if fault.action > SafetyAction.PASS else "info", "fault", finding.instance, text
     )

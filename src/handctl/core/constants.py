@@ -12,20 +12,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.compiled import borrowed_array, kernel_helper
-from handctl.core.schema import BlockArray, BlockSchema, TablePlaces
+from handctl.core.block_schema import BlockArray, BlockSchema, TablePlaces
 from handctl.hand import rigid_body
 from handctl.hand.file.quantities import POLYNOMIAL_COEFFICIENTS
 
-AXES = ("tendon", "joint", "digit", "coordinate", "kind", "element", "place", "run")
-TABLES = (
+CONSTANT_AXES = ("tendon", "joint", "digit", "coordinate", "kind", "element", "place", "run")
+CONSTANT_TABLES = (
     "tendon", "joint", "run", "joint*tendon", "tendon*joint", "joint*joint", "joint*coordinate",
     "tendon*coordinate", "place*joint", "tendon*kind*element",
     "tendon_int", "joint_int", "digit_int", "run_int",
 )  # fmt: skip
 
-HAND = BlockSchema(*TABLES)
-_real = HAND.real
-_whole = HAND.whole
+CONSTANT_SCHEMA = BlockSchema(*CONSTANT_TABLES)
+_real = CONSTANT_SCHEMA.real_field
+_whole = CONSTANT_SCHEMA.integer_field
 
 # Tendons and motors. Motor quantities are converted to forces and lengths at the spool.
 MOTOR_MASS = _real("motor_mass", "tendon", "kg", "reflected rotor inertia")
@@ -210,14 +210,14 @@ TENSION_VARIANCE_AT = 215
 CELL_SIGMA_AT = 216
 CELL_ERROR_VARIANCE_AT = 217
 CELL_ERROR_OBSERVABLE_AT = 218
-ELEMENTS = 219
+DESIGN_ELEMENT_COUNT = 219
 """Number of elements of a filter design. The constants above are the index of the first element of each part.
 
 The parts are F (7, 7), B (7, 2), K (7, 3), Q (7, 7), R (2), P (7, 7), H (3, 7), the tension row
 (7), the inverse covariance of the innovations (encoder squared, twice the product, load cell
 squared), and four single numbers. ``filter_stack.FilterBlock`` explains the parts.
 """
-KINDS = 6
+FILTER_DESIGN_COUNT = 6
 
 # Contact and grip: fraction by which each low-pass filter approaches its input in a tick.
 TIP_FORCE_FRACTION = _real("felt_fraction", "run", "",

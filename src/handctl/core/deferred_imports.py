@@ -26,15 +26,15 @@ class _DeferredAttribute:
         self._name = name
 
     def __getattr__(self, method: str) -> Callable[..., Any]:
-        return lambda *given, **named: self._use(
+        return lambda *given, **named: self._apply_to_real_object(
             lambda real: getattr(real, method)(*given, **named)
         )
 
     def __call__(self, *given: Any, **named: Any) -> Any:
         """Import the module, and call the real function."""
-        return self._use(lambda real: real(*given, **named))
+        return self._apply_to_real_object(lambda real: real(*given, **named))
 
-    def _use(self, use: Callable[[Any], Any]) -> Any:
+    def _apply_to_real_object(self, use: Callable[[Any], Any]) -> Any:
         """Apply a function to the real object.
 
         During the import of filterpy, which tries one call, return None.

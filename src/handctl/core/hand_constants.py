@@ -8,24 +8,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.core import constants as h
-from handctl.core.constants import ELEMENTS, HAND, KINDS
+from handctl.core.block_schema import BlockArray, BlockLayout
+from handctl.core.constants import CONSTANT_SCHEMA, DESIGN_ELEMENT_COUNT, FILTER_DESIGN_COUNT
+from handctl.core.control_law.computed_torque import (
+    MOTOR_FRICTION_SPEED_M_S,
+    TRIM_TIME_S,
+    UNWIND_FRACTION,
+)
+from handctl.core.control_law.servo_commands import MAX_PHASE_RAD
 from handctl.core.deferred_imports import deferred_imports
 from handctl.core.detectors.residuals import TIME_CONSTANTS_S
-from handctl.core.estimation import contact, posture, touch
+from handctl.core.estimation import blocked_digits, contact_force, posture
 from handctl.core.estimation.filter_stack import FilterBlock
-from handctl.core.estimation.structure import MIN_SPRING_STIFFNESS
-from handctl.core.law.computed_torque import MOTOR_FRICTION_SPEED, TRIM_TIME_S, UNWIND_FRACTION
-from handctl.core.law.servo import MAX_PHASE_RAD
-from handctl.core.model import HandModel
-from handctl.core.schema import BlockArray, BlockLayout
-from handctl.core.types import Vector
-from handctl.drives.sensors.node import JOINT_STEP_RAD
+from handctl.core.estimation.varying_moment_arms import MIN_SPRING_STIFFNESS
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Vector
+from handctl.drives.sensors.sensor_node import JOINT_STEP_RAD
 from handctl.hand.digit import DigitModel
 
 with deferred_imports():
     from scipy.linalg import block_diag, null_space
 
-MIN_MOTION = 1e-9
+MIN_JOINT_MOTION = 1e-9
 """Entry of ``EXCURSION_TO_JOINTS`` above which a tendon moves a joint, as a fraction of the largest entry.
 
 Smaller entries are rounding errors.
@@ -34,13 +38,13 @@ Smaller entries are rounding errors.
 
 def layout_of_constants(model: HandModel) -> BlockLayout:
     """Return the layout of the block of constants for a hand."""
-    return BlockLayout(HAND, {
+    return BlockLayout(CONSTANT_SCHEMA, {
         "tendon": model.tendon_count,
         "joint": len(model.hand.joints),
         "digit": len(model.digits),
         "coordinate": model.coordinate_count,
-        "kind": KINDS,
-        "element": ELEMENTS,
+        "kind": FILTER_DESIGN_COUNT,
+        "element": DESIGN_ELEMENT_COUNT,
         "place": max(digit.joint_count for digit in model.digits) + 2,
         "run": 1,
     })  # fmt: skip
@@ -54,12 +58,12 @@ class HandConstants:
         block: block of constants. It is read-only, unless a moment arm of the hand varies.
     """
 
-    def __init__(self, model: HandModel, more: Mapping[str, object]) -> None:
+    def __init__(self, model: HandModel, other_constants: Mapping[str, object]) -> None:
         """Fill the block of constants.
 
         Args:
             model: model of the hand.
-            more: constants that are not in the model, by field: tare, zero, thresholds, constants
+            other_constants: constants that are not in the model, by field: tare, zero, thresholds, constants
                 of drives and sensors.
         """
         self.layout = layout_of_constants(model)
@@ -70,7 +74,7 @@ class HandConstants:
             _link_constants(model),
             _structure_constants(model),
             _posture_constants(model),
-            more,
+            other_constants,
         ):
             for name, value in part.items():
                 self.layout.view(self.block, name)[...] = value
@@ -108,12 +112,14 @@ def _motor_constants(model: HandModel) -> dict[str, object]:
         "absolute": ~model.redundancy.sprung & ~model.hand.tendons_with_encoders,
         "period": model.period,
         "period_ns": round(model.period * 1e9),
-        "touch_kept": math.exp(-model.period / touch.SMOOTH_S),
-        "felt_fraction": -math.expm1(-model.period / contact.SMOOTH_S),
-        "usual_fraction": -math.expm1(-model.period / contact.MEAN_S),
-        "drift_fraction": -math.expm1(-model.period / contact.DRIFT_S),
-        "fast_fraction": -math.expm1(-model.period / contact.FAST_GRIP_S),
-        "slow_fraction": -math.expm1(-model.period / contact.SLOW_GRIP_S),
+        "touch_kept": math.exp(-model.period / blocked_digits.TOUCH_TIME_CONSTANT_S),
+        "felt_fraction": -math.expm1(-model.period / contact_force.TIP_FORCE_TIME_CONSTANT_S),
+        "usual_fraction": -math.expm1(-model.period / contact_force.TIP_FORCE_MEAN_TIME_CONSTANT_S),
+        "drift_fraction": -math.expm1(
+            -model.period / contact_force.TIP_FORCE_DRIFT_TIME_CONSTANT_S
+        ),
+        "fast_fraction": -math.expm1(-model.period / contact_force.FAST_GRIP_TIME_CONSTANT_S),
+        "slow_fraction": -math.expm1(-model.period / contact_force.SLOW_GRIP_TIME_CONSTANT_S),
         "arms_sum": np.abs(model.hand.own_arms).sum(axis=1),
     }
 
@@ -134,7 +140,7 @@ def _law_constants(model: HandModel) -> dict[str, object]:
         "tension_gain": model.motion.tension,
         "tension_speed_gain": model.motion.tension_speed,
         "half": half,
-        "stopping": MOTOR_FRICTION_SPEED + half * space.coulomb,
+        "stopping": MOTOR_FRICTION_SPEED_M_S + half * space.coulomb,
         "exact": [exact for digit in model.digits for exact in _has_exact_solution(digit)],
         "rejection": motion.disturbance_rejection,
         "friction_fraction": motion.friction_share,
@@ -154,7 +160,7 @@ def servo_constants(model: HandModel) -> dict[str, Vector]:
 
     If the hand file gives no values, these loops have the gains of the motion loop. If the hand
     file gives only the stiffness, the loops have the damping ratio of the motion loop. At low
-    control rates, the stiffness is smaller than in the hand file, see ``servo.MAX_PHASE_RAD``.
+    control rates, the stiffness is smaller than in the hand file, see ``servo_commands.MAX_PHASE_RAD``.
     """
     space = model.space
     motors = [model.hand.motor_of(name) for name in model.hand.tendon_names]
@@ -210,7 +216,7 @@ def _structure_constants(model: HandModel) -> dict[str, object]:
     size = np.abs(model.excursion_to_joints)
     return {
         "excursion_to_joints": model.excursion_to_joints,
-        "moves": size > MIN_MOTION * size.max(initial=0.0),
+        "moves": size > MIN_JOINT_MOTION * size.max(initial=0.0),
         "moment_arms": model.hand.own_arms,
         "carrier_arms": model.hand.carrier_arms,
         "hand_passed": bool(model.hand.carrier_arms.any()),
@@ -219,7 +225,7 @@ def _structure_constants(model: HandModel) -> dict[str, object]:
         "hand_varying": bool(model.hand.has_varying_arm.any()),
         "arm_polynomial": np.moveaxis(model.hand.arm_polynomials, 2, 0),
         "mean_balance": model.redundancy.balance,
-        # The two offsets are zero for constant moment arms. ``estimation.structure`` writes them in
+        # The two offsets are zero for constant moment arms. ``estimation.varying_moment_arms`` writes them in
         # each tick for varying moment arms.
         "angle_offset": 0.0,
         "explained_offset": 0.0,
@@ -239,7 +245,7 @@ def _posture_constants(model: HandModel) -> dict[str, object]:
     spread = block_diag(*(digit.coupling @ digit.coupling.T for digit in digits))
     read = np.array([joint in hand.sensor_node.joints for joint in hand.joints])
     fused = bool((compliance.any(axis=1) & read).any())
-    every = 1 if fused else max(1, round(posture.UPDATE_S / model.period))
+    every = 1 if fused else max(1, round(posture.POSTURE_UPDATE_PERIOD_S / model.period))
     noise = hand.sensor_node.joint_noise_rad**2 + JOINT_STEP_RAD**2 / 12.0
     return {
         "compliance": compliance,
@@ -307,4 +313,4 @@ def low_pass_fractions(model: HandModel, motor_period: Vector, joint_period: flo
     return np.asarray(1.0 - np.exp(-every / np.array(TIME_CONSTANTS_S)[:, None]))
 
 
-assert h.CELL_ERROR_OBSERVABLE_AT == ELEMENTS - 1
+assert h.CELL_ERROR_OBSERVABLE_AT == DESIGN_ELEMENT_COUNT - 1

@@ -10,12 +10,12 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from handctl.core.types import Vector
-from handctl.drives.registry import make_drive
+from handctl.core.tick_types import Vector
+from handctl.drives.protocol_registry import make_drive
 from handctl.hand.description import Hand
 from handctl.hand.dynamics import DigitModel
 from handctl.hand.file.sections import Motor
-from handctl.hand.tree import HandTree
+from handctl.hand.hand_tree import HandTree
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +74,7 @@ def tendon_space(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonSpace:
     spool = np.array([motors[tendon.motor].spool_radius_m for tendon in tendons])
     inertia = np.array([motors[tendon.motor].inertia_kg_m2 for tendon in tendons])
     # The mass matrix of the whole hand is used, because it includes the fingers that a wrist moves.
-    mass = HandTree.of(hand, digits).mass_matrix(np.full(len(hand.joints), np.pi / 4))
+    mass = HandTree.from_hand(hand, digits).mass_matrix(np.full(len(hand.joints), np.pi / 4))
     load = np.concatenate(
         [_load_along_tendons(digit, mass[digit.joints, digit.joints]) for digit in digits], axis=1
     )

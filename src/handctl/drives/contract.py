@@ -4,7 +4,7 @@ Each protocol is one class. Each object of the class is the immutable descriptio
 one bus. All changing values are in an immutable ``DriveState``. In each tick the controller calls
 ``receive`` of each drive for every received frame. It then calls ``advance`` of each drive once
 with the requested drive state. While a drive is enabled and its state machine has nothing to do,
-compiled code in ``core.wire`` does this work, from the tables of ``cyclic``. The controller calls
+compiled code in ``core.cyclic_frames`` does this work, from the tables of ``cyclic_messages``. The controller calls
 ``advance`` again if the status of the feedback is not ``steady_status``, or when the time
 ``due_ns`` comes. No function here reads a clock or a socket.
 """
@@ -13,7 +13,7 @@ import enum
 import math
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
-from handctl.drives.causes import DriveFaultCause
+from handctl.drives.fault_causes import DriveFaultCause
 from handctl.drives.frame import Frame
 
 if TYPE_CHECKING:  # imported for types only: signals imports numba, which programs that only read a log do not need
@@ -155,7 +155,7 @@ class Drive(Protocol):
         ...
 
     @property
-    def exchange(self) -> tuple[tuple[int, bool], ...]:
+    def frames_per_tick(self) -> tuple[tuple[int, bool], ...]:
         """Return the frames that one tick can have at most, in both directions, as (payload bytes, CAN FD?)."""
         ...
 
@@ -200,7 +200,7 @@ class Drive(Protocol):
         ...
 
     @property
-    def cyclic(self) -> "CyclicMessages":
+    def cyclic_messages(self) -> "CyclicMessages":
         """Return the signal tables of the frames exchanged in each tick while the drive is enabled."""
         ...
 
@@ -216,7 +216,7 @@ class Drive(Protocol):
         """Return the time at which ``advance`` must be called even if the status does not change [ns]."""
         ...
 
-    def initial(self) -> DriveState:
+    def initial_state(self) -> DriveState:
         """Return the state of the drive before the first frame."""
         ...
 
@@ -252,7 +252,7 @@ class Drive(Protocol):
         """
         ...
 
-    def cut(self) -> tuple[Frame, ...]:
+    def cut_frames(self) -> tuple[Frame, ...]:
         """Return the frames that remove the torque at once, in any state of the drive.
 
         They do not depend on the state, and can therefore be built before a run.
@@ -283,6 +283,6 @@ class Drive(Protocol):
         """
         ...
 
-    def cause(self, error: int) -> DriveFaultCause:
+    def fault_cause(self, error_code: int) -> DriveFaultCause:
         """Return the cause of a nonzero error code in ``DriveState.error``."""
         ...

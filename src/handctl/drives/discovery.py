@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from handctl.drives.frame import REMOTE, Frame
+from handctl.drives.frame import REMOTE_FLAG, Frame
 
 PROBE_ROUNDS = range(4)
 # Time in which a scan only listens, long enough for several heartbeats, and time to wait for the
@@ -120,5 +120,7 @@ def split_probes(
     """
     obeyed = frozenset().union(*command_ids)
     probes = tuple(probe_frames)
-    safe = tuple(frame for frame in probes if frame.can_id & REMOTE or frame.can_id not in obeyed)
+    safe = tuple(
+        frame for frame in probes if frame.can_id & REMOTE_FLAG or frame.can_id not in obeyed
+    )
     return safe, tuple(frame for frame in probes if frame not in safe)

@@ -2,11 +2,11 @@
 
 from typing import NamedTuple
 
-EXTENDED = 1 << 31
+EXTENDED_FLAG = 1 << 31
 """Flag bit of a 29-bit identifier. Source: Linux ``can.h``, CAN_EFF_FLAG."""
-REMOTE = 1 << 30
+REMOTE_FLAG = 1 << 30
 """Flag bit of a remote transmission request. Source: Linux ``can.h``, CAN_RTR_FLAG."""
-ERROR = 1 << 29
+ERROR_FLAG = 1 << 29
 """Flag bit of an error frame. Source: Linux ``can.h``, CAN_ERR_FLAG."""
 
 # Flags of CAN FD frames: bit rate switch, error state indicator, CAN FD format. Source: Linux
@@ -26,7 +26,7 @@ class Frame(NamedTuple):
     """One CAN frame, classical or CAN FD.
 
     Attributes:
-        can_id: 11- or 29-bit identifier with the flag bits EXTENDED, REMOTE, ERROR, as in
+        can_id: 11- or 29-bit identifier with the flag bits EXTENDED_FLAG, REMOTE_FLAG, ERROR_FLAG, as in
             SocketCAN.
         data: payload, at most 8 bytes in a classical frame and 64 bytes in a CAN FD frame.
         flags: BRS | ESI | FDF, 0 for a classical frame.

@@ -42,7 +42,7 @@ def frame_time_s(
     if not fd:
         exposed = 34 + more + 8 * size
         return (exposed + 13 + (exposed - 1) // 4) / bitrate
-    return _fd_time(size, bitrate, data_bitrate or bitrate, more)
+    return _fd_frame_time_s(size, bitrate, data_bitrate or bitrate, more)
 
 
 FD_SIZES = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
@@ -51,9 +51,9 @@ FD_SIZES = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 
 # Number of bits of a CAN FD frame from start of frame to BRS, and of their stuff bits. They have
 # the nominal bit rate.
-HEADER_BITS = 17
-HEADER_STUFF_BITS = 4
-END_BITS = 13
+FD_HEADER_BITS = 17
+FD_HEADER_STUFF_BITS = 4
+FD_END_BITS = 13
 """Number of bits after the CRC: delimiter, acknowledge, end of frame, interframe space.
 
 The bit rate changes in the middle of the CRC delimiter. The whole delimiter is counted at the
@@ -61,22 +61,24 @@ nominal bit rate.
 """
 
 
-def _fd_time(size: int, bitrate: float, data_bitrate: float, more: int) -> float:
+def _fd_frame_time_s(
+    size: int, bitrate: float, data_bitrate: float, extra_identifier_bits: int
+) -> float:
     """Return the longest time of a CAN FD frame on the wire [s].
 
     Up to the last data bit, stuff bits are inserted as in a classical frame. The CRC field has one
-    fixed stuff bit before every four bits. ``more`` is the number of bits that a 29-bit identifier
+    fixed stuff bit before every four bits. ``extra_identifier_bits`` is the number of bits that a 29-bit identifier
     adds.
     """
     size = next(length for length in FD_SIZES if length >= size)
     # The body has ESI, the four bits of DLC, and the data.
     body = 5 + 8 * size
-    header_stuff = HEADER_STUFF_BITS + more // 4
-    stuff = (HEADER_BITS + more + body - 1) // 4 - header_stuff
+    header_stuff = FD_HEADER_STUFF_BITS + extra_identifier_bits // 4
+    stuff = (FD_HEADER_BITS + extra_identifier_bits + body - 1) // 4 - header_stuff
     # The check field has a stuff count (3 bits and parity) and a CRC: 17 bits up to 16 data bytes,
     # 21 bits above.
     check = 4 + (17 if size <= 16 else 21)
-    nominal = HEADER_BITS + more + header_stuff + END_BITS
+    nominal = FD_HEADER_BITS + extra_identifier_bits + header_stuff + FD_END_BITS
     return nominal / bitrate + (body + stuff + check + math.ceil(check / 4)) / data_bitrate
 
 

@@ -1,7 +1,7 @@
 """List of drive protocols, and the keys in a ``[[motor]]`` section of the hand file that drives use.
 
-``PROTOCOL_TRAITS`` is the list of protocols. The module ``registry`` adds the code of each protocol. A
-help text only needs this list, and importing ``registry`` would take too long.
+``PROTOCOL_TRAITS`` is the list of protocols. The module ``protocol_registry`` adds the code of each protocol. A
+help text only needs this list, and importing ``protocol_registry`` would take too long.
 """
 
 from collections.abc import Mapping

@@ -19,12 +19,12 @@ class FullScale(Protocol):
 ModelRangesT = TypeVar("ModelRangesT", bound=FullScale)
 
 
-def checked_positive(value: object, where: str, largest: float) -> float:
+def checked_positive(value: object, key_path: str, largest: float) -> float:
     """Return the value as a number above 0.
 
     Args:
         value: value in the hand file.
-        where: key path of the value, for the error message.
+        key_path: key path of the value, for the error message.
         largest: largest accepted value.
 
     Raises:
@@ -34,18 +34,18 @@ def checked_positive(value: object, where: str, largest: float) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= largest:
         raise ConfigError(
             "missing" if value is None else repr(value),
-            where,
+            key_path,
             f"a number above 0, at most {largest:g}",
         )
     return float(value)
 
 
-def checked_whole_number(value: object, where: str, largest: int) -> int:
+def checked_whole_number(value: object, key_path: str, largest: int) -> int:
     """Return the value as a whole number of at least 1.
 
     Args:
         value: value in the hand file. 50.0 is accepted as 50.
-        where: key path of the value, for the error message.
+        key_path: key path of the value, for the error message.
         largest: largest accepted value.
 
     Raises:
@@ -55,35 +55,35 @@ def checked_whole_number(value: object, where: str, largest: int) -> int:
     if isinstance(number, bool) or not isinstance(number, int) or not 1 <= number <= largest:
         raise ConfigError(
             "missing" if value is None else repr(value),
-            where,
+            key_path,
             f"a whole number from 1 to {largest}",
         )
     return number
 
 
-def checked_boolean(value: object, where: str) -> bool:
+def checked_boolean(value: object, key_path: str) -> bool:
     """Return the value as True or False. Numbers and strings are refused.
 
     Args:
         value: value in the hand file.
-        where: key path of the value, for the error message.
+        key_path: key path of the value, for the error message.
 
     Raises:
         ConfigError: the value is neither true nor false.
     """
     if type(value) is not bool:
-        raise ConfigError(repr(value), where, "true or false")
+        raise ConfigError(repr(value), key_path, "true or false")
     return value
 
 
 def pop_motor_model(
-    options: dict[str, Any], where: str, models: Mapping[str, ModelRangesT]
+    options: dict[str, Any], key_path: str, models: Mapping[str, ModelRangesT]
 ) -> ModelRangesT:
     """Remove the option ``motor_type``, and return the ranges of the motor model that it names.
 
     Args:
         options: options of the motor, modified in place.
-        where: key path of the motor, for the error message.
+        key_path: key path of the motor, for the error message.
         models: ranges of each model, by the name of the model.
 
     Raises:
@@ -92,23 +92,23 @@ def pop_motor_model(
     model = options.pop("motor_type", None)
     if model not in models:
         problem = "missing" if model is None else repr(model)
-        raise ConfigError(problem, f"{where}.options.motor_type", "one of " + ", ".join(models))
+        raise ConfigError(problem, f"{key_path}.options.motor_type", "one of " + ", ".join(models))
     return models[model]
 
 
-def refuse_unknown_options(options: Mapping[str, Any], where: str, right: str) -> None:
+def refuse_unknown_options(options: Mapping[str, Any], key_path: str, known_options: str) -> None:
     """Raise an error if the hand file has options that the protocol does not use.
 
     Args:
         options: options that are left after the protocol has taken its own.
-        where: key path of the options.
-        right: text about the keys that the protocol accepts, for the error message.
+        key_path: key path of the options.
+        known_options: text about the keys that the protocol accepts, for the error message.
 
     Raises:
         ConfigError: an option is left.
     """
     if options:
-        raise ConfigError("unknown key", f"{where}.{next(iter(options))}", right)
+        raise ConfigError("unknown key", f"{key_path}.{next(iter(options))}", known_options)
 
 
 def check_full_scale(motor: MotorDescription, ranges: FullScale) -> None:

@@ -102,15 +102,15 @@ def request_setting(
 
 
 def on_wrong_value(
-    cursor: ReadbackCursor, name: str, read: str, expected: str, writes: int
+    cursor: ReadbackCursor, name: str, read_text: str, expected_text: str, writes: int
 ) -> tuple[ReadbackCursor, str]:
     """Request that a setting with a wrong value is written, at most ``writes`` times.
 
     Args:
         cursor: position in the settings.
         name: name of the setting.
-        read: value in the drive, as text.
-        expected: required value, as text.
+        read_text: value in the drive, as text.
+        expected_text: required value, as text.
         writes: largest number of times that the setting is written.
 
     Returns:
@@ -119,7 +119,7 @@ def on_wrong_value(
     if cursor.written < writes:
         return ReadbackCursor(cursor.step, writing=True, written=cursor.written), ""
     after = " after writing" if cursor.written else ""
-    return cursor, f"{name} reads {read}{after}, expected {expected}"
+    return cursor, f"{name} reads {read_text}{after}, expected {expected_text}"
 
 
 class RecheckCursor(NamedTuple):
@@ -161,7 +161,7 @@ def next_recheck(
 
 
 def on_recheck_reply(
-    check: RecheckCursor, count: int, same: bool, name: str, answer: str, expected: str
+    check: RecheckCursor, setting_count: int, is_equal: bool, name: str, answer: str, expected: str
 ) -> tuple[RecheckCursor, str]:
     """Compare a setting, read again from an enabled drive, with the required value.
 
@@ -169,8 +169,8 @@ def on_recheck_reply(
 
     Args:
         check: position in the repeated read-back.
-        count: number of settings in the repeated read-back.
-        same: True if the setting has the required value.
+        setting_count: number of settings in the repeated read-back.
+        is_equal: True if the setting has the required value.
         name: name of the setting.
         answer: answer of the drive in words, such as ``reads 3``.
         expected: required value, as text.
@@ -178,8 +178,8 @@ def on_recheck_reply(
     Returns:
         the new position, and the problem in words, empty without a problem.
     """
-    if same:
-        return RecheckCursor((check.step + 1) % count, check.due_ns), ""
+    if is_equal:
+        return RecheckCursor((check.step + 1) % setting_count, check.due_ns), ""
     return RecheckCursor(), f"{name} {answer} while enabled, expected {expected}: settings are lost"
 
 

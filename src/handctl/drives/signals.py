@@ -1,7 +1,7 @@
 """Signal tables of cyclic frames. A table has the position, the coding, and the scale of each value in a frame.
 
 One compiled packer and one compiled unpacker serve all protocols. From the same tables,
-``drives.dbc`` writes a DBC file for other tools. Bit positions are those of a DBC: bit 0 is the
+``drives.dbc_export`` writes a DBC file for other tools. Bit positions are those of a DBC: bit 0 is the
 lowest bit of the first byte. The start of a little-endian signal is its lowest bit. The start of a
 big-endian signal is its highest bit.
 
@@ -28,7 +28,7 @@ RealArray = NDArray[np.float64]
 IntegerArray = NDArray[np.int64]
 
 
-class Quantity(enum.IntEnum):
+class SignalQuantity(enum.IntEnum):
     """Physical quantity of a signal."""
 
     POSITION = 0
@@ -89,7 +89,7 @@ class Signal(NamedTuple):
     """
 
     name: str
-    quantity: Quantity
+    quantity: SignalQuantity
     start: int
     length: int
     big_endian: bool = False
@@ -112,7 +112,8 @@ class Signal(NamedTuple):
             high = self.largest
             low = (
                 0.0
-                if self.quantity in (Quantity.STIFFNESS, Quantity.DAMPING, Quantity.LIMIT)
+                if self.quantity
+                in (SignalQuantity.STIFFNESS, SignalQuantity.DAMPING, SignalQuantity.LIMIT)
                 else -high
             )
         values = (self.offset + low * self.scale, self.offset + high * self.scale)
@@ -124,7 +125,7 @@ class Signal(NamedTuple):
         return abs(self.scale) / (FLOAT_STEPS if self.coding == SignalCoding.FLOAT else 1)
 
 
-class Message(NamedTuple):
+class CyclicMessage(NamedTuple):
     """Frame exchanged in every tick.
 
     Attributes:
@@ -167,15 +168,16 @@ class CyclicMessages(NamedTuple):
             more after a failure of the host, so its command contains a torque limit.
     """
 
-    feedback: tuple[Message, ...]
-    commands: tuple[Message, ...]
+    feedback: tuple[CyclicMessage, ...]
+    commands: tuple[CyclicMessage, ...]
     feedback_timeout_ns: int = 0
-    position: Message | None = None
+    position: CyclicMessage | None = None
     moves_target: bool = False
 
 
 POSITION_COMMAND = (
-    Quantity.POSITION, Quantity.VELOCITY, Quantity.STIFFNESS, Quantity.DAMPING, Quantity.TORQUE, Quantity.LIMIT
+    SignalQuantity.POSITION, SignalQuantity.VELOCITY, SignalQuantity.STIFFNESS, SignalQuantity.DAMPING,
+    SignalQuantity.TORQUE, SignalQuantity.LIMIT,
 )  # fmt: skip
 """Signals of ``CyclicMessages.position``, in order. The last one is optional.
 
@@ -227,16 +229,16 @@ def integer_columns(signal: Signal) -> tuple[int, ...]:
 
 
 @kernel_helper
-def window_at(words: Any, first: int, byte: int) -> Any:
-    """Return eight bytes of a payload as uint64, from ``byte`` on. Bytes after the last word are 0.
+def window_at(words: Any, first_word: int, first_byte: int) -> Any:
+    """Return eight bytes of a payload as uint64, from ``first_byte`` on. Bytes after the last word are 0.
 
     Args:
         words: (n,) uint64 words of a row.
-        first: index of the first word of the payload.
-        byte: first byte of the window.
+        first_word: index of the first word of the payload.
+        first_byte: first byte of the window.
     """
-    at = first + byte // 8
-    shift = np.uint64(8 * (byte % 8))
+    at = first_word + first_byte // 8
+    shift = np.uint64(8 * (first_byte % 8))
     value = words[at] >> shift
     # The second word is read only if the window is in two words. Otherwise the shift would be 64
     # bits, which is undefined.
@@ -246,20 +248,20 @@ def window_at(words: Any, first: int, byte: int) -> Any:
 
 
 @kernel_helper
-def write_window(words: Any, first: int, byte: int, bits: Any) -> None:
+def write_window(words: Any, first_word: int, first_byte: int, signal_bits: Any) -> None:
     """Write the bits of a signal (uint64) into a payload. The payload must have zeros at their positions.
 
     Args:
         words: (n,) uint64 words of a row.
-        first: index of the first word of the payload.
-        byte: first byte of the window.
-        bits: bits of the signal at their positions in the window.
+        first_word: index of the first word of the payload.
+        first_byte: first byte of the window.
+        signal_bits: bits of the signal at their positions in the window.
     """
-    at = first + byte // 8
-    shift = np.uint64(8 * (byte % 8))
-    words[at] |= bits << shift
+    at = first_word + first_byte // 8
+    shift = np.uint64(8 * (first_byte % 8))
+    words[at] |= signal_bits << shift
     if shift > np.uint64(0) and at + 1 < len(words):
-        words[at + 1] |= bits >> (np.uint64(64) - shift)
+        words[at + 1] |= signal_bits >> (np.uint64(64) - shift)
 
 
 @kernel_helper
@@ -351,10 +353,10 @@ class SignalTable:
         reals: (signals, 2) scale and offset, see ``SCALE_COLUMN``.
     """
 
-    def __init__(self, message: Message) -> None:
+    def __init__(self, message: CyclicMessage) -> None:
         """Build the arrays of a message. Signals of quantity UNUSED are left out."""
         self.message = message
-        signals = [signal for signal in message.signals if signal.quantity != Quantity.UNUSED]
+        signals = [signal for signal in message.signals if signal.quantity != SignalQuantity.UNUSED]
         self.wholes: IntegerArray = np.array(
             [integer_columns(signal) for signal in signals], dtype=np.int64
         ).reshape(-1, INTEGER_COLUMN_COUNT)

@@ -18,11 +18,11 @@ import gymnasium
 import numpy as np
 from gymnasium.spaces import Box
 
-from handctl.controller.streams import stream_status
+from handctl.controller.target_streams import stream_status
 from handctl.controller.tick import Controller
 from handctl.core.gains.gains import packaged_gains
-from handctl.core.model import HandModel
-from handctl.core.types import Mode, TickOut, Vector
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode, TickOut, Vector
 from handctl.errors import ConfigError
 from handctl.gym.observed import (
     FIELD_OF_NAME,
@@ -31,10 +31,10 @@ from handctl.gym.observed import (
     ObservationPart,
     telemetry_part,
 )
-from handctl.hand.load import load_hand
-from handctl.programs.live import LiveProgram
-from handctl.programs.requests import REFUSED_PREFIX, target_text
-from handctl.programs.streams import horizon_s
+from handctl.hand.hand_loading import load_hand
+from handctl.programs.live_session import LiveProgram
+from handctl.programs.requests import REFUSED_PREFIX, target_request_text
+from handctl.programs.stream_plans import target_horizon_s
 from handctl.session.plan import check_hand_ready, default_rate
 from handctl.session.simulate import SimulatedRun, SimulatorSettings, homed_controller
 
@@ -108,7 +108,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         self.ticks = max(1, round(rate / RATE_HZ))
         self.step_s = self.ticks * self.model.period
         self.longest = max(1, round(duration_s / self.step_s))
-        self.horizon_s = horizon_s(1.0 / self.step_s, self.model.period)
+        self.horizon_s = target_horizon_s(1.0 / self.step_s, self.model.period)
         self._space = space
         self._largest_step_deg = speed_deg_s * self.step_s
         self._target_deg = self.low_deg
@@ -243,17 +243,17 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
             )
         out = run.tick(requests=tuple(self._step_requests(clipped)))
         refused = [event.text for event in out.events if event.text.startswith(REFUSED_PREFIX)]
-        if refused and out.mode == Mode.ACTIVE:
+        if refused and out.mode == HandMode.ACTIVE:
             raise ConfigError(
                 refused[0], f"the controller of {self.hand.name}", "targets within the limits"
             )
         for _ in range(self.ticks - 1):
-            if out.mode == Mode.DONE:
+            if out.mode == HandMode.DONE:
                 break
             out = run.tick()
         self.steps += 1
         reward, ended, information = self.judge()
-        failed = out.mode != Mode.ACTIVE
+        failed = out.mode != HandMode.ACTIVE
         truncated = self.steps >= self.longest and not (ended or failed)
         return (
             self._observation(),
@@ -319,7 +319,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         angles = dict(zip(self.names, self._target_deg.tolist(), strict=True))
         number = self._number
         self._number += 1
-        return target_text(
+        return target_request_text(
             STREAM_NAME,
             number,
             self.run.k * self.run.period_ns,
@@ -357,7 +357,7 @@ def _controller_of_file(path: str) -> Controller:
     """
     hand = load_hand(path)
     check_hand_ready(hand, path)
-    model = HandModel.of(hand, packaged_gains(hand.name), default_rate(hand))
+    model = HandModel.from_hand(hand, packaged_gains(hand.name), default_rate(hand))
     return homed_controller(model, LiveProgram())
 
 

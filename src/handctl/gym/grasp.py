@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from handctl.core.types import Mode, Vector
+from handctl.core.tick_types import HandMode, Vector
 from handctl.errors import ConfigError
 from handctl.gym.environment import SPEED_DEG_S, HandEnv, TargetSpace
 from handctl.gym.observed import ObservationPart, telemetry_part
@@ -150,7 +150,7 @@ class GraspEnv(HandEnv):
         held = since is not None and plant.t_ns / 1e9 - since >= SUCCESS_HOLD_S and not dropped
         if held:
             reward += SUCCESS_REWARD
-        elif dropped or self.out.mode != Mode.ACTIVE:
+        elif dropped or self.out.mode != HandMode.ACTIVE:
             reward += FAILURE_REWARD
         information = {
             "is_success": held,

@@ -7,7 +7,7 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
-from handctl.core.types import TELEMETRY_AXES
+from handctl.core.tick_types import TELEMETRY_AXES
 from handctl.hand.description import Hand
 from handctl.runtime.observations import PUBLISHED_NAMES
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from handctl.core.types import Vector
+from handctl.core.tick_types import Vector
 from handctl.errors import ConfigError
 from handctl.gym.environment import SPEED_DEG_S, HandEnv, TargetSpace
 from handctl.gym.observed import ObservationPart

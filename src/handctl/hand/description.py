@@ -36,12 +36,18 @@ PALM_MESH_KEYS = ("palm_mesh", "palm_mesh_scale", "palm_mesh_position_m", "palm_
 
 They have no effect on ``Hand.identity``.
 """
-LATER_KEYS = ("joint_rated_torque_N_m", "joint_axis", "joint_rpy_deg", "mount_on", *MESH_KEYS)
+DIGIT_KEYS_ADDED_LATER = (
+    "joint_rated_torque_N_m",
+    "joint_axis",
+    "joint_rpy_deg",
+    "mount_on",
+    *MESH_KEYS,
+)
 """Keys of a digit that a later version of handctl added.
 
 ``Hand.content`` has only those that the file has.
 """
-LATER_TENDON_KEYS = ("pretension_N",)
+TENDON_KEYS_ADDED_LATER = ("pretension_N",)
 """Keys of a tendon that a later version of handctl added.
 
 ``Hand.content`` has only those that the file has.
@@ -51,7 +57,7 @@ CONTROL_KEYS = ("control", "kp_N_m_per_rad", "kd_N_m_s_per_rad")
 
 ``Hand.content`` has only those that the file has. They have no effect on ``Hand.identity``.
 """
-NO_SENSORS: dict[str, Any] = {
+EMPTY_SENSOR_NODE: dict[str, Any] = {
     "sync_id": 0x080, "base_id": 0x1A0, "tendons": (), "joints": (), "joint_decimation": 1,
     "tension_noise_N": 0.5, "tension_bias_drift_N": 0.0, "joint_noise_rad": 1e-3,
 }  # fmt: skip
@@ -105,8 +111,8 @@ class Hand(Section):
         ):
             # pydantic reports missing buses as a separate mistake. With any name of a bus, the
             # sensor node causes no second report.
-            return given | {"sensor_node": NO_SENSORS | {"bus": "main"}}
-        return given | {"sensor_node": NO_SENSORS | {"bus": buses[0]["name"]}}
+            return given | {"sensor_node": EMPTY_SENSOR_NODE | {"bus": "main"}}
+        return given | {"sensor_node": EMPTY_SENSOR_NODE | {"bus": buses[0]["name"]}}
 
     @cached_property
     def has_cell(self) -> NDArray[np.bool_]:
@@ -299,7 +305,11 @@ class Hand(Section):
     def content(self) -> dict[str, Any]:
         """Return the content of the file as plain values, by the keys of the file, with defaults filled in."""
         content = self.model_dump(by_alias=True, mode="python")
-        later = {"digit": LATER_KEYS, "tendon": LATER_TENDON_KEYS, "motor": CONTROL_KEYS}
+        later = {
+            "digit": DIGIT_KEYS_ADDED_LATER,
+            "tendon": TENDON_KEYS_ADDED_LATER,
+            "motor": CONTROL_KEYS,
+        }
         for kind, keys in later.items():
             for section in content[kind]:
                 for key in keys:

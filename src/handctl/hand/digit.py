@@ -66,7 +66,7 @@ class DigitModel:
             this digit, the frame of the carrying link takes the place of the palm frame.
         table: (rigid_body.ROWS, n) frames and inertial properties of the links, for ``rigid_body``.
         parent: (n,) column in ``table`` of the link before each link, -1 for the palm.
-        moment_arms: R, (n_t, n) [m]. If an arm depends on the joint angle, R has its mean. ``at``
+        moment_arms: R, (n_t, n) [m]. If an arm depends on the joint angle, R has its mean. ``at_angles``
             returns a digit with the arms at given angles.
         coupling: B, (n, n_c), the identity matrix for independent joints.
         reduced_moment_arms: R B, (n_t, n_c) [m].
@@ -152,7 +152,7 @@ class DigitModel:
         return np.asarray(-low > SIDEWAYS_RANGE_RATIO * high)
 
     @staticmethod
-    def of(hand: Hand, name: str) -> "DigitModel":
+    def from_hand(hand: Hand, name: str) -> "DigitModel":
         """Build the model of one digit of a hand, by the digit's name."""
         digit = hand.digit_named(name)
         joints = hand.digit_joints[name]
@@ -205,9 +205,9 @@ class DigitModel:
         )
 
     @staticmethod
-    def all_of(hand: Hand) -> "tuple[DigitModel, ...]":
+    def all_from_hand(hand: Hand) -> "tuple[DigitModel, ...]":
         """Build the models of all digits of a hand, in file order."""
-        return tuple(DigitModel.of(hand, name) for name in hand.digit_names)
+        return tuple(DigitModel.from_hand(hand, name) for name in hand.digit_names)
 
     @property
     def joint_limits(self) -> Array:
@@ -226,7 +226,7 @@ class DigitModel:
             return np.asarray(self.moment_arms @ np.asarray(q))
         return np.asarray(excursions_at(self.arm_polynomials, self.joint_limits, q).sum(axis=-1))
 
-    def at(self, q: ArrayLike) -> "DigitModel":
+    def at_angles(self, q: ArrayLike) -> "DigitModel":
         """Return a copy of the digit with its moment arms at joint angles (n,) [rad].
 
         If all arms are constant, return the digit itself.
@@ -267,8 +267,8 @@ class DigitModel:
         """Return n, the number of joints."""
         return len(self.lengths)
 
-    def with_joint_angles(self, angles: Mapping[int, float], now: JointValues) -> Array:
-        """Return the coordinates (n_c,) nearest to ``now`` that give some joints the given angles.
+    def with_joint_angles(self, angles: Mapping[int, float], present_angles: JointValues) -> Array:
+        """Return the coordinates (n_c,) nearest to ``present_angles`` that give some joints the given angles.
 
         The unit of the result is that of the arguments.
 
@@ -277,11 +277,13 @@ class DigitModel:
 
         Args:
             angles: given angles, by the index of the joint.
-            now: (n_c,) coordinates from which all other joints move as little as possible.
+            present_angles: (n_c,) coordinates from which all other joints move as little as possible.
         """
         rows = self.coupling[list(angles)]
         return np.asarray(
-            now + np.linalg.pinv(rows) @ (np.array(list(angles.values())) - rows @ np.asarray(now))
+            present_angles
+            + np.linalg.pinv(rows)
+            @ (np.array(list(angles.values())) - rows @ np.asarray(present_angles))
         )
 
     def with_gravity(self, gravity: JointValues) -> "DigitModel":

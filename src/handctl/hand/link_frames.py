@@ -9,7 +9,7 @@ from handctl.hand.digit import Array, DigitModel, JointValues
 from handctl.hand.kinematics import joint_points, link_poses, link_rotations
 
 
-class Transform(NamedTuple):
+class FrameTransform(NamedTuple):
     """Pose of a frame in the palm frame: position [m] and unit quaternion, as in ROS."""
 
     frame: str
@@ -17,7 +17,7 @@ class Transform(NamedTuple):
     quaternion_xyzw: tuple[float, float, float, float]
 
 
-def link_transforms(digit: DigitModel, q: JointValues) -> tuple[Transform, ...]:
+def link_transforms(digit: DigitModel, q: JointValues) -> tuple[FrameTransform, ...]:
     """Return the frames of all links and of the tip of a digit, in the palm frame.
 
     The frames ``<digit>_link1``, ``<digit>_link2`` and so on have their origins in the joints of
@@ -28,7 +28,7 @@ def link_transforms(digit: DigitModel, q: JointValues) -> tuple[Transform, ...]:
     names = [*(f"{digit.name}_link{i + 1}" for i in range(digit.joint_count)), f"{digit.name}_tip"]
     turned = [quaternion_of_rotation(rotation) for rotation in link_rotations(poses)]
     return tuple(
-        Transform(name, (position[0], position[1], position[2]), turn)
+        FrameTransform(name, (position[0], position[1], position[2]), turn)
         for name, position, turn in zip(
             names, joint_points(digit, q).tolist(), [*turned, turned[-1]], strict=True
         )

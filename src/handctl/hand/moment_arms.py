@@ -53,7 +53,7 @@ def table_of_arm(arm: MomentArm) -> tuple[Array, Array]:
     return np.radians(arm["angle_deg"]), np.asarray(arm["arm_m"], dtype=np.float64)
 
 
-def table_residual(arm: MomentArm) -> float:
+def arm_table_residual(arm: MomentArm) -> float:
     """Return the largest difference between a table of moment arms and its polynomial [m].
 
     It is 0 for an arm without a table.

@@ -13,7 +13,7 @@ from handctl.hand.description import Hand
 from handctl.hand.digit import coordinate_range
 from handctl.hand.file.error_text import FileMistake
 from handctl.hand.file.sections import Bus, Digit
-from handctl.hand.moment_arms import arms_at, table_of_arm, table_residual
+from handctl.hand.moment_arms import arm_table_residual, arms_at, table_of_arm
 
 Vector = NDArray[np.float64]
 MAX_ARBITRATION_BITRATE = 1_000_000
@@ -122,7 +122,7 @@ def _check_opening(hand: Hand, digit: Digit) -> Iterator[FileMistake]:
     yield FileMistake(what, f"digit[{digit.name}].{key}", right)
 
 
-def table_fits(hand: Hand) -> tuple[str, ...]:
+def arm_table_fit_lines(hand: Hand) -> tuple[str, ...]:
     """Return lines that say how far polynomials differ from tables of moment arms.
 
     There is one line for each tendon with a table.
@@ -134,7 +134,8 @@ def table_fits(hand: Hand) -> tuple[str, ...]:
         }
         if tables:
             left = ", ".join(
-                f"{1e3 * table_residual(arm):.2g} mm at {joint}" for joint, arm in tables.items()
+                f"{1e3 * arm_table_residual(arm):.2g} mm at {joint}"
+                for joint, arm in tables.items()
             )
             lines.append(
                 f"{tendon.name}: the polynomial of its table of moment arms differs by at most {left}"

@@ -331,7 +331,7 @@ def write_newton_euler(
 def _move_link(
     table: Array,
     row: int,
-    before: int,
+    parent_link: int,
     gravity: Array,
     q: float,
     dq: float,
@@ -356,9 +356,17 @@ def _move_link(
     tx, ty, tz = 0.0, 0.0, 0.0
     # An acceleration of the palm against gravity has the same effect as gravity.
     mx, my, mz = -gravity[0], -gravity[1], -gravity[2]
-    if before >= 0:
-        wx, wy, wz = work[before, _RATE], work[before, _RATE + 1], work[before, _RATE + 2]
-        tx, ty, tz = work[before, _TURN], work[before, _TURN + 1], work[before, _TURN + 2]
+    if parent_link >= 0:
+        wx, wy, wz = (
+            work[parent_link, _RATE],
+            work[parent_link, _RATE + 1],
+            work[parent_link, _RATE + 2],
+        )
+        tx, ty, tz = (
+            work[parent_link, _TURN],
+            work[parent_link, _TURN + 1],
+            work[parent_link, _TURN + 2],
+        )
         ox, oy, oz = (
             table[row + ORIGIN_ROW, j],
             table[row + ORIGIN_ROW + 1, j],
@@ -366,9 +374,9 @@ def _move_link(
         )
         # The acceleration of the joint's position is a + t x o + w x (w x o).
         ux, uy, uz = wy * oz - wz * oy, wz * ox - wx * oz, wx * oy - wy * ox
-        mx = work[before, _MOVE] + (ty * oz - tz * oy) + (wy * uz - wz * uy)
-        my = work[before, _MOVE + 1] + (tz * ox - tx * oz) + (wz * ux - wx * uz)
-        mz = work[before, _MOVE + 2] + (tx * oy - ty * ox) + (wx * uy - wy * ux)
+        mx = work[parent_link, _MOVE] + (ty * oz - tz * oy) + (wy * uz - wz * uy)
+        my = work[parent_link, _MOVE + 1] + (tz * ox - tx * oz) + (wz * ux - wx * uz)
+        mz = work[parent_link, _MOVE + 2] + (tx * oy - ty * ox) + (wx * uy - wy * ux)
     for a in range(3):
         # The transposed rotation transforms a vector from the parent's frame to the link's frame.
         work[j, _RATE + a] = work[j, a] * wx + work[j, 3 + a] * wy + work[j, 6 + a] * wz
@@ -427,7 +435,7 @@ def _load_link(table: Array, row: int, work: Array, j: int) -> None:
 
 
 @kernel_helper
-def _add_load_to_parent(table: Array, row: int, work: Array, j: int, before: int) -> None:
+def _add_load_to_parent(table: Array, row: int, work: Array, j: int, parent_link: int) -> None:
     """Add force and torque of link j to those of its parent."""
     fx, fy, fz = work[j, _FORCE], work[j, _FORCE + 1], work[j, _FORCE + 2]
     nx, ny, nz = work[j, _TORQUE], work[j, _TORQUE + 1], work[j, _TORQUE + 2]
@@ -439,17 +447,17 @@ def _add_load_to_parent(table: Array, row: int, work: Array, j: int, before: int
         table[row + ORIGIN_ROW + 1, j],
         table[row + ORIGIN_ROW + 2, j],
     )
-    work[before, _FORCE] += gx
-    work[before, _FORCE + 1] += gy
-    work[before, _FORCE + 2] += gz
+    work[parent_link, _FORCE] += gx
+    work[parent_link, _FORCE + 1] += gy
+    work[parent_link, _FORCE + 2] += gz
     # The force acts at the joint's position. Thus the torque on the parent is R n + o x (R f).
-    work[before, _TORQUE] += (
+    work[parent_link, _TORQUE] += (
         work[j, 0] * nx + work[j, 1] * ny + work[j, 2] * nz + (oy * gz - oz * gy)
     )
-    work[before, _TORQUE + 1] += (
+    work[parent_link, _TORQUE + 1] += (
         work[j, 3] * nx + work[j, 4] * ny + work[j, 5] * nz + (oz * gx - ox * gz)
     )
-    work[before, _TORQUE + 2] += (
+    work[parent_link, _TORQUE + 2] += (
         work[j, 6] * nx + work[j, 7] * ny + work[j, 8] * nz + (ox * gy - oy * gx)
     )
 

@@ -8,7 +8,7 @@ import numpy as np
 from handctl.hand.digit import Array, DigitModel, JointValues
 from handctl.hand.file.sections import Tendon
 
-CAPSTAN_FRICTION_SPEED = 1e-3
+CAPSTAN_FRICTION_SPEED_M_S = 1e-3
 """Speed v0 in the factor tanh(v / v0) of the friction [m/s].
 
 The factor avoids a jump when the motion reverses.
@@ -39,7 +39,7 @@ class TendonElasticity:
     damping: float
 
     @staticmethod
-    def of(tendon: Tendon) -> "TendonElasticity":
+    def from_tendon(tendon: Tendon) -> "TendonElasticity":
         """Return the elasticity of a tendon of a hand file."""
         return TendonElasticity(
             stiffness=tendon.stiffness_N_per_m,
@@ -136,7 +136,7 @@ def pulley_factors(digit: DigitModel, q: JointValues, speed: JointValues) -> Arr
     """
     # Only the joints that a tendon crosses add to its wrap angle.
     passed = np.cumsum((digit.moment_arms != 0.0) * np.asarray(q), axis=1)
-    exponent = digit.friction * np.tanh(np.divide(speed, CAPSTAN_FRICTION_SPEED))
+    exponent = digit.friction * np.tanh(np.divide(speed, CAPSTAN_FRICTION_SPEED_M_S))
     return np.asarray(np.exp(-exponent[:, None] * (digit.wrap[:, None] + passed)))
 
 

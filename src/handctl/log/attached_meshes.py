@@ -9,14 +9,14 @@ from pathlib import Path
 
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array
-from handctl.hand.formats.mesh_file import mesh_triangles
-from handctl.hand.formats.meshes import (
+from handctl.hand.formats.link_meshes import (
     LinkMesh,
     mesh_mistakes,
     mesh_sizes,
     meshes_of_hand,
     read_meshes,
 )
+from handctl.hand.formats.mesh_file import mesh_triangles
 
 MAX_BYTES = 4 << 20
 """Largest total size of the mesh files in a log [bytes].

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS, TELEMETRY_FIRST
+from handctl.core.tick_types import FIRST_TELEMETRY_FIELD_COUNT, TELEMETRY_AXES, TELEMETRY_FIELDS
 from handctl.log.header import RunHeader
 from handctl.log.record import (
     FRAME_SIZE,
@@ -99,7 +99,7 @@ def row_fields(header: RunHeader, width: int) -> tuple[str, ...]:
         header: header of the run.
         width: number of columns of a row.
     """
-    earlier = TELEMETRY_FIELDS[:TELEMETRY_FIRST]
+    earlier = TELEMETRY_FIELDS[:FIRST_TELEMETRY_FIELD_COUNT]
     return earlier if width == column_count(header, earlier) else TELEMETRY_FIELDS
 
 

@@ -7,8 +7,8 @@ can_msgs, ros2_socketcan_msgs and pal_statistics_msgs. The types of `handctl_msg
 alone.
 """
 
-from handctl.core.types import Mode
-from handctl.safety.action import Action
+from handctl.core.tick_types import HandMode
+from handctl.safety.action import SafetyAction
 
 PHASE_NUMBERS = {
     name: number
@@ -67,10 +67,10 @@ MESSAGE_DEFINITIONS = {
     "handctl_msgs/GraspPhase": _constant_lines(PHASE_NUMBERS | {"other": OTHER_PHASE_NUMBER})
     + _HEADER_FIELD
     + "uint8 phase\nstring name\n",
-    "handctl_msgs/Mode": _constant_lines({mode.name: mode.value for mode in Mode})
+    "handctl_msgs/Mode": _constant_lines({mode.name: mode.value for mode in HandMode})
     + _HEADER_FIELD
     + "uint8 mode\nstring name\n",
-    "handctl_msgs/Action": _constant_lines({one.name: one.value for one in Action})
+    "handctl_msgs/Action": _constant_lines({one.name: one.value for one in SafetyAction})
     + _HEADER_FIELD
     + "uint8 action\nstring name\n",
     "handctl_msgs/CycleStats": "# period: start of this tick since the start of the last one [s]; late: start\n"

@@ -30,18 +30,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.types import (
+from handctl.core.tick_types import (
     TELEMETRY_AXES,
     TELEMETRY_FIELDS,
+    HandMode,
     IoEvent,
-    Mode,
     PackedTelemetry,
     Telemetry,
     TickEvent,
     TickIn,
     TickOut,
 )
-from handctl.drives.records import (
+from handctl.drives.frame_records import (
     FRAME_RECORD_DTYPE,
     NO_FRAMES,
     SHORT_RECORD_BYTES,
@@ -50,7 +50,7 @@ from handctl.drives.records import (
     frames_as_records,
 )
 from handctl.log.cdr import ENCAPSULATION, CdrReader, CdrWriter
-from handctl.safety.action import Action
+from handctl.safety.action import SafetyAction
 
 RECORD_FRAMING_STRUCT = struct.Struct("<II")
 HEADER_RECORD_KIND = 1
@@ -95,8 +95,8 @@ _FRAMES_AT = TICK_HEAD_STRUCT.size + 4
 """Offset of the received frames in a Tick message [bytes]."""
 _TickHead = tuple[int, int, int, bytes, int, int, int]
 """Values of the first part of a Tick message."""
-_MODE_BY_VALUE = {mode.value: mode for mode in Mode}
-_ACTION_BY_VALUE = {action.value: action for action in Action}
+_MODE_BY_VALUE = {mode.value: mode for mode in HandMode}
+_ACTION_BY_VALUE = {action.value: action for action in SafetyAction}
 """Members of the enumerations Mode and Action by value.
 
 A dictionary finds a member four times as fast as a call of the enumeration.
@@ -120,9 +120,9 @@ class TickRecord(NamedTuple):
 
     tick_in: TickIn
     frames: Frames
-    mode: Mode
+    mode: HandMode
     phase: str
-    action: Action
+    action: SafetyAction
     events: tuple[TickEvent, ...]
     state_hash: bytes
 
@@ -391,7 +391,9 @@ def _build_tick(
         for _ in range(reader.count())
     )
     tick_in = TickIn(k, t_ns, late_ns, received, io_events, requests)
-    return TickRecord(tick_in, sent, Mode(mode), phase, Action(action), events, state_hash)
+    return TickRecord(
+        tick_in, sent, HandMode(mode), phase, SafetyAction(action), events, state_hash
+    )
 
 
 def _tick_without_events(
@@ -400,8 +402,8 @@ def _tick_without_events(
     """Return a tick that has no io events, no requests and no events."""
     k, t_ns, late_ns, state_hash, mode, action, _ = fixed
     tick_in = new_tuple(TickIn, (k, t_ns, late_ns, received, (), ()))
-    mode_member = _MODE_BY_VALUE.get(mode) or Mode(mode)
-    action_member = _ACTION_BY_VALUE.get(action) or Action(action)
+    mode_member = _MODE_BY_VALUE.get(mode) or HandMode(mode)
+    action_member = _ACTION_BY_VALUE.get(action) or SafetyAction(action)
     return new_tuple(TickRecord, (tick_in, sent, mode_member, phase, action_member, (), state_hash))
 
 

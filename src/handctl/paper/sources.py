@@ -6,7 +6,7 @@ from functools import cache
 
 from handctl.hand.description import Hand
 from handctl.hand.file.sections import Digit
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 
 PULLEY_MM = Fraction(3)
 """Radius of the joint pulleys [mm]. Source: section 5."""

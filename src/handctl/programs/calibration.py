@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from pydantic import Field, field_validator
 
-from handctl.core.identified import IdentifiedParameters, check_identified
-from handctl.core.types import Vector
+from handctl.core.identified_parameters import IdentifiedParameters, check_identified
+from handctl.core.tick_types import Vector
 from handctl.document import Document, validate_content
-from handctl.drives.sensors.node import TARE_MAX_N, TARE_MIN_N
+from handctl.drives.sensors.sensor_node import TARE_MAX_N, TARE_MIN_N
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.load import read_toml
+from handctl.hand.hand_loading import read_toml
 
 
 class TendonCalibration(Document):
@@ -31,7 +31,7 @@ class TendonCalibration(Document):
 
     @field_validator("tare_N")
     @classmethod
-    def _readable(cls, tare: float) -> float:
+    def _check_tare_range(cls, tare: float) -> float:
         if not TARE_MIN_N <= tare <= TARE_MAX_N:
             raise ValueError(
                 f"{TARE_MIN_N:g} to {TARE_MAX_N:g} N: adjust the load cell, then commission again"
@@ -59,7 +59,7 @@ class Calibration(Document):
 
     @field_validator("made")
     @classmethod
-    def _date(cls, made: str) -> str:
+    def _check_date(cls, made: str) -> str:
         datetime.datetime.fromisoformat(made)
         return made
 

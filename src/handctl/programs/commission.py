@@ -20,27 +20,27 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from handctl.core.estimate import Estimate, TickMeasurements
-from handctl.core.law.allocation import tensions_for_torque
-from handctl.core.law.goal import DigitGoal, GoalKind
-from handctl.core.model import HandModel
-from handctl.core.types import TickEvent, Vector
-from handctl.drives.sensors.node import TARE_MAX_N, TARE_MIN_N
+from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
+from handctl.core.control_law.tension_allocation import tensions_for_torque
+from handctl.core.hand_estimate import HandEstimate, TickMeasurements
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import TickEvent, Vector
+from handctl.drives.sensors.sensor_node import TARE_MAX_N, TARE_MIN_N
 from handctl.hand.dynamics import static_torque
 from handctl.programs.calibration import Calibration, TendonCalibration
 from handctl.programs.program import TARE_PHASE, ProgramProgress, ProgressAndEvents
 
-PULL_N = 3.0
+PULL_TENSION_N = 3.0
 """Tension of a pull [N]."""
 PULL_FORCE_LIMIT_N = 12.0
 """Largest motor force of a pull, for a load cell that does not respond: the pull, friction and a margin [N]."""
-TARE_S = 0.5
+TARE_DURATION_S = 0.5
 """Averaging time of the first tare [s]."""
-REST_SETTLE_S = 0.3
+REST_SETTLING_S = 0.3
 """Time without torque before the load cells are read again [s]."""
-REST_S = 0.2
+REST_DURATION_S = 0.2
 """Averaging time of the load-cell readings without torque, before each pull [s]."""
-SETTLE_S = 0.7
+PULL_SETTLING_S = 0.7
 """Time from the moment at which a pulled tendon becomes taut until its measurement [s].
 
 All load cells of a digit without springs are also read this long after the previous pull ended.
@@ -49,7 +49,7 @@ TAKE_UP_TIMEOUT_S = 3.0
 """Longest time that a pulled tendon may take to become taut [s]."""
 HOLD_TIMEOUT_S = 10.0
 """Longest time that all tendons of a digit without springs may take to become taut [s]."""
-HOLD_SETTLE_S = 3.0
+HOLD_SETTLING_TIMEOUT_S = 3.0
 """Time from the moment at which all tendons of a digit without springs are taut until their measurement [s].
 
 In this time, the digit moves to its lower limits. It stays there for the pulls of all its tendons,
@@ -57,7 +57,7 @@ so only the first pull waits this long.
 """
 PRESS_FACTOR = 1.5
 """Torque that presses a digit without springs on its lower limits, as a multiple of the torque of a pull."""
-MEASURE_S = 0.3
+MEASUREMENT_DURATION_S = 0.3
 """Averaging time of the response to a pull [s]."""
 MIN_ANSWER_FRACTION = 0.6
 """Smallest accepted response of the tendon's own load cell, as a fraction of the pull."""
@@ -95,7 +95,7 @@ class CommissionProgram:
     [N], sum of samples during the present pull, sum and number of samples just before it.
     """
 
-    def initial(self, model: HandModel) -> ProgramProgress:
+    def initial_progress(self, model: HandModel) -> ProgramProgress:
         """Return the progress at the start: no torque, and a table of zeros."""
         empty = (0.0,) * (COLUMN_COUNT * model.tendon_count)
         return replace(
@@ -106,7 +106,7 @@ class CommissionProgram:
         self,
         model: HandModel,
         progress: ProgramProgress,
-        estimate: Estimate,
+        estimate: HandEstimate,
         measured: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
@@ -120,10 +120,10 @@ class CommissionProgram:
         if progress.step == 0:
             return self._tare_cells(model, progress, measured, t)
         if progress.touching[0] == BEFORE_PULL:
-            return self._rest(model, progress, measured, t)
+            return self._advance_rest(model, progress, measured, t)
         if progress.phase == _hold_phase(model, progress.step - 1):
-            return self._hold(model, progress, estimate, measured, t)
-        return self._pull(model, progress, estimate, measured, t)
+            return self._advance_hold(model, progress, estimate, measured, t)
+        return self._advance_pull(model, progress, estimate, measured, t)
 
     def _tare_cells(
         self, model: HandModel, progress: ProgramProgress, measured: TickMeasurements, t: float
@@ -134,9 +134,11 @@ class CommissionProgram:
             table[:, TARE_SUM] += tension
             table[:, TARE_SAMPLES] += 1.0
         progress = _with_table(progress, table)
-        if t - progress.since < TARE_S:
+        if t - progress.since < TARE_DURATION_S:
             return progress, ()
-        return self._check_tare(model, progress) or self._next(model, _with_new_tare(progress), t)
+        return self._check_tare(model, progress) or self._next_tendon(
+            model, _with_new_tare(progress), t
+        )
 
     def _check_tare(self, model: HandModel, progress: ProgramProgress) -> ProgressAndEvents | None:
         """Return a failed progress if a tare is near an end of its cell's range, or None if all tares are usable."""
@@ -146,11 +148,11 @@ class CommissionProgram:
             return None
         reading = f"{tare[worst]:.1f} N without tension"
         bounds = f"from {TARE_MIN_N:g} to {TARE_MAX_N:g} N"
-        return self._refuse(
+        return self._refuse_tendon(
             model, progress, worst, f"load cell reads {reading}, which can be tared {bounds}"
         )
 
-    def _rest(
+    def _advance_rest(
         self, model: HandModel, progress: ProgramProgress, measured: TickMeasurements, t: float
     ) -> ProgressAndEvents:
         """Read all load cells without torque, renew the tare of the present tendon, then pull this tendon.
@@ -160,7 +162,7 @@ class CommissionProgram:
         digit without springs.
         """
         tension = _known_tensions(model, measured)
-        if t - progress.since < REST_SETTLE_S or np.isnan(tension).any():
+        if t - progress.since < REST_SETTLING_S or np.isnan(tension).any():
             return progress, ()
         i = progress.step - 1
         table = _table_of(progress)
@@ -168,7 +170,7 @@ class CommissionProgram:
         table[:, REST_SAMPLES] += 1.0
         samples = table[i, REST_SAMPLES]
         # The averaging time is counted in samples, so that missing readings prolong it.
-        if samples * model.period < REST_S:
+        if samples * model.period < REST_DURATION_S:
             return _with_table(progress, table), ()
         # The new average gets the weight of all earlier samples.
         fresh = (
@@ -187,7 +189,7 @@ class CommissionProgram:
         pulling = replace(
             progress, since=t, goals=goals, phase=f"pull {name}", touching=(0,) * len(goals)
         )
-        event = TickEvent("info", "phase", name, f"pulling {name} with {PULL_N:g} N")
+        event = TickEvent("info", "phase", name, f"pulling {name} with {PULL_TENSION_N:g} N")
         return self._check_tare(model, progress) or (pulling, (event,))
 
     def _begin_hold(
@@ -218,11 +220,11 @@ class CommissionProgram:
             TickEvent("info", "phase", digit, f"{phase}: all its tendons together"),
         )
 
-    def _hold(
+    def _advance_hold(
         self,
         model: HandModel,
         progress: ProgramProgress,
-        estimate: Estimate,
+        estimate: HandEstimate,
         measured: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
@@ -231,7 +233,7 @@ class CommissionProgram:
         own = model.digit_tendons[model.digit_of[i]]
         waiting = progress.touching[0]
         if waiting == 0:
-            if not estimate.slack[own].any():
+            if not estimate.is_slack[own].any():
                 # From here on, the digit is pressed on its limits, so the filter must treat it as a
                 # digit in contact.
                 contact = tuple(d == model.digit_of[i] for d in range(len(model.digits)))
@@ -240,15 +242,15 @@ class CommissionProgram:
                 ), ()
             if t - progress.since <= HOLD_TIMEOUT_S:
                 return progress, ()
-            slack = own.start + int(np.flatnonzero(estimate.slack[own])[0])
-            return self._refuse(model, progress, slack, _no_answer_text(model, measured))
+            slack = own.start + int(np.flatnonzero(estimate.is_slack[own])[0])
+            return self._refuse_tendon(model, progress, slack, _no_answer_text(model, measured))
         excursion = np.where(
             model.hand.tendons_with_encoders, measured.excursion, model.redundancy.open_excursion
         )[own]
         tension = _known_tensions(model, measured, estimate)
         missing = np.isnan(tension).any() or np.isnan(measured.travel[own] + excursion).any()
         first = i == own.start
-        if t - progress.since < (HOLD_SETTLE_S if first else SETTLE_S) or missing:
+        if t - progress.since < (HOLD_SETTLING_TIMEOUT_S if first else PULL_SETTLING_S) or missing:
             return progress, ()
         table = _table_of(progress)
         table[:, REST_SUM] += tension
@@ -261,12 +263,12 @@ class CommissionProgram:
         progress = replace(
             _with_table(progress, table), touching=(waiting + 1, *progress.touching[1:])
         )
-        if waiting * model.period < MEASURE_S:
+        if waiting * model.period < MEASUREMENT_DURATION_S:
             return progress, ()
         if first:
             table[own, ZERO_COLUMN] /= waiting
         more = np.zeros(model.tendon_count)
-        more[i] = PULL_N
+        more[i] = PULL_TENSION_N
         name = model.hand.tendon_names[i]
         pulling = replace(
             _with_table(progress, table),
@@ -276,31 +278,35 @@ class CommissionProgram:
             touching=(1,) * len(progress.goals),
         )
         return pulling, (
-            TickEvent("info", "phase", name, f"pulling {name} with {PULL_N:g} N more"),
+            TickEvent("info", "phase", name, f"pulling {name} with {PULL_TENSION_N:g} N more"),
         )
 
-    def _pull(
+    def _advance_pull(
         self,
         model: HandModel,
         progress: ProgramProgress,
-        estimate: Estimate,
+        estimate: HandEstimate,
         measured: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
         """Pull the present tendon: wait until it is taut, let it settle, and measure its response."""
         i = progress.step - 1
         waiting = progress.touching[0]
-        if waiting == 0 and not estimate.slack[i]:
+        if waiting == 0 and not estimate.is_slack[i]:
             progress = replace(progress, touching=(1, *progress.touching[1:]), since=t)
         if waiting == 0:
             late = t - progress.since > TAKE_UP_TIMEOUT_S
             return (
-                self._refuse(model, progress, i, _no_answer_text(model, measured))
+                self._refuse_tendon(model, progress, i, _no_answer_text(model, measured))
                 if late
                 else (progress, ())
             )
         tension = _known_tensions(model, measured, estimate)
-        if t - progress.since < SETTLE_S or np.isnan(tension).any() or np.isnan(measured.travel[i]):
+        if (
+            t - progress.since < PULL_SETTLING_S
+            or np.isnan(tension).any()
+            or np.isnan(measured.travel[i])
+        ):
             return progress, ()
         table = _table_of(progress)
         table[:, PULL_SUM] += tension
@@ -308,36 +314,41 @@ class CommissionProgram:
             # The travel [m] divided by the spool's radius is the motor angle [rad].
             table[i, ZERO_COLUMN] += measured.travel[i] / model.space.spool[i]
         samples = progress.touching[0]
-        if samples * model.period >= MEASURE_S:
-            return self._judge(
+        if samples * model.period >= MEASUREMENT_DURATION_S:
+            return self._judge_response(
                 model, _with_table(progress, _with_results(model, table, i, samples)), i, t
             )
         return replace(
             _with_table(progress, table), touching=(samples + 1, *progress.touching[1:])
         ), ()
 
-    def _judge(
+    def _judge_response(
         self, model: HandModel, progress: ProgramProgress, i: int, t: float
     ) -> ProgressAndEvents:
         """Accept the measured response of tendon i, or refuse the hand."""
         answer, crosstalk = _table_of(progress)[i, [ANSWER_COLUMN, CROSSTALK_COLUMN]]
-        if answer < MIN_ANSWER_FRACTION * PULL_N:
-            return self._refuse(
-                model, progress, i, f"load cell answers {answer:.2f} N to a pull of {PULL_N:g} N"
+        if answer < MIN_ANSWER_FRACTION * PULL_TENSION_N:
+            return self._refuse_tendon(
+                model,
+                progress,
+                i,
+                f"load cell answers {answer:.2f} N to a pull of {PULL_TENSION_N:g} N",
             )
-        if crosstalk > MAX_CROSSTALK_FRACTION * PULL_N:
+        if crosstalk > MAX_CROSSTALK_FRACTION * PULL_TENSION_N:
             text = f"another load cell answers {crosstalk:.2f} N: swapped, or two tendons touch"
-            return self._refuse(model, progress, i, text)
+            return self._refuse_tendon(model, progress, i, text)
         event = TickEvent(
             "info",
             "commission",
             model.hand.tendon_names[i],
             f"answers {answer:.2f} N, others {crosstalk:.2f} N",
         )
-        progress, entered = self._next(model, progress, t)
+        progress, entered = self._next_tendon(model, progress, t)
         return progress, (event, *entered)
 
-    def _next(self, model: HandModel, progress: ProgramProgress, t: float) -> ProgressAndEvents:
+    def _next_tendon(
+        self, model: HandModel, progress: ProgramProgress, t: float
+    ) -> ProgressAndEvents:
         """Release the present tendon, then rest before the next tendon, or finish."""
         step = progress.step + 1
         same_digit = (
@@ -359,18 +370,18 @@ class CommissionProgram:
             touching=(BEFORE_PULL,) * len(passive),
         ), ()
 
-    def _refuse(
-        self, model: HandModel, progress: ProgramProgress, i: int, text: str
+    def _refuse_tendon(
+        self, model: HandModel, progress: ProgramProgress, i: int, reason: str
     ) -> ProgressAndEvents:
         """End the program with a failure of tendon i."""
         name = model.hand.tendon_names[i]
         failed = replace(
             progress,
             finished=True,
-            failure=f"{name}: {text}",
+            failure=f"{name}: {reason}",
             goals=(DigitGoal(),) * len(progress.goals),
         )
-        return failed, (TickEvent("error", "commission", name, text),)
+        return failed, (TickEvent("error", "commission", name, reason),)
 
 
 def _no_answer_text(model: HandModel, measured: TickMeasurements) -> str:
@@ -380,7 +391,7 @@ def _no_answer_text(model: HandModel, measured: TickMeasurements) -> str:
     """
     answers = np.nan_to_num(measured.tension)
     other = int(answers.argmax())
-    if answers[other] < MIN_ANSWER_FRACTION * PULL_N:
+    if answers[other] < MIN_ANSWER_FRACTION * PULL_TENSION_N:
         return "does not become taut"
     name = model.hand.tendon_names[other]
     return (
@@ -393,12 +404,12 @@ def _pull_goal(tendons: slice, i: int) -> DigitGoal:
     if not tendons.start <= i < tendons.stop:
         return DigitGoal()
     tension = np.zeros(tendons.stop - tendons.start)
-    tension[i - tendons.start] = PULL_N
+    tension[i - tendons.start] = PULL_TENSION_N
     return DigitGoal(GoalKind.TENSION, tension=tension, rate=20.0, force_limit=PULL_FORCE_LIMIT_N)
 
 
 def _known_tensions(
-    model: HandModel, measured: TickMeasurements, estimate: Estimate | None = None
+    model: HandModel, measured: TickMeasurements, estimate: HandEstimate | None = None
 ) -> Vector:
     """Return the tensions (N,) of a tick [N]: readings of load cells, and estimates of tendons without load cell.
 
@@ -414,26 +425,26 @@ def _hold_phase(model: HandModel, i: int) -> str:
     return f"hold {model.hand.digit_names[model.digit_of[i]]}"
 
 
-def _hold_goals(model: HandModel, i: int, more: Vector) -> tuple[DigitGoal, ...]:
+def _hold_goals(model: HandModel, i: int, extra_tension: Vector) -> tuple[DigitGoal, ...]:
     """Return goals that press the digit of tendon i on its lower limits. All other digits are without torque.
 
     Args:
         model: model of the hand.
         i: index of the tendon.
-        more: (N,) additional tension [N].
+        extra_tension: (N,) additional tension [N].
     """
     held = model.digit_of[i]
     digit = model.digits[held]
     tendons = model.digit_tendons[held]
-    arms = digit.at(digit.joint_min).reduced_moment_arms
+    arms = digit.at_angles(digit.joint_min).reduced_moment_arms
     # A further pull must not lift the digit off its limits. The torque of a pull is at most that
     # with the largest closing moment arm.
-    press = PRESS_FACTOR * PULL_N * np.maximum(arms, 0.0).max(axis=0)
+    press = PRESS_FACTOR * PULL_TENSION_N * np.maximum(arms, 0.0).max(axis=0)
     torque = digit.coupling.T @ np.asarray(static_torque(digit, digit.joint_min)) - press
     tension = tensions_for_torque(arms, torque, model.floor[tendons], model.ceiling[tendons])[0]
     limit = float(np.abs(tension).max()) + PULL_FORCE_LIMIT_N
     goal = DigitGoal(
-        GoalKind.TENSION, tension=tension + more[tendons], rate=20.0, force_limit=limit
+        GoalKind.TENSION, tension=tension + extra_tension[tendons], rate=20.0, force_limit=limit
     )
     return tuple(goal if d == held else DigitGoal() for d in range(len(model.digits)))
 

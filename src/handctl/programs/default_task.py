@@ -5,17 +5,17 @@ from typing import Any
 
 import numpy as np
 
-from handctl.core.estimation.tip import reduced_tip_lever
+from handctl.core.estimation.tip_force import reduced_tip_lever
 from handctl.document import validate_content
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array, DigitModel
 from handctl.hand.file.error_text import shortened_list
 from handctl.hand.file.new_file import CLEARANCE_MM, OBJECT_DIAMETER_RATIO, SMALLEST_OBJECT_MM
 from handctl.hand.file.toml_text import toml_text
+from handctl.hand.hand_loading import parse_toml
+from handctl.hand.hand_tree import HandTree
 from handctl.hand.kinematics import link_rotations
-from handctl.hand.load import parse_toml
 from handctl.hand.readiness import coordinate_range_deg
-from handctl.hand.tree import HandTree
 from handctl.programs.task import Task
 
 CLOSED_FRACTION = 0.85
@@ -27,20 +27,20 @@ LARGEST_CLOSED_DEG = 120.0
 """Largest angle of a closed coordinate [deg]."""
 HOLD_FRACTION = 0.3
 """Tension of a hold divided by ``tension_max_N``, if as many digits close from one side as from the other."""
-LARGEST_HOLD = 0.7
+MAX_HOLD_FRACTION = 0.7
 """Largest tension of a hold divided by ``tension_max_N``."""
 MIN_BALANCE_FACTOR = 0.1
 """Smallest tension factor of a digit with which the forces on an object are balanced.
 
 If a balance requires a smaller factor, the forces of the hand are not balanced.
 """
-PRESS_N = 1.0
+PRESSING_FORCE_N = 1.0
 """Smallest force with which a hold presses at the tip of a half-closed digit, against its springs [N]."""
 CONTACT_FRACTION = 0.16
 """Tension of a digit in contact divided by ``tension_max_N``, in the time until all digits hold."""
-RELEASE_N = 6.0
+RELEASE_MARGIN_N = 6.0
 """Tension of a release above the highest ``tension_floor_N`` of the hand [N]."""
-OPENING_S = 1.2
+OPENING_DURATION_S = 1.2
 """Duration of the last phase, in which the hand opens [s].
 
 A joint that opens by 90 deg then moves at 140 deg/s at most.
@@ -106,10 +106,10 @@ def default_task(hand: Hand) -> tuple[Task, str]:
             {
                 "kind": "release",
                 "name": "release",
-                "tension_N": min(floor + RELEASE_N, largest),
+                "tension_N": min(floor + RELEASE_MARGIN_N, largest),
                 "rate_N_per_s": 60.0,
             },
-            {"kind": "move", "name": "open", "angle_deg": opened, "duration_s": OPENING_S},
+            {"kind": "move", "name": "open", "angle_deg": opened, "duration_s": OPENING_DURATION_S},
         ],
     }
     text = (
@@ -122,7 +122,7 @@ def default_task(hand: Hand) -> tuple[Task, str]:
 def _closed_angles_deg(hand: Hand, name: str) -> np.ndarray:
     """Return the angles of the coordinates of a closed digit (n_c,) [deg]."""
     _, high = coordinate_range_deg(hand.digit_named(name))
-    sideways = DigitModel.of(hand, name).sideways_coordinates
+    sideways = DigitModel.from_hand(hand, name).sideways_coordinates
     closed = np.where(sideways, 0.0, np.minimum(CLOSED_FRACTION * high, LARGEST_CLOSED_DEG))
     return np.asarray(np.round(closed, 1))
 
@@ -163,7 +163,7 @@ def _flexion_directions(hand: Hand) -> dict[str, Array]:
 
     It is the y axis of the last link at joint angles of 0.
     """
-    tree = HandTree.of(hand)
+    tree = HandTree.from_hand(hand)
     turned = link_rotations(tree.poses(np.zeros(len(hand.joints))))
     return {
         digit.name: turned[digit.joints][-1, :, 1]
@@ -187,15 +187,15 @@ def _hold_tensions(hand: Hand, name: str, share: float) -> float | list[float]:
     """
     if hand.is_pair[hand.digit_tendons[name]].any():
         largest = min(tendon.tension_max_N for tendon in hand.tendon[hand.digit_tendons[name]])
-        return round(min(HOLD_FRACTION * share, LARGEST_HOLD) * largest, 1)
+        return round(min(HOLD_FRACTION * share, MAX_HOLD_FRACTION) * largest, 1)
     pressing = _pressing_tension(hand, name)
-    arms = DigitModel.of(hand, name).reduced_moment_arms
+    arms = DigitModel.from_hand(hand, name).reduced_moment_arms
     rows = zip(hand.tendon[hand.digit_tendons[name]], arms.sum(axis=1), strict=True)
     return [
         round(
             min(
                 share * max(HOLD_FRACTION * tendon.tension_max_N, pressing),
-                LARGEST_HOLD * tendon.tension_max_N,
+                MAX_HOLD_FRACTION * tendon.tension_max_N,
             )
             if arm > 0.0
             else EXTENSOR_FACTOR * tendon.tension_floor_N,
@@ -206,15 +206,15 @@ def _hold_tensions(hand: Hand, name: str, share: float) -> float | list[float]:
 
 
 def _pressing_tension(hand: Hand, name: str) -> float:
-    """Return the tension of closing tendons that makes PRESS_N at the tip of a half-closed digit [N]."""
-    digit = DigitModel.of(hand, name)
+    """Return the tension of closing tendons that makes PRESSING_FORCE_N at the tip of a half-closed digit [N]."""
+    digit = DigitModel.from_hand(hand, name)
     half = np.radians(_closed_angles_deg(hand, name)) / 2
     q = digit.coupling @ half
     springs = digit.coupling.T @ (
         np.array(digit.spring_stiffness) * (q + np.array(digit.spring_preload))
     )
-    torque = springs + PRESS_N * reduced_tip_lever(digit, q)
-    arms = digit.at(q).reduced_moment_arms
+    torque = springs + PRESSING_FORCE_N * reduced_tip_lever(digit, q)
+    arms = digit.at_angles(q).reduced_moment_arms
     closing = arms[arms.sum(axis=1) > 0.0].sum(axis=0)
     # A coordinate that keeps its angle, or that no tendon closes, does not determine a tension.
     flexes = (half > 0.0) & (closing > 0.0)
@@ -232,11 +232,11 @@ def grasp_warnings(hand: Hand) -> tuple[str, ...]:
         )
     for name in opposed:
         tendons = hand.tendon[hand.digit_tendons[name]]
-        allowed = LARGEST_HOLD * min(tendon.tension_max_N for tendon in tendons)
+        allowed = MAX_HOLD_FRACTION * min(tendon.tension_max_N for tendon in tendons)
         if (tension := _pressing_tension(hand, name)) > allowed:
             warnings.append(
-                f"{name}: pressing with {PRESS_N:g} N at its tip takes {tension:.0f} N of tension, and a hold allows "
-                f"{allowed:.0f} N; raise tension_max_N or moment_arm_m, or lower the springs"
+                f"{name}: pressing with {PRESSING_FORCE_N:g} N at its tip takes {tension:.0f} N of tension, "
+                f"and a hold allows {allowed:.0f} N; raise tension_max_N or moment_arm_m, or lower the springs"
             )
     return tuple(warnings)
 
@@ -267,7 +267,7 @@ def default_scene(hand: Hand) -> str:
 
 def _largest_object(hand: Hand, ball: bool) -> float:
     """Return the diameter of the largest cylinder or ball between the open digits [m]."""
-    tree = HandTree.of(hand)
+    tree = HandTree.from_hand(hand)
     q = np.concatenate([np.maximum(digit.joint_min, 0.0) for digit in tree.digits])
     largest = 1.0
     along = np.linspace(0.0, 1.0, LINK_SAMPLES)[:, None]

@@ -3,11 +3,11 @@
 import math
 from dataclasses import dataclass, replace
 
-from handctl.core.estimate import Estimate, TickMeasurements
-from handctl.core.law.goal import DigitGoal
-from handctl.core.model import HandModel
-from handctl.core.types import TickEvent
-from handctl.programs.live import LiveProgram
+from handctl.core.control_law.digit_goal import DigitGoal
+from handctl.core.hand_estimate import HandEstimate, TickMeasurements
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import TickEvent
+from handctl.programs.live_session import LiveProgram
 from handctl.programs.program import (
     ProgramProgress,
     ProgressAndEvents,
@@ -16,20 +16,20 @@ from handctl.programs.program import (
     tension_goal,
 )
 
-REST_S = 0.15
+REST_DURATION_S = 0.15
 """Time at the end of every move, in which the digit may still oscillate [s]."""
 HOME_ANGLE_RAD = math.radians(5.0)
 """Angle between the open stop and the first position of a move [rad].
 
 On the stop, the position error of a digit would be too small for the comparison.
 """
-GENTLE_CLOSE_N = 7.0
+GENTLE_CLOSE_TENSION_N = 7.0
 """Net tension with which spool pairs close their digits [N].
 
 From 8 N on, a freely closing digit of spool pairs without load cells looks like a torn tendon
 (fault T01). Its spool winds fast, and its estimated tension is small.
 """
-GENTLE_CLOSE_S = 2.0
+GENTLE_CLOSE_DURATION_S = 2.0
 """Time in which spool pairs close their digits [s]."""
 
 
@@ -50,7 +50,7 @@ class ExerciseStage:
     duration: float
     angle: float = math.nan
     tension: float = 0.0
-    rest: float = REST_S
+    rest: float = REST_DURATION_S
 
 
 def exercise_stages(amplitude: float = 1.0, fastest_s: float = 0.25) -> tuple[ExerciseStage, ...]:
@@ -63,7 +63,7 @@ def exercise_stages(amplitude: float = 1.0, fastest_s: float = 0.25) -> tuple[Ex
     target = HOME_ANGLE_RAD + amplitude * math.radians(30.0)
     hold = 30.0 + 25.0 * amplitude
     moves = [
-        ExerciseStage("move", duration + REST_S, angle)
+        ExerciseStage("move", duration + REST_DURATION_S, angle)
         for duration in (0.6, fastest_s)
         for angle in (target, HOME_ANGLE_RAD)
     ]
@@ -94,22 +94,22 @@ class ExerciseProgram:
         """Return all stages for a hand. Digits of spool pairs first close gently."""
         if not model.is_pair.any():
             return self.stages
-        gentle = ExerciseStage("close", GENTLE_CLOSE_S, tension=GENTLE_CLOSE_N)
+        gentle = ExerciseStage("close", GENTLE_CLOSE_DURATION_S, tension=GENTLE_CLOSE_TENSION_N)
         return tuple(
             part
             for stage in self.stages
             for part in ((gentle, stage) if stage.name == "close" else (stage,))
         )
 
-    def initial(self, model: HandModel) -> ProgramProgress:
+    def initial_progress(self, model: HandModel) -> ProgramProgress:
         """Return the progress until the hand is armed: no torque."""
-        return LiveProgram().initial(model)
+        return LiveProgram().initial_progress(model)
 
     def advance(
         self,
         model: HandModel,
         progress: ProgramProgress,
-        estimate: Estimate,
+        estimate: HandEstimate,
         measured: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
@@ -117,7 +117,7 @@ class ExerciseProgram:
         if progress.phase in ("start", "tighten"):
             progress, events = LiveProgram().advance(model, progress, estimate, measured, t)
             return (
-                self._enter(model, progress, estimate, 0, t)
+                self._enter_stage(model, progress, estimate, 0, t)
                 if progress.phase == "live"
                 else (progress, events)
             )
@@ -128,25 +128,30 @@ class ExerciseProgram:
             return replace(progress, finished=True, phase="end"), (
                 TickEvent("info", "phase", "", "exercise complete"),
             )
-        return self._enter(model, progress, estimate, progress.step + 1, t)
+        return self._enter_stage(model, progress, estimate, progress.step + 1, t)
 
-    def _enter(
-        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, step: int, t: float
+    def _enter_stage(
+        self,
+        model: HandModel,
+        progress: ProgramProgress,
+        estimate: HandEstimate,
+        stage_index: int,
+        t: float,
     ) -> ProgressAndEvents:
         """Enter a stage of the exercise."""
         parts = self.stages_of(model)
-        stage = parts[step]
+        stage = parts[stage_index]
         goals = tuple(_digit_goal(model, d, stage, estimate, t) for d in range(len(model.digits)))
-        event = TickEvent("info", "phase", "", f"{stage.name} {step + 1} of {len(parts)}")
+        event = TickEvent("info", "phase", "", f"{stage.name} {stage_index + 1} of {len(parts)}")
         # In `hold` every digit rests on its closed stop.
         blocked = (stage.name == "hold",) * len(goals)
         return replace(
-            progress, step=step, since=t, phase=stage.name, goals=goals, contact=blocked
+            progress, step=stage_index, since=t, phase=stage.name, goals=goals, contact=blocked
         ), (event,)
 
 
 def _digit_goal(
-    model: HandModel, d: int, stage: ExerciseStage, estimate: Estimate, t: float
+    model: HandModel, d: int, stage: ExerciseStage, estimate: HandEstimate, t: float
 ) -> DigitGoal:
     """Return the goal of digit d in a stage."""
     if not math.isnan(stage.angle):

@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handctl.core.estimate import Estimate
-from handctl.core.law.goal import DigitGoal, GoalKind
-from handctl.core.model import HandModel
-from handctl.core.types import TickEvent, Vector
+from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
+from handctl.core.hand_estimate import HandEstimate
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import TickEvent, Vector
 
 SLIP_EXCURSION_M = 20e-6
 """Excursion difference that counts as slip [m].
@@ -55,8 +55,8 @@ class GripState(NamedTuple):
     limited: bool = False
 
     @staticmethod
-    def of(
-        model: HandModel, goals: tuple[DigitGoal, ...], estimate: Estimate, t: float
+    def at_hold_start(
+        model: HandModel, goals: tuple[DigitGoal, ...], estimate: HandEstimate, t: float
     ) -> "GripState":
         """Return the grip at the beginning of a hold, for goals that have just been set."""
         tension = np.full(model.tendon_count, np.nan)
@@ -86,7 +86,7 @@ class GripPlan:
     limit: Vector
 
 
-def grip_excursions(model: HandModel, estimate: Estimate) -> Vector:
+def grip_excursions(model: HandModel, estimate: HandEstimate) -> Vector:
     """Return the excursions (N,) up to a constant [m]: the length wound on the spool less the stretch of the tendon."""
     return np.asarray(estimate.travel - estimate.tension / model.space.stiffness)
 
@@ -96,7 +96,7 @@ def advance_grip(
     grip: GripState,
     plan: GripPlan,
     goals: tuple[DigitGoal, ...],
-    estimate: Estimate,
+    estimate: HandEstimate,
     t: float,
 ) -> tuple[GripState, tuple[DigitGoal, ...], tuple[TickEvent, ...]]:
     """Advance a grip by one tick.
@@ -117,7 +117,7 @@ def advance_grip(
     settled = not math.isnan(grip.anchor[0])
     if judged and not settled:
         # The first tick after the settling determines the position of a stiff grip.
-        grip = grip._replace(anchor=estimate.grip.copy())
+        grip = grip._replace(anchor=estimate.grip_travel.copy())
     if judged:
         # A tendon that opens its digit pays out while the digit closes.
         opening = np.where(

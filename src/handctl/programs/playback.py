@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from handctl.core.estimate import Estimate, TickMeasurements
-from handctl.core.law.goal import DigitGoal, GoalKind
-from handctl.core.law.trajectory import MinimumJerk, SampledTrajectory
-from handctl.core.model import HandModel
-from handctl.core.types import TickEvent, Vector
-from handctl.programs.live import LiveProgram
+from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
+from handctl.core.control_law.trajectory import MinimumJerk, SampledTrajectory
+from handctl.core.hand_estimate import HandEstimate, TickMeasurements
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import TickEvent, Vector
+from handctl.programs.live_session import LiveProgram
 from handctl.programs.program import ProgramProgress, ProgressAndEvents, coordinates_by_excursion
 
 APPROACH_S = 2.0
@@ -40,14 +40,14 @@ class RecordedGoals:
     ddq: Vector
     tension: Vector
 
-    def text(self) -> str:
-        """Return the recording as text, from which ``read`` returns the same numbers to the last bit."""
+    def to_text(self) -> str:
+        """Return the recording as text, from which ``from_text`` returns the same numbers to the last bit."""
         table = np.hstack([self.q, self.dq, self.ddq, self.tension])
         # Little-endian float64, so that the text is the same on every machine.
         return base64.b64encode(table.astype("<f8").tobytes()).decode()
 
     @staticmethod
-    def read(text: str, joints: int, tendons: int) -> "RecordedGoals":
+    def from_text(text: str, joints: int, tendons: int) -> "RecordedGoals":
         """Read the text of a recording.
 
         Raises:
@@ -74,15 +74,15 @@ class PlaybackProgram:
     recording: RecordedGoals
     raw: bool = False
 
-    def initial(self, model: HandModel) -> ProgramProgress:
+    def initial_progress(self, model: HandModel) -> ProgramProgress:
         """Return the progress until the hand is armed: no torque."""
-        return LiveProgram().initial(model)
+        return LiveProgram().initial_progress(model)
 
     def advance(
         self,
         model: HandModel,
         progress: ProgramProgress,
-        estimate: Estimate,
+        estimate: HandEstimate,
         measured: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
@@ -92,7 +92,7 @@ class PlaybackProgram:
         if progress.phase in ("start", "tighten"):
             progress, events = LiveProgram().advance(model, progress, estimate, measured, t)
             return (
-                (self._approach(model, progress, estimate, t))
+                (self._start_approach(model, progress, estimate, t))
                 if progress.phase == "live"
                 else (progress, events)
             )
@@ -100,15 +100,17 @@ class PlaybackProgram:
             return progress, ()
         if progress.phase == "approach":
             progress = replace(progress, phase="playback", since=t, step=0)
-            return self._follow(model, progress), (TickEvent("info", "phase", "", "playback"),)
+            return self._follow_recording(model, progress), (
+                TickEvent("info", "phase", "", "playback"),
+            )
         if progress.step + 1 >= len(self.recording.q):
             return replace(progress, finished=True, phase="end"), (
                 TickEvent("info", "phase", "", "recording complete"),
             )
-        return self._follow(model, replace(progress, step=progress.step + 1)), ()
+        return self._follow_recording(model, replace(progress, step=progress.step + 1)), ()
 
-    def _approach(
-        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, t: float
+    def _start_approach(
+        self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate, t: float
     ) -> ProgressAndEvents:
         """Start the slow move to the first pose of the recording."""
         goals = []
@@ -127,7 +129,7 @@ class PlaybackProgram:
         progress = replace(progress, goals=tuple(goals), phase="approach", since=t)
         return progress, (TickEvent("info", "phase", "", "approach: slowly to the first pose"),)
 
-    def _follow(self, model: HandModel, progress: ProgramProgress) -> ProgramProgress:
+    def _follow_recording(self, model: HandModel, progress: ProgramProgress) -> ProgramProgress:
         """Set the goals of the present row of the recording."""
         i = progress.step
         rows = self.recording

@@ -5,12 +5,12 @@ from typing import Protocol
 
 import numpy as np
 
-from handctl.core.estimate import Estimate, TickMeasurements
-from handctl.core.estimation.tip import joint_lever
-from handctl.core.law.goal import DigitGoal, GoalKind
-from handctl.core.law.trajectory import MinimumJerk
-from handctl.core.model import HandModel
-from handctl.core.types import TickEvent, Vector
+from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
+from handctl.core.control_law.trajectory import MinimumJerk
+from handctl.core.estimation.tip_force import joint_lever
+from handctl.core.hand_estimate import HandEstimate, TickMeasurements
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import TickEvent, Vector
 from handctl.hand.dynamics import DigitModel
 from handctl.programs.grip import GripState
 from handctl.programs.task import Task
@@ -66,7 +66,7 @@ ProgressAndEvents = tuple[ProgramProgress, tuple[TickEvent, ...]]
 class Program(Protocol):
     """Interface of a program. A program is immutable, and all changes are in its `ProgramProgress`."""
 
-    def initial(self, model: HandModel) -> ProgramProgress:
+    def initial_progress(self, model: HandModel) -> ProgramProgress:
         """Return the progress before the hand is armed."""
         ...
 
@@ -74,7 +74,7 @@ class Program(Protocol):
         self,
         model: HandModel,
         progress: ProgramProgress,
-        estimate: Estimate,
+        estimate: HandEstimate,
         measured: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
@@ -103,7 +103,7 @@ TIGHTEN_MARGIN_N = 1.5
 
 The margin is too small to move a finger against the springs.
 """
-TIGHTEN_S = 0.3
+TAUT_DURATION_S = 0.3
 """Time for which all tendons must be taut before the hand is ready [s]."""
 TIGHTEN_TIMEOUT_S = 4.0
 """Longest time that taking up the slack may last [s]."""
@@ -129,7 +129,7 @@ def _tightening_tension(model: HandModel, tendons: slice) -> Vector:
 
 
 def pull_tensions(
-    model: HandModel, d: int, tension: float | tuple[float, ...], estimate: Estimate
+    model: HandModel, d: int, tension: float | tuple[float, ...], estimate: HandEstimate
 ) -> Vector:
     """Return tensions (n_t,) of digit d under tension control [N].
 
@@ -150,7 +150,7 @@ def pull_tensions(
 
 
 def tension_goal(
-    model: HandModel, d: int, tension: Vector, rate: float, estimate: Estimate
+    model: HandModel, d: int, tension: Vector, rate: float, estimate: HandEstimate
 ) -> DigitGoal:
     """Return the goal of digit d to approach tensions (n_t,) [N] at a rate [N/s].
 
@@ -160,7 +160,7 @@ def tension_goal(
         return DigitGoal(GoalKind.TENSION, tension=tension, rate=rate)
     here = coordinates_by_excursion(model.digits[d], estimate)
     return DigitGoal(
-        GoalKind.TENSION, MinimumJerk(here, here, HOLD_STILL_S), tension=tension, rate=rate
+        GoalKind.TENSION, MinimumJerk(here, here, HOLD_STILL_DURATION_S), tension=tension, rate=rate
     )
 
 
@@ -174,20 +174,20 @@ def released_tensions(model: HandModel, d: int, tension: float) -> Vector:
     return balance if balance.all() else np.where(model.is_pair[tendons], 0.0, tension)
 
 
-HOLD_STILL_S = 1.0
+HOLD_STILL_DURATION_S = 1.0
 """Duration of the trajectory that holds sideways joints where they are [s].
 
 Any duration is possible, because these joints do not move.
 """
 
 
-def slack_tendons(model: HandModel, estimate: Estimate) -> list[str]:
+def slack_tendons(model: HandModel, estimate: HandEstimate) -> list[str]:
     """Return the names of the tendons that are slack, or whose tension is below half of the floor."""
-    taut = ~np.asarray(estimate.slack, dtype=bool) & (estimate.tension > 0.5 * model.floor)
+    taut = ~np.asarray(estimate.is_slack, dtype=bool) & (estimate.tension > 0.5 * model.floor)
     return [name for name, ok in zip(model.hand.tendon_names, taut, strict=True) if not ok]
 
 
-def coordinates_by_excursion(digit: DigitModel, estimate: Estimate) -> Vector:
+def coordinates_by_excursion(digit: DigitModel, estimate: HandEstimate) -> Vector:
     """Return the coordinates (n_c,) of a digit that follow from its excursions [rad].
 
     Contact may turn the joints further than the excursions show.
@@ -196,7 +196,7 @@ def coordinates_by_excursion(digit: DigitModel, estimate: Estimate) -> Vector:
 
 
 def motion_to(
-    digit: DigitModel, estimate: Estimate, angle: float | Vector, duration: float, t: float
+    digit: DigitModel, estimate: HandEstimate, angle: float | Vector, duration: float, t: float
 ) -> DigitGoal:
     """Return a goal that moves all coordinates of a digit to one angle, or each to its angle [rad], in a time [s]."""
     start = coordinates_by_excursion(digit, estimate)

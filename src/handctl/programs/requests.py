@@ -175,7 +175,7 @@ Request = (
 _ACCEPTED_PREFIX = "asked: "
 _REQUEST_ADAPTER: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="do")])
 
-LONGEST_LINE = 200
+MAX_REFUSAL_TEXT_LENGTH = 200
 """Largest length of a line with the reason for refusing a request [characters]."""
 REFUSED_PREFIX = "refused: "
 """Prefix of the event of a refused request."""
@@ -227,16 +227,18 @@ _TARGET_START = '{"do": "target", '
 """Start of the text of a target, for a quick test. Targets come hundreds of times a second."""
 
 
-def target_text(stream: str, number: int, sent_ns: int, values: Sequence[float]) -> str:
+def target_request_text(
+    stream: str, sequence_number: int, sent_ns: int, values: Sequence[float]
+) -> str:
     """Return a target as the text of a request, see ``StreamTarget``.
 
     Values are written to the last bit.
     """
     listed = json.dumps(list(values))
-    return f'{_TARGET_START}"stream": "{stream}", "n": {number}, "sent_ns": {sent_ns}, "values": {listed}}}'
+    return f'{_TARGET_START}"stream": "{stream}", "n": {sequence_number}, "sent_ns": {sent_ns}, "values": {listed}}}'
 
 
-def is_target(text: str) -> bool:
+def is_stream_target(text: str) -> bool:
     """Return True if a request is a target of a stream."""
     return text.startswith(_TARGET_START)
 
@@ -245,14 +247,14 @@ _ALIVE_START = '{"do": "alive", '
 """Start of the text of ``AliveRequest``."""
 
 
-def alive_text(client: str) -> str:
+def alive_request_text(client: str) -> str:
     """Return the text of the request that renews the lease of a client, see ``AliveRequest``."""
     return f'{_ALIVE_START}"client": "{client}"}}'
 
 
-def is_routine(text: str) -> bool:
+def is_routine_request(text: str) -> bool:
     """Return True if clients send a request many times in a run: a target, or a sign of life."""
-    return is_target(text) or text.startswith(_ALIVE_START)
+    return is_stream_target(text) or text.startswith(_ALIVE_START)
 
 
 def parse_target(text: str) -> StreamTarget | None:
@@ -278,4 +280,6 @@ def parse_request(text: str) -> Request | str:
         first = error.errors(include_url=False)[0]
         where = ".".join(str(part) for part in first["loc"])
         line = f"request {where}: {first['msg']}" if where else f"request: {first['msg']}"
-        return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line[:LONGEST_LINE])
+        return "".join(
+            c if c.isprintable() else ascii(c)[1:-1] for c in line[:MAX_REFUSAL_TEXT_LENGTH]
+        )

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeVar
 import numpy as np
 from pydantic import Field, model_validator
 
-from handctl.core.law.trajectory import CurveTrajectory
-from handctl.core.types import Vector
+from handctl.core.control_law.trajectory import CurveTrajectory
+from handctl.core.tick_types import Vector
 from handctl.document import Document, load_document, validate_content
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.load import read_toml
+from handctl.hand.hand_loading import read_toml
 
 if (
     TYPE_CHECKING
@@ -101,7 +101,7 @@ class HoldPhase(Document):
     duration_s: DurationS = 3.0
 
     @model_validator(mode="after")
-    def _one_of(self) -> "HoldPhase":
+    def _require_one_target(self) -> "HoldPhase":
         if (self.tension_N is None) == (self.tip_force_N is None):
             raise ValueError("give either tension_N or tip_force_N")
         return self
@@ -139,7 +139,7 @@ class FollowPhase(Document):
     """
 
     @model_validator(mode="after")
-    def _rising(self) -> "FollowPhase":
+    def _require_rising_times(self) -> "FollowPhase":
         if self.time_s[0] != 0.0 or any(b <= a for a, b in pairwise(self.time_s)):
             raise ValueError("time_s must rise from 0")
         for digit, angles in self.angle_deg.items():
@@ -156,24 +156,24 @@ class FollowPhase(Document):
         return self
 
 
-def _peak_speed(times: tuple[float, ...], angles: tuple[float, ...]) -> float:
+def _peak_speed(times_s: tuple[float, ...], angles: tuple[float, ...]) -> float:
     """Return the largest speed of a curve [rad/s], inf or NaN if its times are too close together."""
     with np.errstate(all="ignore"):
         try:
-            return curve_through(times, angles).peak_speed()
+            return curve_through(times_s, angles).peak_speed()
         # scipy raises ValueError for slopes that are not finite.
         except ValueError:
             return math.inf
 
 
 @functools.lru_cache(maxsize=32)
-def curve_through(times: tuple[float, ...], angles: tuple[float, ...]) -> CurveTrajectory:
+def curve_through(times_s: tuple[float, ...], angles: tuple[float, ...]) -> CurveTrajectory:
     """Return the curve of one coordinate through angles [rad] at times [s].
 
     The check of a task computes the curves of its digits, up to 1 ms each. The phase begins in a
     later tick, and takes the curves from the cache.
     """
-    return CurveTrajectory.through(times, angles, 1)
+    return CurveTrajectory.through_points(times_s, angles, 1)
 
 
 TaskPhase = Annotated[
@@ -193,7 +193,7 @@ class Task(Document):
     phase: tuple[TaskPhase, ...] = Field(min_length=1)
 
     @model_validator(mode="after")
-    def _named(self) -> "Task":
+    def _require_distinct_names(self) -> "Task":
         for phase in self.phase:
             if phase.name in RESERVED_NAMES:
                 raise ValueError(f"a phase must not be named {' or '.join(RESERVED_NAMES)}")
@@ -364,17 +364,19 @@ def joint_values(value: float | Mapping[str, Value], digit: "DigitModel") -> dic
 
 
 def end_angles(
-    value: float | dict[str, DigitAnglesDeg], digit: "DigitModel", now: Vector
+    value: float | dict[str, DigitAnglesDeg], digit: "DigitModel", present_angles: Vector
 ) -> DigitAnglesDeg | Vector | None:
     """Return the coordinates of a digit at the end of a phase [deg], None if the phase gives the digit no angle.
 
     Args:
         value: angles of the phase, by digit or joint [deg].
         digit: model of the digit.
-        now: (n_c,) coordinates at the beginning [deg]. Joints without an angle keep their present
+        present_angles: (n_c,) coordinates at the beginning [deg]. Joints without an angle keep their present
             angles.
     """
     given = joint_values(value, digit)
     if not given:
         return value_for_digit(value, digit.name)
-    return digit.with_joint_angles({j: float(np.mean(angle)) for j, angle in given.items()}, now)
+    return digit.with_joint_angles(
+        {j: float(np.mean(angle)) for j, angle in given.items()}, present_angles
+    )

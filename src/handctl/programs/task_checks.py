@@ -5,8 +5,8 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from handctl.core.law.trajectory import duration_for
-from handctl.core.types import Vector
+from handctl.core.control_law.trajectory import minimum_jerk_duration
+from handctl.core.tick_types import Vector
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
@@ -57,7 +57,7 @@ def check_task_for_hand(
     )
     check_tip_force(task, hand, where)
     check_slip_limit(task, hand, where)
-    digits = digits or DigitModel.all_of(hand)
+    digits = digits or DigitModel.all_from_hand(hand)
     check_joint_range(task, hand, where, digits)
     check_speed(task, digits, where)
 
@@ -88,7 +88,8 @@ def check_speed(task: Task, models: Sequence[DigitModel], where: str) -> None:
             if isinstance(phase, MovePhase):
                 travel = float(np.maximum(np.abs(from_low - low), np.abs(high - from_high)).max())
                 min_duration = (
-                    math.ceil(100.0 * duration_for(travel, FOLLOW_SPEED_DEG_S, 0.0)) / 100.0
+                    math.ceil(100.0 * minimum_jerk_duration(travel, FOLLOW_SPEED_DEG_S, 0.0))
+                    / 100.0
                 )
                 if phase.duration_s < min_duration:
                     distance = (
@@ -107,16 +108,25 @@ def check_speed(task: Task, models: Sequence[DigitModel], where: str) -> None:
             spans[digit] = ends
 
 
-def _coordinates_after(phase: TaskPhase, digit: DigitModel, now: Vector) -> Vector | None:
-    """Return the coordinates of a digit after a phase that begins at ``now`` [deg], None if the digit does not move."""
+def _coordinates_after(
+    phase: TaskPhase, digit: DigitModel, present_angles: Vector
+) -> Vector | None:
+    """Return the coordinates of a digit after a phase that begins at ``present_angles`` [deg].
+
+    Return None if the digit does not move.
+    """
     if isinstance(phase, FollowPhase):
         last = {name: angles[-1] for name, angles in phase.angle_deg.items()}
-        given = end_angles(last, digit, now)  # type: ignore[arg-type]  # a dict of numbers
+        given = end_angles(last, digit, present_angles)  # type: ignore[arg-type]  # a dict of numbers
     elif isinstance(phase, MovePhase | ClosePhase):
-        given = end_angles(phase.angle_deg, digit, now)
+        given = end_angles(phase.angle_deg, digit, present_angles)
     else:
         return None
-    return None if given is None else np.broadcast_to(np.array(given, dtype=float), now.shape)
+    return (
+        None
+        if given is None
+        else np.broadcast_to(np.array(given, dtype=float), present_angles.shape)
+    )
 
 
 COUPLING_TOLERANCE_DEG = 0.5
@@ -158,7 +168,10 @@ def check_joint_range(task: Task, hand: Hand, where: str, digits: Sequence[Digit
 
 
 def _check_joints(
-    phase: MovePhase | ClosePhase | FollowPhase, digit: DigitModel, described: Digit, place: str
+    phase: MovePhase | ClosePhase | FollowPhase,
+    digit: DigitModel,
+    described: Digit,
+    phase_path: str,
 ) -> None:
     """Check that joint angles are within their limits, and that coupled joints can have these angles together."""
     given = joint_values(phase.angle_deg, digit)
@@ -175,7 +188,7 @@ def _check_joints(
             if not low[j] - ROUNDING_DEG <= angle <= high[j] + ROUNDING_DEG:
                 raise ConfigError(
                     f"{angle:g} deg for {digit.joint_names[j]}",
-                    place,
+                    phase_path,
                     f"{low[j]:g} to {high[j]:g} deg",
                 )
         end = digit.with_joint_angles(
@@ -184,7 +197,7 @@ def _check_joints(
         if np.abs((digit.coupling @ end)[list(given)] - row).max() > COUPLING_TOLERANCE_DEG:
             names = ", ".join(digit.joint_names[j] for j in given)
             raise ConfigError(
-                f"{names} are coupled", place, f"{digit.name}, one angle for all of them"
+                f"{names} are coupled", phase_path, f"{digit.name}, one angle for all of them"
             )
 
 

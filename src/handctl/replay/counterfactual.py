@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.types import TickIn, TickOut
+from handctl.core.tick_types import TickIn, TickOut
 from handctl.log.read.reader import RunLog
 from handctl.output import save_figure
 from handctl.replay.compare import rms_and_peak

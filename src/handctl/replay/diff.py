@@ -2,13 +2,13 @@
 
 from typing import Any, NamedTuple
 
-from handctl.core.types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.errors import IncomparableError
 from handctl.log.read.reader import RunLog
 from handctl.log.read.timeline import check_order
 from handctl.replay.compare import check_same_hand, compare_runs
 
-PASSIVE_PHASES = frozenset(mode.name.lower() for mode in Mode if mode != Mode.RELAX)
+PASSIVE_PHASES = frozenset(mode.name.lower() for mode in HandMode if mode != HandMode.RELAX)
 """Names of the phases in which the hand's tendons have no tension.
 
 The comparison of two runs compares only the durations of these phases.

@@ -98,7 +98,9 @@ def execute_log(
         if workers > 1 and not gains and not observer:
             tally = run_parallel(runner, workers, progress or _ignore_progress)
         else:
-            _, tally = runner.run(0, len(log), runner.controller.initial(), observer, add_progress)
+            _, tally = runner.run(
+                0, len(log), runner.controller.initial_state(), observer, add_progress
+            )
     wall = time.perf_counter() - start
     cpu = _cpu_seconds() - cpu_start
     length = float(log.times[-1]) if len(log) else 0.0

@@ -10,11 +10,11 @@ from itertools import islice
 
 import numpy as np
 
-from handctl.controller.snapshot import restore_state
-from handctl.controller.state import State
+from handctl.controller.controller_state import ControllerState
+from handctl.controller.state_snapshot import restore_state
 from handctl.controller.tick import Controller
 from handctl.core.gains.gains import Gains
-from handctl.core.types import TickIn, TickOut
+from handctl.core.tick_types import TickIn, TickOut
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
 from handctl.log.record import TickRecord
@@ -126,10 +126,10 @@ class LogRunner:
         self,
         start: int,
         stop: int,
-        state: State,
+        state: ControllerState,
         observer: TickObserver | None,
         progress: ProgressCallback | None,
-    ) -> tuple[State, DifferenceTally]:
+    ) -> tuple[ControllerState, DifferenceTally]:
         """Execute the controller on a part of the log.
 
         Args:
@@ -176,7 +176,9 @@ class LogRunner:
         both = zip(self.log.ticks(chunks), self.log.packed(chunks), strict=True)
         return islice(both, start - int(firsts[chunk]), stop - int(firsts[chunk]))
 
-    def _state_difference(self, logged: TickRecord, state: State) -> TickDifference | None:
+    def _state_difference(
+        self, logged: TickRecord, state: ControllerState
+    ) -> TickDifference | None:
         """Compare the controller's state after a tick with the snapshot in the log, and return the first difference."""
         try:
             was = restore_state(self.controller.layout, self.snapshots[logged.tick_in.k])

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
 from handctl.log.read.timeline import check_order
@@ -37,7 +37,7 @@ def active_interval(log: RunLog) -> tuple[float, float]:
         end = changes[i + 1].k if i + 1 < len(changes) else int(log.k[-1]) + 1
         if change.name in PREPARATION_PHASES:
             preparing |= (log.k >= change.k) & (log.k < end)
-    active = (log.mode == int(Mode.ACTIVE)) & ~preparing
+    active = (log.mode == int(HandMode.ACTIVE)) & ~preparing
     at = np.flatnonzero(active & ~np.isnan(log.field("tension_goal")).any(axis=1))
     if len(at) < 2:
         reason = (
@@ -147,7 +147,7 @@ def driven_duration(before: RunLog, after: RunLog) -> float:
     replay_start = _playback_start(after)
     if replay_start is None:
         return 0.0
-    active = after.times[after.mode == int(Mode.ACTIVE)]
+    active = after.times[after.mode == int(HandMode.ACTIVE)]
     return min(end - start, max(0.0, float(active[-1]) - replay_start)) if len(active) else 0.0
 
 

@@ -13,16 +13,21 @@ from typing import Annotated, NamedTuple
 from pydantic import Field
 
 from handctl.controller.tick import Controller
-from handctl.core.types import TickEvent
+from handctl.core.tick_types import TickEvent
 from handctl.document import Document, load_document
 from handctl.errors import ConfigError
 from handctl.log.read.reader import RunLog
 from handctl.replay.execute import gc_disabled
 from handctl.replay.log_runner import TICKS_PER_PROGRESS_REPORT, refusal_error
 from handctl.replay.rebuild import rebuild_controller
-from handctl.safety.action import Action
+from handctl.safety.action import SafetyAction
 from handctl.safety.faults.table import FAULT_BY_ID
-from handctl.safety.limits import MIN_SILENT_TICKS, MIN_STALLED_TICKS, SafetyLimits, ticks_for
+from handctl.safety.safety_limits import (
+    MIN_SILENT_TICKS,
+    MIN_STALLED_TICKS,
+    SafetyLimits,
+    ticks_for,
+)
 
 TensionLimit = Annotated[float, Field(gt=0, le=1000)]
 
@@ -146,8 +151,8 @@ def _judge_ticks(
 ) -> LimitsJudgement:
     """Judge each tick from the state that the run had, with the debounce counters and latches of the other limits."""
     other = replace(controller, other_limits=limits)
-    state = controller.initial()
-    shadow = other.initial()
+    state = controller.initial_state()
+    shadow = other.initial_state()
     stops: list[LimitStop] = []
     ticks = stopped = stopped_logged = 0
     for logged in log.ticks():
@@ -168,10 +173,10 @@ def _judge_ticks(
         ticks += 1
         if progress and ticks % TICKS_PER_PROGRESS_REPORT == 0:
             progress(ticks)
-        stopped += verdict.action >= Action.HOLD
-        stopped_logged += out.action >= Action.HOLD
+        stopped += verdict.action >= SafetyAction.HOLD
+        stopped_logged += out.action >= SafetyAction.HOLD
         for event in verdict.events:
-            if event.name == "fault" and FAULT_BY_ID[_fault_id(event)].action >= Action.HOLD:
+            if event.name == "fault" and FAULT_BY_ID[_fault_id(event)].action >= SafetyAction.HOLD:
                 fault = FAULT_BY_ID[_fault_id(event)]
                 t_s = entry.t_ns / 1e9
                 # The text of a fault event ends with the reading in brackets.

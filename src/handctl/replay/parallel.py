@@ -19,8 +19,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.controller.snapshot import restore_state, snapshot_bytes
-from handctl.controller.state import State
+from handctl.controller.controller_state import ControllerState
+from handctl.controller.state_snapshot import restore_state, snapshot_bytes
 from handctl.errors import LogError
 from handctl.processes import run_in_copy
 from handctl.replay.log_runner import DifferenceTally, LogRunner
@@ -37,7 +37,7 @@ class LogPart(NamedTuple):
 
     start: int
     stop: int
-    state: State
+    state: ControllerState
 
 
 class WorkerProcess(NamedTuple):
@@ -134,7 +134,7 @@ def split_log(runner: LogRunner, workers: int) -> list[LogPart]:
     nearest = [
         min(usable, key=lambda start: abs(start - ticks * i / count)) for i in range(1, count)
     ]
-    starts = {0: runner.controller.initial()}
+    starts = {0: runner.controller.initial_state()}
     for start in nearest:
         state = _state_after(runner, start - 1)
         if state is not None:
@@ -143,7 +143,7 @@ def split_log(runner: LogRunner, workers: int) -> list[LogPart]:
     return [LogPart(start, stop, starts[start]) for start, stop in pairwise(ends)]
 
 
-def _state_after(runner: LogRunner, index: int) -> State | None:
+def _state_after(runner: LogRunner, index: int) -> ControllerState | None:
     """Return the controller's state in the snapshot after a tick.
 
     Returns:
@@ -177,7 +177,7 @@ def _result_json(runner: LogRunner, part: LogPart, count: Callable[[int], None])
 
 def _wait_for_result(
     runner: LogRunner, worker: WorkerProcess, counts: ProgressCounts
-) -> tuple[State, DifferenceTally] | None:
+) -> tuple[ControllerState, DifferenceTally] | None:
     """Wait for a worker process, and return the state and the tally at the end of the worker's part.
 
     Returns:

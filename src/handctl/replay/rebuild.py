@@ -5,7 +5,7 @@ from typing import TypeVar
 
 from pydantic import ValidationError
 
-from handctl.controller.setup import SETUP_ATTACHMENT, RunSetup
+from handctl.controller.run_setup import SETUP_ATTACHMENT, RunSetup
 from handctl.controller.tick import Controller
 from handctl.core.gains.gains import Gains
 from handctl.errors import ConfigError, LogError

@@ -6,11 +6,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.controller.state import Decisions, State
-from handctl.core.plain import plain_bytes
-from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS, TickEvent, TickOut
+from handctl.controller.controller_state import ControllerDecisions, ControllerState
+from handctl.core.plain_values import plain_bytes
+from handctl.core.tick_types import TELEMETRY_AXES, TELEMETRY_FIELDS, TickEvent, TickOut
 from handctl.drives.frame import Frame
-from handctl.drives.records import frames_as_records
+from handctl.drives.frame_records import frames_as_records
 from handctl.log.header import RunHeader
 from handctl.log.record import TickRecord
 
@@ -116,7 +116,7 @@ def differing_fields(
 
 
 def state_difference(
-    header: RunHeader, logged: TickRecord, was: State, now: State
+    header: RunHeader, logged: TickRecord, was: ControllerState, now: ControllerState
 ) -> TickDifference | None:
     """Return the first field that differs between two states of the controller, in the order of the state's schema.
 
@@ -136,7 +136,7 @@ def state_difference(
         name = names[element % len(names)] if names else f"[{element}]"
         return TickDifference(k, t_s, f"state {field}", name, old, new, distance_in_ulps(old, new))
     for field, old_part, new_part in zip(
-        Decisions._fields, was.decisions, now.decisions, strict=True
+        ControllerDecisions._fields, was.decisions, now.decisions, strict=True
     ):
         if plain_bytes(old_part) != plain_bytes(new_part):
             return TickDifference(k, t_s, f"state {field}", "", str(old_part), str(new_part))

@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from handctl.controller.setup import make_sensors
+from handctl.controller.run_setup import make_sensors
 from handctl.hand.description import Hand
 from handctl.log.read.reader import RunLog
 
@@ -61,4 +61,6 @@ def frame_counts(log: RunLog, hand: Hand) -> FrameCounts:
                 # An amplifier of load cells replies to a SYNC only after its set-up is complete.
                 sync_frames += not silent_ids
         refused += sum(event.number for event in tick.tick_in.io_events if event.kind == "enobufs")
-    return FrameCounts(late, refused + node.lost(sync_frames, fresh_frames, late), silent)
+    return FrameCounts(
+        late, refused + node.lost_frame_count(sync_frames, fresh_frames, late), silent
+    )

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.types import Mode
-from handctl.drives.frame import EXTENDED, FDF
+from handctl.core.tick_types import HandMode
+from handctl.drives.frame import EXTENDED_FLAG, FDF
 from handctl.drives.frame_time import frame_time_s
 from handctl.hand.description import Hand
+from handctl.hand.hand_tree import HandTree
 from handctl.hand.kinematics import link_rotations
-from handctl.hand.tree import HandTree
 from handctl.log.attached_meshes import attached_meshes
 from handctl.log.read.reader import RunLog
 from handctl.report.run_figure import DIGIT_COLOURS, PASSIVE_PHASES, digit_colours
@@ -48,7 +48,7 @@ def draw_poses(log: RunLog, hand: Hand) -> str:
     if not moments:
         return "<p>The hand acts in no phase of this run.</p>"
     figure, grid = _new_figure(min(len(moments), PER_ROW), 2.6, 2.9, -(-len(moments) // PER_ROW))
-    tree = HandTree.of(hand)
+    tree = HandTree.from_hand(hand)
     digits = tree.digits
     q = log.field("q")
     force = log.field("tip_force")
@@ -205,7 +205,7 @@ def _phase_middles(log: RunLog) -> list[tuple[str, int]]:
     inside = [
         (name, i) for name, i in middles if name not in PASSIVE_PHASES and i < len(log)
     ]  # the ticks may be unordered
-    return [(name, i) for name, i in inside if log.mode[i] == int(Mode.ACTIVE)][: 2 * PER_ROW]
+    return [(name, i) for name, i in inside if log.mode[i] == int(HandMode.ACTIVE)][: 2 * PER_ROW]
 
 
 def draw_lateness(log: RunLog) -> str:
@@ -251,7 +251,7 @@ def draw_bus_loads(log: RunLog, hand: Hand) -> tuple[str, Array]:
                 bus = hand.bus[frame.bus]
                 fd = bool(frame.flags & FDF)
                 size = len(frame.data)
-                extended = bool(frame.can_id & EXTENDED)
+                extended = bool(frame.can_id & EXTENDED_FLAG)
                 busy[i, frame.bus] += frame_time_s(
                     size, fd, bus.bitrate, bus.data_bitrate, extended
                 )

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.digit_colours import colour_numbers
 from handctl.hand.description import Hand
 from handctl.log.read.reader import RunLog
@@ -28,7 +28,7 @@ The colours above are for commands, the simulated plant and phase marks.
 """
 TENDON_OPACITIES = (1.0, 0.65, 0.4)
 """Opacity of the first, second and third tendon of a digit."""
-PASSIVE_PHASES = frozenset(mode.name.lower() for mode in Mode)
+PASSIVE_PHASES = frozenset(mode.name.lower() for mode in HandMode)
 """Names of the phases before and after the time in which the hand is active."""
 ROW_LABELS = ("mean joint angle [deg]", "tendon tension [N]", "contact force [N]")
 """Label of each row of the figure."""
@@ -96,7 +96,7 @@ def _add_titles_and_phases(grid: Any, late: list[Any], log: RunLog, hand: Hand) 
         axes.grid(alpha=0.3)
         axes.margins(x=0)
         axes.tick_params(labelsize=8)
-    acting = np.flatnonzero(np.isin(log.mode, (int(Mode.ACTIVE), int(Mode.RELAX))))
+    acting = np.flatnonzero(np.isin(log.mode, (int(HandMode.ACTIVE), int(HandMode.RELAX))))
     if len(acting):
         start = max(0.0, log.times[acting[0]] - 0.2)
         end = log.times[acting[-1]] + 0.1

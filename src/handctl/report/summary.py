@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.law.redundancy import tendon_directions
-from handctl.core.types import Mode
+from handctl.core.control_law.tendon_redundancy import tendon_directions
+from handctl.core.tick_types import HandMode
 from handctl.drives.frame_time import frame_time_s
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
@@ -45,7 +45,7 @@ def summarise_run(
     """
     truth = truth if truth and truth.covers(log.t_ns + offset_ns) else None
     late = log.late_ns / 1e3
-    active = np.isin(log.mode, (int(Mode.ACTIVE),))
+    active = np.isin(log.mode, (int(HandMode.ACTIVE),))
     result: dict[str, Any] = {
         "hand": hand.name,
         "ticks": len(log),
@@ -119,7 +119,7 @@ def mean_angles(hand: Hand, q: Array) -> Array:
     """
     columns = []
     for name in hand.digit_names:
-        digit = DigitModel.of(hand, name)
+        digit = DigitModel.from_hand(hand, name)
         weights = np.abs(digit.moment_arms).sum(axis=0)
         columns.append(q[:, digit.joints] @ weights / weights.sum())
     return np.column_stack(columns)
@@ -234,7 +234,7 @@ def _holding_mask(log: RunLog, hand: Hand) -> NDArray[np.bool_]:
         np.arange(len(slices)), [tendons.stop - tendons.start for tendons in slices]
     )
     side = [
-        tendon_directions(DigitModel.of(hand, name), hand.is_pair[hand.digit_tendons[name]])
+        tendon_directions(DigitModel.from_hand(hand, name), hand.is_pair[hand.digit_tendons[name]])
         for name in hand.digit_names
     ]
     return np.asarray((log.field("contact") > 0.0)[:, digit_of] & (np.concatenate(side) != 0.0))
@@ -341,7 +341,7 @@ def judge_angles(
 
 def angle_source(hand: Hand, name: str) -> str:
     """Return the source of the estimated joint angles of a digit: "excursion", "encoders" or "assumed"."""
-    digit = DigitModel.of(hand, name)
+    digit = DigitModel.from_hand(hand, name)
     # If a digit has as many independent tendons as joints, the tendon excursions determine its
     # joint angles.
     if np.linalg.matrix_rank(digit.moment_arms) == digit.joint_count:

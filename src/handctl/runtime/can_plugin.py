@@ -12,7 +12,7 @@ from typing import Any
 
 import can
 
-from handctl.drives.frame import ERROR, FDF, Frame
+from handctl.drives.frame import ERROR_FLAG, FDF, Frame
 from handctl.errors import BusError
 from handctl.runtime.buses.local import LocalBus
 from handctl.runtime.buses.pythoncan import frame_of_message, message_of_frame
@@ -97,7 +97,7 @@ class LocalCanBus(can.BusABC):
             raise can.CanOperationError("a CAN FD message on a bus that was opened without fd")
         frame = frame_of_message(msg, 0, time.time_ns())
         end = time.monotonic() + (math.inf if timeout is None else timeout)
-        while not self._link.send((frame._replace(can_id=frame.can_id & ~ERROR),)):
+        while not self._link.send((frame._replace(can_id=frame.can_id & ~ERROR_FLAG),)):
             self._raise_if_lost()
             left = end - time.monotonic()
             if left <= 0:

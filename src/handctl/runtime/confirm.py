@@ -13,7 +13,7 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from handctl.core.types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.errors import REMOVE_POWER, BusError, PowerError, UnconfirmedError
 from handctl.programs.requests import events_for_request
 from handctl.runtime.mailbox import RETRY_S, WATCH_REQUEST, StatusWatcher
@@ -146,7 +146,7 @@ def follow_until_off(watcher: StatusWatcher, word: str, line: StatusLine) -> Sta
     while True:
         if is_hand_off(line):
             return line
-        if line["mode"] == Mode.DONE.name:
+        if line["mode"] == HandMode.DONE.name:
             raise PowerError("; ".join(_mode_texts(line)), f"bus {watcher.name}")
         if line["t_s"] > start_s + OFF_TIMEOUT_S:
             raise UnconfirmedError(
@@ -167,7 +167,7 @@ def follow_until_off(watcher: StatusWatcher, word: str, line: StatusLine) -> Sta
 
 def is_hand_off(line: StatusLine) -> bool:
     """Return True if a status line reports the end of the run with every drive off."""
-    return bool(line["mode"] == Mode.DONE.name) and not any(
+    return bool(line["mode"] == HandMode.DONE.name) and not any(
         REMOVE_POWER in text for text in _mode_texts(line)
     )
 

@@ -7,10 +7,10 @@ be forever.
 
 from dataclasses import dataclass, field
 
-from handctl.core.types import Mode, TickIn, TickOut
+from handctl.core.tick_types import HandMode, TickIn, TickOut
 from handctl.errors import DriveError
 from handctl.runtime.mailbox import STOP_REQUEST
-from handctl.safety.action import Action
+from handctl.safety.action import SafetyAction
 
 MAX_HOLD_S = 5.0
 """Longest time for which a fault may hold the hand in such a run [s]."""
@@ -40,7 +40,7 @@ class HoldLimit:
         for event in out.events:
             if event.name == "fault":
                 self._fault = event.text
-        if out.mode != Mode.ACTIVE or out.action < Action.HOLD:
+        if out.mode != HandMode.ACTIVE or out.action < SafetyAction.HOLD:
             self._since_ns = -1
             return
         if self._since_ns < 0:

@@ -18,9 +18,9 @@ from dataclasses import dataclass, field
 from types import FrameType
 from typing import Generic, Protocol, TypeVar
 
-from handctl.core.types import IoEvent, Mode, TickIn, TickOut
+from handctl.core.tick_types import HandMode, IoEvent, TickIn, TickOut
 from handctl.drives.frame import Frame
-from handctl.drives.records import Frames, frames_as_records, join_frames
+from handctl.drives.frame_records import Frames, frames_as_records, join_frames
 from handctl.errors import REMOVE_POWER, PowerError
 from handctl.handlers import installed_handler
 from handctl.runtime.clocks.real import TickClock
@@ -30,8 +30,8 @@ S = TypeVar("S")
 T = TypeVar("T", covariant=True)
 
 
-class OpenTick(Protocol[T]):
-    """Interface of a begun tick, as used by the loop. See ``controller.tick.OpenTick``."""
+class TickInProgress(Protocol[T]):
+    """Interface of a begun tick, as used by the loop. See ``controller.tick.TickInProgress``."""
 
     def command(self, requests: tuple[str, ...]) -> Sequence[Frame]:
         """Apply the requests of operators and programs, and return the frames to send."""
@@ -178,7 +178,7 @@ class ControlLoop(Generic[S]):
     clock: TickClock
     period_ns: int
     buses: Sequence[LoopBus]
-    begin: Callable[[S, TickIn], OpenTick[S]]
+    begin: Callable[[S, TickIn], TickInProgress[S]]
     cut: Sequence[Frame]
     requests: Callable[[], tuple[str, ...]]
     host_events: Callable[[], list[IoEvent]]
@@ -298,8 +298,8 @@ class ControlLoop(Generic[S]):
         The only entry of ``last`` is always the state after the last complete tick.
         """
         k = 0
-        mode = Mode.SILENT
-        while mode != Mode.DONE:
+        mode = HandMode.SILENT
+        while mode != HandMode.DONE:
             self._k = k
             late = self.clock.wait(k)
             skipped = late // self.period_ns  # missed ticks are skipped, and not executed later

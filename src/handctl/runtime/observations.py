@@ -22,9 +22,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS, PackedTelemetry, TickIn, TickOut
+from handctl.core.tick_types import (
+    TELEMETRY_AXES,
+    TELEMETRY_FIELDS,
+    PackedTelemetry,
+    TickIn,
+    TickOut,
+)
 from handctl.errors import BusError
-from handctl.programs.streams import StreamStatus
+from handctl.programs.stream_plans import StreamStatus
 from handctl.runtime.mailbox import SHORT_RUN_FOLDER_TEXT
 from handctl.runtime.paths import observations_path
 

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from handctl.core.types import TickIn, TickOut
+from handctl.core.tick_types import TickIn, TickOut
 
 
 def status_of_tick(entry: TickIn, out: TickOut) -> dict[str, Any]:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.errors import BusError
-from handctl.programs.requests import MAX_TARGET_VALUES, target_text
+from handctl.programs.requests import MAX_TARGET_VALUES, target_request_text
 from handctl.runtime.mailbox import SHORT_RUN_FOLDER_TEXT
 from handctl.runtime.paths import targets_path
 from handctl.runtime.peers import receive_datagram, request_sender_credentials
@@ -98,7 +98,9 @@ class TargetBox:
         if magic != MAGIC or len(data) != HEADER_STRUCT.size + 8 * count:
             return ""
         values = struct.unpack_from(f"<{count}d", data, HEADER_STRUCT.size)
-        return target_text(stream_name(process, number), index, self._run_time(sent_ns), values)
+        return target_request_text(
+            stream_name(process, number), index, self._run_time(sent_ns), values
+        )
 
     def close(self) -> None:
         """Remove the socket."""

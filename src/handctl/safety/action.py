@@ -6,7 +6,7 @@ If faults demand several reactions, the most severe one is executed.
 import enum
 
 
-class Action(enum.IntEnum):
+class SafetyAction(enum.IntEnum):
     """Reaction to a fault. Each action includes every restriction of the weaker actions."""
 
     PASS = 0

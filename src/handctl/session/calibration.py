@@ -8,7 +8,7 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
-from handctl.core.identified import IdentifiedParameters
+from handctl.core.identified_parameters import IdentifiedParameters
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.file.toml_text import toml_text

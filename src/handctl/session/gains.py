@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from handctl.core.gains.bounds import tendon_key, values_by_key, with_values
+from handctl.core.gains.gain_bounds import tendon_key, values_by_key, with_values
 from handctl.core.gains.gains import (
     Gains,
     GainsFile,

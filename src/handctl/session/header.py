@@ -6,7 +6,7 @@ import sys
 import time
 from importlib.metadata import Distribution, distributions, version
 
-from handctl.controller import setup
+from handctl.controller import run_setup
 from handctl.controller.tick import Controller
 from handctl.hand.formats.urdf import urdf_text
 from handctl.log.code_identity import code_identity
@@ -29,7 +29,7 @@ def run_header(
     attachments = {
         "hand.toml": hand.to_toml().encode(),
         "hand.urdf": urdf_text(hand).encode(),
-        setup.SETUP_ATTACHMENT: setup.RunSetup.of(controller, plan.rate_hz)
+        run_setup.SETUP_ATTACHMENT: run_setup.RunSetup.from_controller(controller, plan.rate_hz)
         .model_dump_json(by_alias=True, indent=2)
         .encode(),
         "gains.json": plan.gains.model_dump_json(by_alias=True, indent=2).encode(),
@@ -54,7 +54,7 @@ def run_header(
         "rate_hz": f"{plan.rate_hz:g}",
         "time_scale": f"{plan.time_scale:g}",
     }
-    if caveats := setup.unverified_protections(controller.drives):
+    if caveats := run_setup.unverified_protections(controller.drives):
         metadata["caveats"] = "; ".join(caveats)
     return RunHeader.of_hand(
         hand.to_toml(),

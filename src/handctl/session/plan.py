@@ -10,11 +10,11 @@ from typing import Protocol
 
 from handctl.controller.bus_load import BusLoad, bus_loads
 from handctl.core.gains.gains import Gains
-from handctl.core.types import TickIn, TickOut
+from handctl.core.tick_types import TickIn, TickOut
 from handctl.drives.frame_time import MAX_BUS_LOAD, highest_rate
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_path, load_hand
+from handctl.hand.hand_loading import hand_path, load_hand
 from handctl.hand.readiness import reasons_not_ready
 from handctl.log.attached_meshes import mesh_attachments
 from handctl.runtime.buses.open import check_bus_spec, real_buses
@@ -138,7 +138,7 @@ def make_plan(
         refuse_default_hand(buses, "--hand")
     loads = bus_loads(hand)
     rate = control_rate(choice.rate, hand, loads)
-    load = tuple(one.at(rate) for one in loads)
+    load = tuple(one.load_at(rate) for one in loads)
     time_scale = chosen_time_scale(choice.time_scale, buses)
     _check_log(choice.log)
     attachments = {"gains.toml": layers.file.read_bytes()} if layers.file else {}
@@ -209,8 +209,8 @@ def control_rate(requested: float | None, hand: Hand, loads: Sequence[BusLoad]) 
         what = f"{rate:g}" if requested is not None else f"the buses carry {rate:g}"
         raise ConfigError(what, "--rate", f"at least {lowest:g}, for the drives' watchdogs")
     for name, load in zip(hand.bus_names, loads, strict=True):
-        if load.at(rate) > MAX_BUS_LOAD:
-            what = f"bus {name} would be {100 * load.at(rate):.0f} % full at {rate:g} Hz"
+        if load.load_at(rate) > MAX_BUS_LOAD:
+            what = f"bus {name} would be {100 * load.load_at(rate):.0f} % full at {rate:g} Hz"
             raise ConfigError(what, "--rate", f"at most {best:g}")
     return rate
 
@@ -246,9 +246,9 @@ def check_gain_margins(hand: Hand, gains: Gains, rate_hz: float | None = None) -
     Raises:
         ConfigError: the design of the controller or of the filter fails.
     """
-    from handctl.core.model import HandModel
+    from handctl.core.hand_model import HandModel
 
-    HandModel.of(hand, gains, rate_hz or default_rate(hand))
+    HandModel.from_hand(hand, gains, rate_hz or default_rate(hand))
 
 
 def bus_specs(hand: Hand, arguments: Sequence[str]) -> tuple[str, ...]:

@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Protocol
 
 from handctl.compiled import compile_kernels
-from handctl.controller import setup
+from handctl.controller import run_setup
+from handctl.controller.controller_state import ControllerState
 from handctl.controller.shutdown import shutdown_step
-from handctl.controller.snapshot import snapshot_bytes
-from handctl.controller.state import State
-from handctl.controller.streams import stream_status
+from handctl.controller.state_snapshot import snapshot_bytes
+from handctl.controller.target_streams import stream_status
 from handctl.controller.tick import Controller
-from handctl.core.types import IoEvent, TickIn, TickOut
+from handctl.core.tick_types import IoEvent, TickIn, TickOut
 from handctl.errors import BusError, DriveError, PowerError
 from handctl.hand.description import Hand
 from handctl.log.header import TRUTH_OFFSET_KEY
@@ -23,7 +23,7 @@ from handctl.log.record import pack_snapshot, pack_tick_record
 from handctl.log.topics.snapshots import SNAPSHOT_PERIOD_NS
 from handctl.log.write.recorder import Recorder
 from handctl.programs.calibration import Calibration
-from handctl.programs.live import LiveProgram, preload_spline
+from handctl.programs.live_session import LiveProgram, preload_spline
 from handctl.programs.program import Program
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.clocks.lockstep import LockstepBus, LockstepClock
@@ -65,7 +65,7 @@ class RunOutcome:
         paused_ns: total duration of these pauses, in wall time [ns].
     """
 
-    state: State
+    state: ControllerState
     stats: LoopStats
     log: dict[str, object]
     priority: GrantedPriority | None
@@ -117,7 +117,7 @@ def make_controller(
         compile_kernels(report_progress)
     if isinstance(program, LiveProgram):
         preload_spline()
-    return setup.make_controller(
+    return run_setup.make_controller(
         plan.hand, plan.gains, plan.rate_hz, program, calibration, arm_at_once
     )
 
@@ -154,7 +154,7 @@ def run_live(
         BusError: a bus cannot be opened, or another controller runs on it.
         LogError: the log cannot be written.
     """
-    for text in setup.unverified_protections(controller.drives):
+    for text in run_setup.unverified_protections(controller.drives):
         plan.tell(f"handctl: caution: {text}")
     with ExitStack() as stack:
         clock = _open_clock(plan, stack)
@@ -277,11 +277,11 @@ def _start_view(log: Path) -> Callable[[], None]:
     return child.terminate
 
 
-def snapshot_recorder(recorder: Recorder) -> Callable[[TickIn, State], None]:
+def snapshot_recorder(recorder: Recorder) -> Callable[[TickIn, ControllerState], None]:
     """Return a function that is called after each tick, and records a snapshot of the state once per second."""
     due_ns = SNAPSHOT_PERIOD_NS
 
-    def keep_snapshot(entry: TickIn, state: State) -> None:
+    def keep_snapshot(entry: TickIn, state: ControllerState) -> None:
         nonlocal due_ns
         if entry.t_ns >= due_ns:
             due_ns = entry.t_ns + SNAPSHOT_PERIOD_NS
@@ -298,7 +298,7 @@ def _build_loop(
     recorder: Recorder,
     requests: Callable[[], tuple[str, ...]],
     show: Callable[[TickIn, TickOut], None],
-) -> ControlLoop[State]:
+) -> ControlLoop[ControllerState]:
     def record_tick(entry: TickIn, out: TickOut) -> None:
         recorder.record(pack_tick_record(entry, out))
 
@@ -307,7 +307,7 @@ def _build_loop(
         clock=clock,
         period_ns=plan.period_ns,
         buses=buses,
-        begin=controller.begin,
+        begin=controller.begin_tick,
         cut=controller.cut_frames(),
         requests=requests,
         host_events=lambda: [*recorder.events(), *slept()],
@@ -399,7 +399,7 @@ def _ignore_tick(entry: TickIn, out: TickOut) -> None:
 
 
 def _run_to_end(
-    loop: ControlLoop[State],
+    loop: ControlLoop[ControllerState],
     controller: Controller,
     recorder: Recorder,
     display: OperatorDisplay | None,
@@ -409,7 +409,7 @@ def _run_to_end(
     """Run the control loop to its end. Then close display and recorder, even after an error."""
     reason = "controller error"
     try:
-        state = loop.run(controller.initial())
+        state = loop.run(controller.initial_state())
         reason = state.failure or "done"
     except KeyboardInterrupt:
         reason = "interrupted"

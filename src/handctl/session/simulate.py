@@ -17,13 +17,13 @@ from typing import Any, Protocol, cast
 
 import numpy as np
 
-from handctl.controller.setup import make_drives, make_sensors
-from handctl.controller.state import State
+from handctl.controller.controller_state import ControllerState
+from handctl.controller.run_setup import make_drives, make_sensors
 from handctl.controller.tick import Controller
-from handctl.core.model import HandModel
-from handctl.core.types import IoEvent, Mode, TickIn, TickOut
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode, IoEvent, TickIn, TickOut
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_path
+from handctl.hand.hand_loading import hand_path
 from handctl.programs.program import Program
 from handctl.runtime.clocks.lockstep import (
     SIMULATED_HAND_ENTRY,
@@ -167,7 +167,7 @@ class SimulatedRun:
     controller: Controller
     peer: SimulatedHand
     period_ns: int
-    state: State
+    state: ControllerState
     k: int = 0
     out: TickOut | None = None
     recorded: list[tuple[TickIn, TickOut]] = field(default_factory=list)
@@ -177,7 +177,7 @@ class SimulatedRun:
     def of(controller: Controller, peer: SimulatedHand) -> "SimulatedRun":
         """Begin a run of a controller with a simulated hand."""
         return SimulatedRun(
-            controller, peer, round(1e9 * controller.model.period), controller.initial()
+            controller, peer, round(1e9 * controller.model.period), controller.initial_state()
         )
 
     def __post_init__(self) -> None:
@@ -217,7 +217,7 @@ class SimulatedRun:
         while self.k * self.period_ns < limit_s * 1e9:
             entry, out = self._decide((), (), 0)
             yield entry, out
-            if out.mode == Mode.DONE:
+            if out.mode == HandMode.DONE:
                 return
             self._step()
 
@@ -230,7 +230,7 @@ class SimulatedRun:
             out = self.tick()
             if reached(out):
                 return True
-            if out.mode == Mode.DONE:
+            if out.mode == HandMode.DONE:
                 return False
         return False
 
@@ -271,7 +271,7 @@ def simulate(
     simulator: SimulatorSettings,
     on_tick: Callable[[TickIn, TickOut], None] = lambda entry, out: None,
     limit_s: float = math.inf,
-) -> State:
+) -> ControllerState:
     """Run a controller to its end with a simulated hand.
 
     Args:

@@ -5,8 +5,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from handctl.controller.setup import make_sensors
-from handctl.core.block import STALE_FRAMES
+from handctl.controller.run_setup import make_sensors
+from handctl.core.state_block import STALE_FRAMES
 from handctl.log.read.reader import RunLog
 from handctl.programs.task import HoldPhase, Task
 from handctl.report.frame_counts import frame_counts
@@ -56,7 +56,7 @@ def judge_run(
         "time_scale": plan.time_scale,
         "frames_tx": stats.frames_tx,
         "frames_rx": stats.frames_rx,
-        "frames_late": outcome.state.whole(STALE_FRAMES),
+        "frames_late": outcome.state.run_integer(STALE_FRAMES),
         "frames_lost": lost_frames(plan, outcome),
         "silent_ticks": silent,
         "bus_load": max(plan.load),
@@ -117,4 +117,6 @@ def lost_frames(plan: RunPlan, outcome: RunOutcome) -> int:
 
     A reply that came after the next SYNC is late, and does not count as lost.
     """
-    return outcome.stats.refused + make_sensors(plan.hand).lost(*outcome.state.sensor_counts)
+    return outcome.stats.refused + make_sensors(plan.hand).lost_frame_count(
+        *outcome.state.sensor_counts
+    )

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from handctl.core.model import HandModel
+from handctl.core.hand_model import HandModel
 from handctl.hand.description import Hand
 from handctl.log.read.reader import RunLog
 from handctl.output import save_figure

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.types import Mode, TickIn, TickOut
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode, TickIn, TickOut
 from handctl.document import validate_content
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_from_content
+from handctl.hand.hand_loading import hand_from_content
 from handctl.programs.exercise import ExerciseProgram
 from handctl.programs.program import Program
 from handctl.report.summary import mean_angles, root_mean_square
@@ -89,7 +89,7 @@ def evaluate_job(job: Mapping[str, Any]) -> dict[str, Any]:
     hand = hand_from_content(tomllib.loads(job["hand"]), "the hand of the search")
     # A job that has crossed a process boundary contains lists in place of tuples.
     gains = validate_content(job["gains"], Gains, "the gains of the search")
-    model = HandModel.of(hand, gains, float(job["rate_hz"]))
+    model = HandModel.from_hand(hand, gains, float(job["rate_hz"]))
     plants = job["plants"]
     shortfall = worst_margins(model, tuple(linear_factors(factors) for factors in plants)).shortfall
     if shortfall > 0.0 and job.get("must_keep_margins", False):
@@ -181,7 +181,7 @@ def score_run(
         truth: ground truth of the plant.
         failure: reason why the run ended early, or empty.
     """
-    active = [(entry.t_ns, out) for entry, out in ticks if out.mode == Mode.ACTIVE]
+    active = [(entry.t_ns, out) for entry, out in ticks if out.mode == HandMode.ACTIVE]
     tension = truth.values[
         :, [truth.columns.index(f"tension/{name}") for name in hand.tendon_names]
     ]

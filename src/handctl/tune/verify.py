@@ -13,15 +13,15 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.stats import t as student
 
-from handctl.core.gains.bounds import LIVE_SECTIONS, different_values, values_by_key
+from handctl.core.gains.gain_bounds import LIVE_SECTIONS, different_values, values_by_key
 from handctl.core.gains.gains import Gains
-from handctl.core.types import Mode, TickIn, TickOut
+from handctl.core.tick_types import HandMode, TickIn, TickOut
 from handctl.hand.description import Hand
 from handctl.log.read.reader import RunLog
 from handctl.log.read.timeline import phase_of_each
 from handctl.report.summary import mean_angles
 from handctl.report.truth import TruthRecord
-from handctl.safety.action import Action
+from handctl.safety.action import SafetyAction
 from handctl.tune.scoring import GainScore, GroundTruth, score_ticks
 
 OLD_GAINS_ROUNDS = 2
@@ -148,7 +148,7 @@ class VerifyObserver:
         torque = out.telemetry.motor_torque_goal
         before = self._torque
         self._torque = torque
-        if before is None or out.mode != Mode.ACTIVE:
+        if before is None or out.mode != HandMode.ACTIVE:
             return 0.0
         # The observer does not know the control rate. It uses the mean period so far.
         period = entry.t_ns / max(entry.k, 1) / 1e9
@@ -159,9 +159,9 @@ class VerifyObserver:
 
     def _violated_limit(self, out: TickOut, ringing: float) -> str:
         """Return a text about the limit that a tick violates, else an empty text."""
-        if out.action >= Action.HOLD:
+        if out.action >= SafetyAction.HOLD:
             return f"safety: {out.action.name}"
-        if out.mode != Mode.ACTIVE:
+        if out.mode != HandMode.ACTIVE:
             return ""
         limits = self.limits
         numbers = out.telemetry
@@ -260,7 +260,7 @@ def scores_by_round(
         real = GroundTruth.of(truth, hand, log.t_ns + offset_ns)
     results = []
     for start, end in zip(starts, [*starts[1:], int(log.k[-1]) + 1], strict=True):
-        part = (log.k >= start) & (log.k < end) & (log.mode == int(Mode.ACTIVE))
+        part = (log.k >= start) & (log.k < end) & (log.mode == int(HandMode.ACTIVE))
         part_truth = GroundTruth(real.angle[part], real.tension[part])
         tension = log.field("tension_goal")[part]
         torque = log.field("motor_torque_goal")[part]

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 
 import pytest
 
-from handctl.drives.frame import BRS, ERROR, EXTENDED, FDF, Frame
+from handctl.drives.frame import BRS, ERROR_FLAG, EXTENDED_FLAG, FDF, Frame
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.open import open_bus
 
@@ -52,7 +52,7 @@ def set_link(state: str) -> None:
 
 def test_a_batch_of_both_kinds_arrives_whole_and_in_order(bus: Bus, other_bus: Bus) -> None:
     classical = [Frame(n, bytes([n]) * (n % 9), 0, BUS_INDEX) for n in range(50)]
-    fd = [Frame(n | EXTENDED, bytes([n]) * 48, FDF | BRS, BUS_INDEX) for n in range(50)]
+    fd = [Frame(n | EXTENDED_FLAG, bytes([n]) * 48, FDF | BRS, BUS_INDEX) for n in range(50)]
     batch = [frame for pair in zip(classical, fd, strict=True) for frame in pair]
     assert bus.send(batch) == len(batch)
     received = drain_bus(other_bus, len(batch))
@@ -118,14 +118,14 @@ def test_an_error_frame_of_the_kernel_is_an_event_and_no_frame(bus: Bus) -> None
     """The error frames are sent as the driver of a CAN controller sends them: a warning, bus-off, and a restart."""
     with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as driver:
         driver.bind(("vcan0",))
-        driver.send(CLASSICAL_FRAME.pack(ERROR | 0x04, 8, bytes((0, 0x08, 0, 0, 0, 0, 96, 0))))
+        driver.send(CLASSICAL_FRAME.pack(ERROR_FLAG | 0x04, 8, bytes((0, 0x08, 0, 0, 0, 0, 96, 0))))
         assert wait_for(bus, "error_warning") == []
-        driver.send(CLASSICAL_FRAME.pack(ERROR | 0x40, 8, bytes(8)))
+        driver.send(CLASSICAL_FRAME.pack(ERROR_FLAG | 0x40, 8, bytes(8)))
         assert wait_for(bus, "bus_off") == []
         assert ("bus_off", "socketcan:vcan0", 1) in bus.take_events(), (
             "the event repeats during bus-off"
         )
-        driver.send(CLASSICAL_FRAME.pack(ERROR | 0x100, 8, bytes(8)))
+        driver.send(CLASSICAL_FRAME.pack(ERROR_FLAG | 0x100, 8, bytes(8)))
         assert wait_for(bus, "restarted") == []
     assert bus.take_events() == []
 

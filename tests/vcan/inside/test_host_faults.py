@@ -15,14 +15,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from firmware_sim.truth import TruthFile, read_truth
+from firmware_sim.truth_file import TruthFile, read_truth
 from handctl.controller.bus_load import bus_loads
 from handctl.core.gains.gains import Gains
-from handctl.core.types import Mode, TickIn, TickOut
+from handctl.core.tick_types import HandMode, TickIn, TickOut
 from handctl.errors import LogError
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
-from handctl.programs.live import JogProgram
+from handctl.programs.live_session import JogProgram
 from handctl.programs.requests import HoldTension
 from handctl.session.exit_codes import ExitCode
 from handctl.session.plan import RunPlan
@@ -65,7 +65,7 @@ class FaultObserver:
         """Reset the record of made faults and of modes, for a new run."""
         self.done_ns, self.modes, self.pulled, self.left = (
             0,
-            list[Mode](),
+            list[HandMode](),
             0,
             list(self.fault_actions),
         )
@@ -75,7 +75,7 @@ class FaultObserver:
 
     def on_tick(self, entry: TickIn, out: TickOut) -> None:
         self.modes.append(out.mode)
-        self.pulled += out.mode == Mode.ACTIVE
+        self.pulled += out.mode == HandMode.ACTIVE
         if (
             self.left
             and self.pulled
@@ -92,7 +92,7 @@ def run_pull(folder: Path, observer: FaultObserver) -> tuple[RunOutcome, TruthFi
     """
     path = hand_file(folder, ["mit"])
     hand = load_hand(str(path))
-    load = tuple(one.at(RATE_HZ) for one in bus_loads(hand))
+    load = tuple(one.load_at(RATE_HZ) for one in bus_loads(hand))
     plan = RunPlan(hand, Gains(), RATE_HZ, load, ("socketcan:vcan0",), time_scale=TIME_SCALE)
     program = JogProgram(
         HoldTension(do="hold", tension_N=dict.fromkeys(DIGIT_NAMES, PULL_N)),
@@ -181,9 +181,9 @@ def test_an_interface_taken_down_cuts_the_run_and_the_drives_drop_torque(
     outcome, truth = run_until_done(tmp_path, observer, "B14")
     assert "B14" in outcome.state.failure, outcome.state.failure
     assert outcome.exit_code == ExitCode.REMOVE_POWER, "no drive confirmed the end of torque"
-    after = observer.modes[observer.modes.index(Mode.ACTIVE) :]
+    after = observer.modes[observer.modes.index(HandMode.ACTIVE) :]
     acted = round(FAULT_AFTER_S * RATE_HZ)
-    assert after[: acted + 3].count(Mode.ACTIVE) <= acted + 1, "the next tick removes torque"
+    assert after[: acted + 3].count(HandMode.ACTIVE) <= acted + 1, "the next tick removes torque"
     torque = np.array([truth.column(f"torque/{digit}_motor") for digit in DIGIT_NAMES])
     driven = truth.t_ns[np.abs(torque).max(axis=0) > 1e-3]
     late_ms = (int(driven[-1]) - observer.done_ns) * 1e-6

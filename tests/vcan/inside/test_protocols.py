@@ -18,15 +18,15 @@ import numpy as np
 import pytest
 
 from firmware_sim.__main__ import main as firmware_sim
-from firmware_sim.truth import TruthFile, read_truth
+from firmware_sim.truth_file import TruthFile, read_truth
 from handctl.compiled import compile_kernels
 from handctl.controller.bus_load import bus_loads
-from handctl.controller.setup import make_drives, make_sensors
+from handctl.controller.run_setup import make_drives, make_sensors
 from handctl.core.gains.gains import Gains
 from handctl.drives.contract import DrivePhase, DriveTarget
-from handctl.drives.registry import PROTOCOL_ENTRIES
-from handctl.hand.load import load_hand
-from handctl.programs.live import JogProgram
+from handctl.drives.protocol_registry import PROTOCOL_ENTRIES
+from handctl.hand.hand_loading import load_hand
+from handctl.programs.live_session import JogProgram
 from handctl.programs.requests import HoldTension
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.clocks.real import RealClock
@@ -107,7 +107,7 @@ class HandDrives:
             for i, (spec, bus) in enumerate(zip(specs, hand.bus, strict=True))
         ]
         self.drives, self.sensors = make_drives(hand), make_sensors(hand)
-        self.states = [drive.initial() for drive in self.drives]
+        self.states = [drive.initial_state() for drive in self.drives]
         self.k = 0
         compile_kernels()  # compile first, or watchdogs would fire
         self.clock.start()
@@ -184,7 +184,7 @@ def run_pull(path: Path, buses: Sequence[str], folder: Path) -> tuple[RunOutcome
     Return the outcome and the truth.
     """
     hand, time_scale = load_hand(str(path)), 0.1
-    load = tuple(one.at(RATE_HZ) for one in bus_loads(hand))
+    load = tuple(one.load_at(RATE_HZ) for one in bus_loads(hand))
     plan = RunPlan(hand, Gains(), RATE_HZ, load, tuple(buses), time_scale=time_scale)
     program = JogProgram(
         HoldTension(do="hold", tension_N=dict.fromkeys(DIGIT_NAMES, PULL_N)), PULL_S

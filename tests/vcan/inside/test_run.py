@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from tests.runtime.processes import HOMED, scaled, write_homed
 from tests.vcan.inside.conftest import STALL_FAULTS, TIME_SCALE, run_simulator
 

@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks import streaming
 from handctl import DriveError, UnconfirmedError
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from tests.runtime.processes import HOMED, write_homed
 from tests.vcan.inside.conftest import SIMULATOR_CODE, STALL_FAULTS, TIME_SCALE
 

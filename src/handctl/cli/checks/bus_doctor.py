@@ -8,11 +8,11 @@ from handctl.cli.checks.scan import undiscoverable_protocols_text
 from handctl.cli.console.options import print_json
 from handctl.cli.console.verbosity import is_quiet, print_note
 from handctl.drives.discovery import TWO_DRIVES_WARNING, DiscoveredNode
-from handctl.drives.registry import DISCOVERY_BY_PROTOCOL
+from handctl.drives.protocol_registry import DISCOVERY_BY_PROTOCOL
 from handctl.errors import BusError, ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.file.sections import Bus as BusSection
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.runtime.buses.adapter import UsbAdapter, read_adapter
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.interface import interface_names

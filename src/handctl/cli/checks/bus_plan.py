@@ -9,11 +9,11 @@ from typing import Any
 
 from handctl.cli.console.options import print_json
 from handctl.cli.console.verbosity import is_verbose
-from handctl.controller.bus_load import BusLoad, FrameRow, bus_loads, split_motors_over_buses
+from handctl.controller.bus_load import BusLoad, BusLoadRow, bus_loads, split_motors_over_buses
 from handctl.drives.frame_time import MAX_BUS_LOAD
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.report.load_table import TABLE_RATES_HZ, TABLE_ROWS
 from handctl.session.exit_codes import ExitCode
 from handctl.session.plan import bus_specs, highest_rate_of_buses
@@ -51,7 +51,7 @@ def bus_plan_report(hand: Hand, loads: tuple[BusLoad, ...], rate: float) -> dict
         loads: worst-case load of each bus, in the order of the hand file.
         rate: control rate [Hz].
     """
-    fits = all(load.at(rate) <= MAX_BUS_LOAD for load in loads)
+    fits = all(load.load_at(rate) <= MAX_BUS_LOAD for load in loads)
     buses = [_bus_fields(load, rate) for load in loads]
     return {"hand": hand.name, "rate_hz": rate, "most": MAX_BUS_LOAD, "fits": fits, "buses": buses,
             "split": [] if fits else split_motors_over_buses(hand, rate)}  # fmt: skip
@@ -73,19 +73,19 @@ def bit_rate_errors(hand: Hand, specs: tuple[str, ...]) -> list[str]:
 
 
 def _bus_fields(load: BusLoad, rate: float) -> dict[str, Any]:
-    max_rate = load.highest(MAX_BUS_LOAD)
+    max_rate = load.highest_rate_hz(MAX_BUS_LOAD)
     return {
         "name": load.name,
         "motors": load.motors,
         "tick_us": load.tick_s * 1e6,
         "by_time": load.timed_fraction,
-        "load": load.at(rate),
+        "load": load.load_at(rate),
         "max_hz": max_rate if math.isfinite(max_rate) else None,
         "frames": [_row_fields(row) for row in load.rows],
     }
 
 
-def _row_fields(row: FrameRow) -> dict[str, Any]:
+def _row_fields(row: BusLoadRow) -> dict[str, Any]:
     return {"what": row.what, "bytes": row.size, "fd": row.fd, "per_tick": row.per_tick,
             "per_second": row.per_second, "frame_us": row.frame_s * 1e6}  # fmt: skip
 

@@ -8,7 +8,7 @@ import subprocess
 from handctl.cli.console.options import print_json
 from handctl.errors import BusError, ConfigError
 from handctl.hand.file.sections import Bus as BusSection
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.runtime.buses.interface import CommandWords, interface_names, set_up_commands
 from handctl.session.buses import named_buses
 from handctl.session.exit_codes import ExitCode

@@ -11,11 +11,11 @@ from typing import Any
 from handctl.cli.console.options import print_json_line
 from handctl.cli.console.screen import rich_console
 from handctl.cli.console.verbosity import print_note
-from handctl.controller.setup import make_drives, make_sensors
+from handctl.controller.run_setup import make_drives, make_sensors
 from handctl.drives.contract import Drive, DriveState
 from handctl.errors import BusError, ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.handlers import TerminationFlag, installed_handler
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.clocks.real import RealClock

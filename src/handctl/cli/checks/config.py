@@ -10,11 +10,11 @@ from handctl.cli.checks.rate_margin import rate_warnings
 from handctl.cli.console.options import print_escaped, print_json
 from handctl.cli.console.plan import find_calibration, layered_gains
 from handctl.controller.bus_load import bus_loads
-from handctl.controller.setup import make_drives, make_sensors, unverified_protections
-from handctl.core.gains.bounds import values_by_key
-from handctl.core.identified import PARAMETER_UNITS
-from handctl.drives.dbc import dbc_of_bus
-from handctl.drives.registry import make_drive
+from handctl.controller.run_setup import make_drives, make_sensors, unverified_protections
+from handctl.core.gains.gain_bounds import values_by_key
+from handctl.core.identified_parameters import PARAMETER_UNITS
+from handctl.drives.dbc_export import dbc_of_bus
+from handctl.drives.protocol_registry import make_drive
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.file.error_text import (
@@ -25,10 +25,10 @@ from handctl.hand.file.error_text import (
 )
 from handctl.hand.file.json_schema import hand_schema_text
 from handctl.hand.file.templates import RESOLVED_SCHEMA
-from handctl.hand.formats.meshes import exported_meshes, mesh_mistakes
+from handctl.hand.formats.link_meshes import exported_meshes, mesh_mistakes
 from handctl.hand.formats.mjcf import mjcf_text
 from handctl.hand.formats.urdf import urdf_text
-from handctl.hand.load import (
+from handctl.hand.hand_loading import (
     hand_from_content,
     hand_path,
     inspect_content,
@@ -37,12 +37,12 @@ from handctl.hand.load import (
     parse_toml,
     read_toml,
 )
-from handctl.hand.readiness import table_fits
-from handctl.hand.strength import strength_warnings
+from handctl.hand.readiness import arm_table_fit_lines
+from handctl.hand.tendon_strength import strength_warnings
 from handctl.output import FIGURE_SUFFIXES, check_output, path_with_suffix, write_text_atomically
 from handctl.programs.default_task import grasp_warnings
 from handctl.programs.task import load_task
-from handctl.safety.sensing import sensing_warnings
+from handctl.safety.missing_sensors import sensing_warnings
 from handctl.session.exit_codes import ExitCode
 from handctl.session.gains import LayeredGains
 from handctl.session.plan import check_gain_margins, control_rate, highest_rate_of_buses
@@ -184,7 +184,7 @@ def _show_or_check(args: argparse.Namespace, hand: Hand) -> int:
     calibration = _calibration_fields(args, hand)
     loads = bus_loads(hand)
     rate = highest_rate_of_buses(loads)
-    load = {one.name: one.at(rate) for one in loads}
+    load = {one.name: one.load_at(rate) for one in loads}
     source = str(hand_path(args.hand).name)
     warnings = _hand_warnings(hand)
     if args.what == "check":
@@ -198,7 +198,7 @@ def _show_or_check(args: argparse.Namespace, hand: Hand) -> int:
                 "bus_load": load,
                 "caveats": list(unverified_protections(make_drives(hand))),
                 "warnings": warnings,
-                "moment_arm_tables": list(table_fits(hand)),
+                "moment_arm_tables": list(arm_table_fit_lines(hand)),
                 "hand": hand.content,
                 "gains": layers.gains.model_dump(by_alias=True),
                 "gains_file": str(layers.file) if layers.file else "packaged",
@@ -216,7 +216,7 @@ def _show_or_check(args: argparse.Namespace, hand: Hand) -> int:
         print(f"# caution: {text}")
     for text in warnings:
         print(f"# warning: {text}")
-    for text in table_fits(hand):
+    for text in arm_table_fit_lines(hand):
         print(f"# {text}")
     bus_loads_text = ", ".join(
         f"bus {name} {100 * fraction:.0f} %" for name, fraction in load.items()
@@ -337,7 +337,9 @@ def _write_schema(args: argparse.Namespace) -> int:
 
 def _convert_file(args: argparse.Namespace) -> int:
     """Convert a hand file of schema 1 to schema 2, and write the new hand file."""
-    from handctl.hand.file.convert import convert_to_schema_2  # only this verb needs tomlkit
+    from handctl.hand.file.schema_conversion import (
+        convert_to_schema_2,  # only this verb needs tomlkit
+    )
 
     hand = load_hand(args.old)
     text = hand_path(args.old).read_text("utf-8")

@@ -30,9 +30,9 @@ from handctl.hand.file.imported_file import (
 )
 from handctl.hand.file.new_file import check_name, options_line
 from handctl.hand.file.quantities import NAME_PATTERN, UNMEASURED_PLACEHOLDER
-from handctl.hand.formats.meshes import path_from, read_triangles
+from handctl.hand.formats.link_meshes import read_triangles, relative_path
 from handctl.hand.formats.model_tree import ModelLink, ModelMesh, digits_of_links
-from handctl.hand.load import inspect_content, parse_toml
+from handctl.hand.hand_loading import inspect_content, parse_toml
 from handctl.session.model_file import read_model_file
 
 OPTIONS_WITHOUT_DESCRIPTION = ("fingers", "opposed", "links_mm", "width_mm", "palm_mm")
@@ -120,7 +120,7 @@ def read_hand_description(path: Path, kind: str, output: Path) -> tuple[Describe
     model = read_model_file(path, kind)
     notes = list(model["notes"])
     links = [
-        ModelLink.of(link, _mesh_of(link["name"], link["meshes"], output, notes))
+        ModelLink.from_values(link, _mesh_of(link["name"], link["meshes"], output, notes))
         for link in model["links"]
     ]
     digits, palm, origin = digits_of_links(links, str(path))
@@ -160,8 +160,8 @@ def _mesh_of(
         notes.append(
             f"mesh {Path(meshes[i]['file']).name} of {link} is left out: a link can have only one mesh"
         )
-    chosen = ModelMesh.of(meshes[largest])
-    return replace(chosen, file=path_from(Path(chosen.file), output))
+    chosen = ModelMesh.from_values(meshes[largest])
+    return replace(chosen, file=relative_path(Path(chosen.file), output))
 
 
 def _ask_questions(answers: TendonAnswers, known: set[str]) -> TendonAnswers:

@@ -15,7 +15,7 @@ from handctl.cli.console.questions import (
 from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.errors import ConfigError
 from handctl.hand.file.new_file import HandAnswers, check_answers, new_hand_text, palm_warnings
-from handctl.hand.load import inspect_content, parse_toml
+from handctl.hand.hand_loading import inspect_content, parse_toml
 from handctl.programs.default_task import grasp_warnings
 
 

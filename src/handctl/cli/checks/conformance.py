@@ -107,7 +107,7 @@ def _run_checks(
                     )
         finally:
             if len(results) < len(CHECKED_REQUIREMENTS):
-                bus.send(drive.cut())
+                bus.send(drive.cut_frames())
             off = release_drive(
                 rig, WATCHDOG_MS / 1e3, restoring if restoring is not drive else None
             )

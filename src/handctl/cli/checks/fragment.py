@@ -6,8 +6,8 @@ Values that the drives report are filled in. Values that the user must measure a
 from collections.abc import Mapping, Sequence
 
 from handctl.drives.discovery import DiscoveredNode
-from handctl.drives.registry import PROTOCOL_ENTRIES
-from handctl.hand.file.sections import CIA404
+from handctl.drives.protocol_registry import PROTOCOL_ENTRIES
+from handctl.hand.file.sections import CIA404_PROTOCOL
 
 FragmentEntry = tuple[str, object, str]
 """Key, value and comment of a line in the fragment."""
@@ -41,7 +41,7 @@ def hand_file_snippet(
             if drive.protocol in PROTOCOL_ENTRIES and 0 < drive.node_id <= 0x7F:
                 lines += ["", *_motor_section(bus, drive)]
     for bus, nodes in buses.items():
-        amplifiers = [node for node in nodes if node.protocol == CIA404]
+        amplifiers = [node for node in nodes if node.protocol == CIA404_PROTOCOL]
         if amplifiers:
             lines += ["", *_amplifier_section(bus, amplifiers)]
     return "\n".join(lines) + "\n"
@@ -51,7 +51,7 @@ def _amplifier_section(bus: str, amplifiers: Sequence[DiscoveredNode]) -> list[s
     """Return the section of a hand file for the load cells on the measuring amplifiers of a bus."""
     channels = min(int(node.options.get("channels_per_node", 1)) for node in amplifiers)
     entries: list[FragmentEntry] = [
-        ("protocol", CIA404, ""),
+        ("protocol", CIA404_PROTOCOL, ""),
         ("bus", bus, ""),
         ("channels_per_node", channels, "reported by the amplifier"),
         ("range_N", 300.0, TO_FILL_IN_COMMENT + "rated load of the load cells"),

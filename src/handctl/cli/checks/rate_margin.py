@@ -2,7 +2,7 @@
 
 from handctl.controller.bus_load import split_motors_over_buses
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
+from handctl.core.hand_model import HandModel
 from handctl.hand.description import Hand
 
 SAFE_HZ = 250.0
@@ -29,7 +29,7 @@ def rate_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
     from handctl.tune.loops.linear import LoopKind, open_loop
     from handctl.tune.loops.margins import MIN_GAIN_MARGIN_DB, margins_of_loop
 
-    model = HandModel.of(hand, gains, rate_hz)
+    model = HandModel.from_hand(hand, gains, rate_hz)
     found = {
         name: margins_of_loop(open_loop(model, i, LoopKind.MOTION))
         for i, name in enumerate(hand.tendon_names)

@@ -10,9 +10,9 @@ from handctl.cli.console.options import print_json
 from handctl.cli.console.verbosity import print_note
 from handctl.drives.cia402 import codec as cia402_codec
 from handctl.drives.discovery import DiscoveredNode
-from handctl.drives.frame import REMOTE, Frame
-from handctl.drives.registry import PROTOCOLS_WITHOUT_DISCOVERY
-from handctl.hand.file.sections import CIA404
+from handctl.drives.frame import REMOTE_FLAG, Frame
+from handctl.drives.protocol_registry import PROTOCOLS_WITHOUT_DISCOVERY
+from handctl.hand.file.sections import CIA404_PROTOCOL
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.diagnostics.scan import BusScan, requests_without_answers, scan_bus
 from handctl.session.buses import named_buses
@@ -127,7 +127,7 @@ def _scan_fields(name: str, spec: str, result: BusScan) -> dict[str, Any]:
 def _frame_text(frame: Frame) -> str:
     """Return a CAN frame as text in the notation of candump."""
     return f"{frame.can_id & 0x1FFFFFFF:03X}#" + (
-        "R" if frame.can_id & REMOTE else frame.data.hex().upper()
+        "R" if frame.can_id & REMOTE_FLAG else frame.data.hex().upper()
     )
 
 
@@ -167,7 +167,11 @@ def _print_drive(drive: DiscoveredNode) -> None:
         ("ERROR", drive.error),
     )
     line_text = "  ".join(f"{key} {text}".strip() for key, text in fields if text)
-    number = f"{drive.node_id:#x}" if drive.protocol in ("sensor", CIA404) else str(drive.node_id)
+    number = (
+        f"{drive.node_id:#x}"
+        if drive.protocol in ("sensor", CIA404_PROTOCOL)
+        else str(drive.node_id)
+    )
     print(f"  {drive.protocol:<8}{number:>5}  {line_text}")
     for line in drive.notes:
         print(f"                {line}")

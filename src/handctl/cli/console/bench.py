@@ -15,11 +15,11 @@ from handctl.drives.contract import Drive
 from handctl.drives.discovery import SCAN_LISTEN_S, DiscoveredNode
 from handctl.drives.frame import Frame
 from handctl.drives.mit.drive import MitDrive
-from handctl.drives.registry import PROTOCOL_ENTRIES, make_drive
+from handctl.drives.protocol_registry import PROTOCOL_ENTRIES, make_drive
 from handctl.errors import BusError, ConfigError, DriveError
 from handctl.hand.file.error_text import toml_spelling
 from handctl.hand.file.sections import Motor
-from handctl.hand.load import parse_toml
+from handctl.hand.hand_loading import parse_toml
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.clocks.priority import restore_priority, take_priority

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from handctl.cli.console.screen import rich_console
-from handctl.core.types import GAIN_EVENT, Mode, TickEvent, TickIn, TickOut
+from handctl.core.tick_types import GAIN_EVENT, HandMode, TickEvent, TickIn, TickOut
 from handctl.hand.description import Hand
 from handctl.printing import escaped_streams
 from handctl.safety.faults.table import remedy_for
@@ -84,7 +84,7 @@ class DisplayProcess:
         line = {
             "k": entry.k,
             "t": entry.t_ns / 1e9,
-            "mode": Mode(out.mode).name,
+            "mode": HandMode(out.mode).name,
             "phase": out.phase,
             "late_us": self.worst_late_ns / 1e3,
             "tension": [round(float(f), 2) for f in out.telemetry.tension],

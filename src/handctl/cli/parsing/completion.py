@@ -11,9 +11,9 @@ from typing import Any
 from handctl.cli.parsing.parser import VerbParser
 
 HANDS_FOLDER = Path(__file__).parents[2] / "hand" / "hands"
-"""Folder of the packaged hands, the same as in ``hand.load``.
+"""Folder of the packaged hands, the same as in ``hand.hand_loading``.
 
-An import of ``hand.load`` would delay the completion.
+An import of ``hand.hand_loading`` would delay the completion.
 """
 
 

@@ -19,7 +19,7 @@ from handctl.cli.console.options import (
     add_wire_option,
 )
 from handctl.cli.parsing.parser import RUNNING_HAND, SIMULATED_HAND, CommandExample
-from handctl.drives.modes import DriveMode
+from handctl.drives.drive_modes import DriveMode
 from handctl.drives.motor_description import PROTOCOL_TRAITS
 
 EXAMPLES = {

@@ -24,8 +24,8 @@ from handctl.cli.console.verbosity import print_note
 from handctl.cli.runs.other_protocol import hand_in_protocol
 from handctl.cli.runs.run import print_run_result
 from handctl.errors import BusError, ConfigError, DriveError
-from handctl.hand.load import load_hand
-from handctl.programs.grasp import TaskProgram
+from handctl.hand.hand_loading import load_hand
+from handctl.programs.task_program import TaskProgram
 from handctl.runtime.paths import truth_path
 from handctl.session.calibration import (
     IdentifiedByTendon,

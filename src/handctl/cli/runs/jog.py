@@ -9,7 +9,7 @@ from handctl.cli.console.plan import find_calibration, make_plan
 from handctl.cli.runs import jog_drive
 from handctl.document import validate_content
 from handctl.errors import ConfigError
-from handctl.programs.live import JogProgram
+from handctl.programs.live_session import JogProgram
 from handctl.programs.requests import HoldTension, MoveDigits
 from handctl.session.calibration import ensure_calibration
 from handctl.session.plan import commission_log, default_log

@@ -19,8 +19,8 @@ from handctl.cli.console.motion_confirmation import confirm_motion
 from handctl.cli.console.options import print_json
 from handctl.drives.contract import Drive, DrivePhase
 from handctl.drives.discovery import DiscoveredNode
-from handctl.drives.modes import COMMAND_UNITS, DriveMode, MotionLimits
-from handctl.drives.registry import make_mode_drive
+from handctl.drives.drive_modes import COMMAND_UNITS, DriveMode, MotionLimits
+from handctl.drives.protocol_registry import make_mode_drive
 from handctl.errors import ConfigError, PowerError
 from handctl.hand.file.sections import Motor
 from handctl.runtime.buses.open import check_bus_spec
@@ -179,7 +179,7 @@ def _move_drive(
             result = jog_drive(rig, goal)
         finally:
             if result is None:
-                bus.send(drive.cut())
+                bus.send(drive.cut_frames())
             rig.idle_command = lambda state: 0.0
             complete = (
                 result is not None and not result.failure and rig.state.phase != DrivePhase.FAULT

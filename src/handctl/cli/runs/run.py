@@ -12,10 +12,10 @@ from handctl.cli.console.plan import find_calibration, make_plan
 from handctl.cli.runs.stdin_watch import StdinWatch
 from handctl.errors import ConfigError, DriveError
 from handctl.hand.file.toml_text import toml_text
-from handctl.programs.grasp import TaskProgram
-from handctl.programs.live import LiveProgram
+from handctl.programs.live_session import LiveProgram
 from handctl.programs.playback import PlaybackProgram
 from handctl.programs.program import Program
+from handctl.programs.task_program import TaskProgram
 from handctl.runtime.paths import truth_path
 from handctl.session.calibration import ensure_calibration
 from handctl.session.pace import pace_advice

@@ -11,7 +11,7 @@ from handctl.cli.console.options import (
     wire_words,
 )
 from handctl.cli.runs.other_protocol import hand_in_protocol, path_in_protocol, write_in_protocol
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.session.gains import gain_assignments
 from handctl.session.tasks import find_scene
 

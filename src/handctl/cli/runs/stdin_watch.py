@@ -6,7 +6,7 @@ Standard input ends when the program that started the run has ended.
 import os
 import select
 
-from handctl.core.types import TickIn, TickOut
+from handctl.core.tick_types import TickIn, TickOut
 from handctl.runtime.mailbox import STOP_REQUEST
 
 STDIN_FD = 0

@@ -9,9 +9,9 @@ from handctl.cli.console.buses import controller_bus
 from handctl.cli.console.options import print_escaped, print_json
 from handctl.cli.console.plan import layered_gains, print_notice
 from handctl.cli.console.verbosity import is_quiet
-from handctl.core.gains.bounds import (
+from handctl.core.gains.gain_bounds import (
     GainBounds,
-    checked_bound,
+    bounds_after_check,
     different_values,
     values_by_key,
     with_values,
@@ -19,7 +19,7 @@ from handctl.core.gains.bounds import (
 from handctl.core.gains.gains import Gains, GainsProvenance, load_gains_file, packaged_gains
 from handctl.errors import ConfigError, UnconfirmedError
 from handctl.hand.description import Hand
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.programs.requests import REFUSED_PREFIX
 from handctl.session.exit_codes import ExitCode
 from handctl.session.gains import gain_assignments, gains_for
@@ -48,7 +48,7 @@ def _show_gains(args: argparse.Namespace, hand: Hand) -> int:
     """Print value, origin, meaning and bounds of every gain."""
     layers = layered_gains(args, hand)
     values = values_by_key(layers.gains)
-    gain_bounds = {key: checked_bound(key, value, "gains") for key, value in values.items()}
+    gain_bounds = {key: bounds_after_check(key, value, "gains") for key, value in values.items()}
     provenance = layers.provenance
     if args.json:
         rows = {

@@ -18,7 +18,7 @@ from handctl.cli.tuning.tune_files import (
     write_gains,
 )
 from handctl.controller.bus_load import bus_loads
-from handctl.core.model import HandModel
+from handctl.core.hand_model import HandModel
 from handctl.errors import ConfigError
 from handctl.session.exit_codes import ExitCode
 from handctl.session.plan import control_rate
@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     out, picture = output_files(args, hand.name, "design")
     factors = plants_of(args, spread, 1024)
     plants = tuple(linear_factors(one) for one in factors)
-    model = HandModel.of(twin, gains, rate)
+    model = HandModel.from_hand(twin, gains, rate)
     proof = RestTest(twin, factors, plants, args.seed)
     console = rich_console(error=True)
     console.quiet = is_quiet()
@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
         if not result.worst_after.stable or not proof(model_with_gains(model, result.gains)):
             return _report_failure(args, f"these poles are not stable on every plant{proof.reason}")
         result = result if proof(model) else result.with_unproven_before()
-    after = HandModel.of(twin, result.gains, rate)
+    after = HandModel.from_hand(twin, result.gains, rate)
     note = f"tune design at {rate:g} Hz on {len(plants)} plants, seed {args.seed}"
     write_gains(out, result.gains, hand, note, fit=args.fit)
     draw_loops(picture, model, after, f"{hand.name} at {rate:g} Hz")

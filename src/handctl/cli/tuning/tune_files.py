@@ -8,10 +8,10 @@ from typing import NamedTuple
 from handctl.cli.console.options import checked_count, perturb_words
 from handctl.cli.console.plan import check_perturb
 from handctl.core.gains.gains import Gains, GainsProvenance, gains_text
-from handctl.core.identified import identified_hand
+from handctl.core.identified_parameters import identified_hand
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.output import check_output, path_with_suffix, write_text_atomically
 from handctl.session.calibration import identified_in
 from handctl.tune.search.ensemble import draw_ensemble, ensemble_widths

@@ -22,7 +22,7 @@ from handctl.cli.tuning.tune_files import (
 )
 from handctl.controller.bus_load import bus_loads
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
+from handctl.core.hand_model import HandModel
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.session.exit_codes import ExitCode
@@ -106,7 +106,7 @@ def _designed_gains(
 
     try:
         result = design_gains(
-            HandModel.of(hand, gains, rate), tuple(linear_factors(one) for one in plants)
+            HandModel.from_hand(hand, gains, rate), tuple(linear_factors(one) for one in plants)
         )
     except (ValueError, ConfigError):
         return ()

@@ -12,26 +12,26 @@ import math
 import numpy as np
 
 from handctl.compiled import kernel_helper, square
-from handctl.core import block as s
 from handctl.core import constants as h
-from handctl.core.block import Tables
+from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
-from handctl.core.estimation.measure import monitored_tension
+from handctl.core.estimation.measurements import monitored_tension
+from handctl.core.state_block import StateTables
 
 BALANCE, MOTOR_FORCE, COMMAND_DIFFERENCE, TENSION, QUICK_FORCE, SLIP, JERK, EXCESS_FRICTION = range(
     8
 )
-"""Rows of ``block.RESIDUAL``."""
+"""Rows of ``state_block.RESIDUAL``."""
 TIME_CONSTANTS_S = (0.2, 0.2, 0.08, 0.02, 0.02, 0.3, 0.1, 5.0)
 """Time constant of the low-pass filter of each row [s]."""
 GAIN_FRACTION = 0.1
 """Error of the motor force, as a fraction, by the tolerance of the torque constant K_t that is usual for motors."""
-FULL_FRICTION_SPEED = 5e-3
+FULL_FRICTION_SPEED_M_S = 5e-3
 """Tendon speed above which friction is fully developed [m/s]."""
 
 
 @kernel_helper
-def update_residuals(x: Tables, c: ConstantTables, missed: int, tared: bool) -> None:
+def update_residuals(x: StateTables, c: ConstantTables, missed: int, tared: bool) -> None:
     """Update the low-passed residuals of all tendons.
 
     Args:
@@ -75,7 +75,9 @@ def update_residuals(x: Tables, c: ConstantTables, missed: int, tared: bool) -> 
         now[JERK] = square(turned - x.tendon[s.LAST_POSITION_STEP, n])
         # Friction has the sign of the speed, so excess friction is the balance times this sign.
         now[EXCESS_FRICTION] = (
-            math.copysign(1.0, speed) * balance if abs(speed) > FULL_FRICTION_SPEED else math.nan
+            math.copysign(1.0, speed) * balance
+            if abs(speed) > FULL_FRICTION_SPEED_M_S
+            else math.nan
         )
         for row in range(8):
             low = x.tendon[s.RESIDUAL + row, n]
@@ -89,7 +91,7 @@ def update_residuals(x: Tables, c: ConstantTables, missed: int, tared: bool) -> 
 
 
 @kernel_helper
-def unexplained_tension(x: Tables, c: ConstantTables, n: int) -> float:
+def unexplained_tension(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the difference of tension that friction and torque-constant tolerance do not explain [N], 0 or more."""
     explained = c.tendon[h.MOTOR_COULOMB, n] + GAIN_FRACTION * abs(
         x.tendon[s.RESIDUAL + MOTOR_FORCE, n]
@@ -98,7 +100,7 @@ def unexplained_tension(x: Tables, c: ConstantTables, n: int) -> float:
 
 
 @kernel_helper
-def excess_friction(x: Tables, n: int) -> float:
+def excess_friction(x: StateTables, n: int) -> float:
     """Return by how much the friction of a moving rotor exceeds the friction of the model [N], 0 or more."""
     return max(
         x.tendon[s.RESIDUAL + EXCESS_FRICTION, n]

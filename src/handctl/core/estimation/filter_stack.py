@@ -116,7 +116,7 @@ class FilterDesign:
     def __post_init__(self) -> None:
         """Create the cache of the transition matrices."""
         object.__setattr__(
-            self, "transition", functools.lru_cache(TRANSITION_CACHE_SIZE)(self._transition)
+            self, "transition", functools.lru_cache(TRANSITION_CACHE_SIZE)(self._stacked_transition)
         )
 
     @property
@@ -124,7 +124,7 @@ class FilterDesign:
         """Return the standard deviation of each tendon's tension in the regime ``HELD``, (N,) [N]."""
         return np.sqrt([tendon[TendonRegime.HELD].tension_variance for tendon in self.blocks])
 
-    def _transition(self, kinds: bytes) -> StateTransition:
+    def _stacked_transition(self, kinds: bytes) -> StateTransition:
         in_use = [
             tendon[kind]
             for tendon, kind in zip(self.blocks, np.frombuffer(kinds, np.int64), strict=True)

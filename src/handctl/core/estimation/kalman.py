@@ -14,11 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.compiled import kernel_helper
-from handctl.core import block as s
 from handctl.core import constants as h
-from handctl.core.block import Tables
+from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
-from handctl.core.estimation import covariance
+from handctl.core.estimation import filter_covariance
 from handctl.core.estimation.statics import (
     subtract_passing_torque,
     value_from_other_tendons,
@@ -26,7 +25,6 @@ from handctl.core.estimation.statics import (
     write_tensions_at_joints,
     write_tensions_for_torque,
 )
-from handctl.core.estimation.structure import motor_speed
 from handctl.core.estimation.take_up import (
     is_nearly_taut,
     is_regime_over,
@@ -34,7 +32,9 @@ from handctl.core.estimation.take_up import (
     regime_evidence_without_cell,
     set_offset_of_newly_taut,
 )
-from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
+from handctl.core.estimation.varying_moment_arms import motor_speed
+from handctl.core.state_block import StateTables
+from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED_M_S
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -56,16 +56,16 @@ STOP_PULL_STAY = 1.05
 """Pull of a tendon below which its digit stays on the open stop, as a fraction of the springs' force."""
 SLACK_LENGTH_M = 2e-4
 """Length of slack above which a load cell certainly measures no tension, but only its error [m]."""
-OUTLIER_GATE = 5.0
+OUTLIER_GATE_SIGMAS = 5.0
 """Innovation above which a single load-cell sample is rejected, in standard deviations of the innovation."""
-STEP_GATE = 2.5
+STEP_GATE_SIGMAS = 2.5
 """Innovation above which two load-cell samples in a row count as a step of the tension, in standard deviations.
 
 Both innovations must have the same sign.
 """
 STEP_FRACTION = 0.8
 """Fraction of the second innovation of a step by which the tension is corrected at once."""
-MEAN_NIS_S = 1.0
+NIS_AVERAGING_TIME_S = 1.0
 """Averaging time of the normalised innovation squared (NIS) that judges the model [s].
 
 Its ideal mean is 2.
@@ -98,14 +98,14 @@ MAX_NIS_SAMPLE = 100.0
 
 
 @kernel_helper
-def filter_kind(x: Tables, n: int) -> int:
+def filter_kind(x: StateTables, n: int) -> int:
     """Return the index of a tendon's filter design: the regime, plus 3 while process noise is added."""
     regime = x.tendon_int[s.REGIME, n]
     return regime + 3 if x.tendon[s.ADDED_NOISE_S, n] > 0.0 else regime
 
 
 @kernel_helper
-def correct_filter(x: Tables, c: ConstantTables, missed: int) -> None:
+def correct_filter(x: StateTables, c: ConstantTables, missed: int) -> None:
     """Correct the filter by the measurements of a tick, and judge the slack, the stop and the contact of each tendon.
 
     A digit with ``PLANNED_CONTACT`` or ``BLOCKED`` counts as held, see ``is_in_contact``.
@@ -132,7 +132,7 @@ def correct_filter(x: Tables, c: ConstantTables, missed: int) -> None:
         _write_steady_gain(c, n, kind, gain[n], information[n])
         cell_sigma[n] = c.design[n, kind, h.CELL_SIGMA_AT]
         if full:
-            cell_sigma[n] = covariance.correct_covariance(
+            cell_sigma[n] = filter_covariance.correct_covariance(
                 x, c, n, z[n], gain[n], after[n], information[n]
             )
     _gate_and_correct(x, c, innovation, gain, cell_sigma)
@@ -142,11 +142,11 @@ def correct_filter(x: Tables, c: ConstantTables, missed: int) -> None:
     _choose_filter_kinds(x)
     _write_external_tension(x, c, force)
     if full:
-        covariance.predict_covariances(x, c, after, missed)
+        filter_covariance.predict_covariances(x, c, after, missed)
 
 
 @kernel_helper
-def _usable_measurements(x: Tables) -> Matrix:
+def _usable_measurements(x: StateTables) -> Matrix:
     """Return measurements (N, 3) of encoder, load cell and joint encoders, NaN if missing.
 
     A lost or saturated measurement counts as missing. If a tendon is neither taut nor certainly
@@ -169,7 +169,7 @@ def _usable_measurements(x: Tables) -> Matrix:
 
 
 @kernel_helper
-def _innovations(x: Tables, c: ConstantTables, z: Matrix) -> Matrix:
+def _innovations(x: StateTables, c: ConstantTables, z: Matrix) -> Matrix:
     """Return the measurements minus their expected values, (N, 3), NaN where a measurement is missing."""
     innovation = np.empty_like(z)
     for n in range(len(z)):
@@ -185,7 +185,7 @@ def _innovations(x: Tables, c: ConstantTables, z: Matrix) -> Matrix:
 
 
 @kernel_helper
-def _is_measurement_missing(x: Tables, c: ConstantTables, z: Matrix) -> bool:
+def _is_measurement_missing(x: StateTables, c: ConstantTables, z: Matrix) -> bool:
     """Return True if a measurement is missing that the steady gains assume.
 
     For a slack tendon, these gains assume no load-cell reading.
@@ -211,7 +211,7 @@ def _write_steady_gain(
 
 @kernel_helper
 def _gate_and_correct(
-    x: Tables, c: ConstantTables, innovation: Matrix, gain: Matrix, cell_sigma: Vector
+    x: StateTables, c: ConstantTables, innovation: Matrix, gain: Matrix, cell_sigma: Vector
 ) -> None:
     """Correct the states by the innovations. Reject a single outlier of a load cell, but accept two in a row.
 
@@ -226,7 +226,11 @@ def _gate_and_correct(
         cell = innovation[n, 1]
         sigmas = 0.0 if math.isnan(cell) else cell / cell_sigma[n]
         before = x.tendon[s.CELL_INNOVATION_SIGMAS, n]
-        again = abs(sigmas) > STEP_GATE and before * sigmas > 0.0 and abs(before) > STEP_GATE
+        again = (
+            abs(sigmas) > STEP_GATE_SIGMAS
+            and before * sigmas > 0.0
+            and abs(before) > STEP_GATE_SIGMAS
+        )
         jump = 0.0
         if again and x.tendon_int[s.REGIME, n] != SLACK_REGIME:
             steady = 0.0
@@ -238,7 +242,7 @@ def _gate_and_correct(
             # The correction by the gain is added below, so only the rest of STEP_FRACTION is
             # computed here.
             jump = max(STEP_FRACTION - steady, 0.0) * cell
-        if abs(sigmas) > OUTLIER_GATE and not again:
+        if abs(sigmas) > OUTLIER_GATE_SIGMAS and not again:
             innovation[n, 1] = math.nan
         x.tendon[s.CELL_INNOVATION_SIGMAS, n] = sigmas
         for i in range(STATE_COUNT):
@@ -250,7 +254,7 @@ def _gate_and_correct(
 
 
 @kernel_helper
-def _move_slack_with_taut(x: Tables, c: ConstantTables) -> None:
+def _move_slack_with_taut(x: StateTables, c: ConstantTables) -> None:
     """Move the excursion of each slack tendon with the other tendons of its digit, in digits with surplus tendons.
 
     The excursions of a digit are R q. If one tendon is slack, its excursion follows from those of
@@ -268,13 +272,15 @@ def _move_slack_with_taut(x: Tables, c: ConstantTables) -> None:
 
 
 @kernel_helper
-def _normalised_innovation_squared(innovation: Vector, information: Vector, blind: bool) -> float:
+def _normalised_innovation_squared(
+    innovation: Vector, information: Vector, without_cell: bool
+) -> float:
     """Return the normalised innovation squared of encoder and load cell, NaN if either is missing.
 
-    For a tendon without load cell (``blind``), the result is twice the value of the encoder alone.
+    For a tendon without load cell (``without_cell``), the result is twice the value of the encoder alone.
     Its ideal mean is then also 2.
     """
-    if blind:
+    if without_cell:
         return 2.0 * information[0] * innovation[0] * innovation[0]
     encoder = innovation[0]
     cell = innovation[1]
@@ -285,7 +291,7 @@ def _normalised_innovation_squared(innovation: Vector, information: Vector, blin
 
 @kernel_helper
 def _judge_consistency(
-    x: Tables, c: ConstantTables, innovation: Matrix, information: Matrix, full: bool
+    x: StateTables, c: ConstantTables, innovation: Matrix, information: Matrix, full: bool
 ) -> None:
     """Average the normalised innovations squared (NIS), and judge whether the model of each tendon is consistent.
 
@@ -309,7 +315,7 @@ def _judge_consistency(
         nis = min(nis, MAX_NIS_SAMPLE)
         period = c.run[h.PERIOD]
         # First-order low-pass. The period is short against the averaging time.
-        x.tendon[s.NIS_MEAN, n] += period / MEAN_NIS_S * (nis - x.tendon[s.NIS_MEAN, n])
+        x.tendon[s.NIS_MEAN, n] += period / NIS_AVERAGING_TIME_S * (nis - x.tendon[s.NIS_MEAN, n])
         if period <= ADDED_NOISE_MAX_PERIOD_S:
             x.tendon[s.NIS_FAST, n] += period / NOISE_NIS_S * (nis - x.tendon[s.NIS_FAST, n])
     for n in range(len(innovation)):
@@ -322,7 +328,7 @@ def _judge_consistency(
 
 
 @kernel_helper
-def _judge_noise(x: Tables, c: ConstantTables) -> None:
+def _judge_noise(x: StateTables, c: ConstantTables) -> None:
     """Decide by the fast average of NIS which tendons get added process noise.
 
     The noise is kept for ``MAX_ADDED_NOISE_S``. A wrong friction in the model is visible only while
@@ -343,7 +349,7 @@ def _judge_noise(x: Tables, c: ConstantTables) -> None:
 
 
 @kernel_helper
-def filtered_tension(x: Tables, c: ConstantTables, n: int) -> float:
+def filtered_tension(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the tension of a tendon at its load cell, computed from the filter's states [N].
 
     It may be negative.
@@ -356,11 +362,11 @@ def filtered_tension(x: Tables, c: ConstantTables, n: int) -> float:
 
 
 @kernel_helper
-def write_free_angles(x: Tables, c: ConstantTables, row: int, result: Vector) -> None:
+def write_free_angles(x: StateTables, c: ConstantTables, row: int, result: Vector) -> None:
     """Write the angles or rates (J,) that all joints have if their digits are free, q = B R_r^+ s.
 
     B is the coupling of the joints. R_r are the reduced moment arms, and s the excursions or their
-    rates. With varying moment arms, the angles also have an offset, see ``structure``.
+    rates. With varying moment arms, the angles also have an offset, see ``varying_moment_arms``.
 
     Args:
         x: state tables.
@@ -375,7 +381,7 @@ def write_free_angles(x: Tables, c: ConstantTables, row: int, result: Vector) ->
 
 
 @kernel_helper
-def _load_forces(x: Tables, c: ConstantTables) -> Matrix:
+def _load_forces(x: StateTables, c: ConstantTables) -> Matrix:
     """Return resistance, speed-signed pull and pull of all tendons, (3, N) [N].
 
     Resistance is the tension at the joints in balance with springs and gravity. Pull is the
@@ -398,7 +404,7 @@ def _load_forces(x: Tables, c: ConstantTables) -> Matrix:
     better = False
     for n in range(count):
         tension[n] = filtered_tension(x, c, n)
-        quick[n] = math.tanh(motor_speed(x, c, n) / CAPSTAN_FRICTION_SPEED)
+        quick[n] = math.tanh(motor_speed(x, c, n) / CAPSTAN_FRICTION_SPEED_M_S)
         friction_state = x.tendon[s.FRICTION_STATE, n]
         developed[n] = quick[n] if math.isnan(friction_state) else friction_state
         better |= developed[n] != quick[n]
@@ -410,7 +416,7 @@ def _load_forces(x: Tables, c: ConstantTables) -> Matrix:
 
 
 @kernel_helper
-def _judge_regimes(x: Tables, c: ConstantTables) -> Matrix:
+def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
     """Update the regime of each tendon, and set the stretch offset of a newly taut tendon.
 
     The regime depends on slack, on the open stop and on contact. The result is that of
@@ -483,29 +489,29 @@ def _judge_regimes(x: Tables, c: ConstantTables) -> Matrix:
 
 
 @kernel_helper
-def is_in_contact(x: Tables, d: int) -> bool:
+def is_in_contact(x: StateTables, d: int) -> bool:
     """Return True if a digit is blocked, or if the program knows that it touches an object while torque may act."""
     acting = 3 <= x.run_int[s.MODE] <= 5  # ARMING, ACTIVE, RELAX
     return (acting and x.digit_int[s.PLANNED_CONTACT, d] == 1) or x.digit_int[s.BLOCKED, d] == 1
 
 
 @kernel_helper
-def _is_at_stop(was: bool, excursion: float, force: float, resistance: float) -> bool:
+def _is_at_stop(was_at_stop: bool, excursion: float, force: float, resistance: float) -> bool:
     """Return True if its springs hold a digit on the open stop against the pull of its tendon."""
-    if was:
+    if was_at_stop:
         return excursion < STOP_BAND_STAY_M and force < resistance * STOP_PULL_STAY
     return excursion < STOP_BAND_REST_M and force < resistance * STOP_PULL_REST
 
 
 @kernel_helper
-def _choose_filter_kinds(x: Tables) -> None:
+def _choose_filter_kinds(x: StateTables) -> None:
     """Choose the filter design of each tendon for the prediction."""
     for n in range(x.tendon.shape[1]):
         x.tendon_int[s.FILTER_KIND, n] = filter_kind(x, n)
 
 
 @kernel_helper
-def _write_external_tension(x: Tables, c: ConstantTables, force: Matrix) -> None:
+def _write_external_tension(x: StateTables, c: ConstantTables, force: Matrix) -> None:
     """Write the unexplained load force of each tendon, positive if it acts against closing.
 
     The force is 0 for a slack tendon, and while the digit is on its open stop.
@@ -520,7 +526,7 @@ def _write_external_tension(x: Tables, c: ConstantTables, force: Matrix) -> None
 
 
 @kernel_helper
-def write_unknown_estimate(x: Tables) -> None:
+def write_unknown_estimate(x: StateTables) -> None:
     """Write the estimate for a tick before all sensors have been read: no contact and no innovation."""
     for n in range(x.tendon.shape[1]):
         x.tendon[s.EXTERNAL_TENSION, n] = 0.0
@@ -529,7 +535,7 @@ def write_unknown_estimate(x: Tables) -> None:
 
 
 @kernel_helper
-def derive_estimate(x: Tables, c: ConstantTables) -> None:
+def derive_estimate(x: StateTables, c: ConstantTables) -> None:
     """Derive the estimate from the predicted states: tensions, standard deviations, angles of free digits."""
     for n in range(x.tendon.shape[1]):
         tension = filtered_tension(x, c, n)
@@ -539,6 +545,6 @@ def derive_estimate(x: Tables, c: ConstantTables) -> None:
             c.design[n, x.tendon_int[s.FILTER_KIND, n], h.TENSION_VARIANCE_AT]
         )
         if x.run_int[s.COVARIANCE_PROPAGATED]:
-            x.tendon[s.TENSION_SIGMA, n] = covariance.predicted_tension_sigma(x, c, n)
+            x.tendon[s.TENSION_SIGMA, n] = filter_covariance.predicted_tension_sigma(x, c, n)
     write_free_angles(x, c, s.EXCURSION, x.joint[s.Q])
     write_free_angles(x, c, s.EXCURSION_RATE, x.joint[s.DQ])

@@ -23,17 +23,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.compiled import kernel_helper, square
-from handctl.core import block as s
 from handctl.core import constants as h
-from handctl.core.block import Tables
+from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation.statics import (
-    first_wrap,
     link_poses_of_hand,
+    wrap_before_digit,
     write_static_torque,
     write_tip_levers,
 )
-from handctl.core.estimation.structure import keep_excursion
+from handctl.core.estimation.varying_moment_arms import keep_excursion
+from handctl.core.state_block import StateTables
 from handctl.hand.rigid_body import LENGTH_ROW, write_levers, write_turned_levers
 
 Vector = NDArray[np.float64]
@@ -66,14 +66,14 @@ MIN_TURN_RAD = 1e-9
 """Smallest divisor where a turn is limited to the ranges of the joints [rad]."""
 CONTACT_FADE_S = 0.15
 """Time constant with which the effect of a contact fades [s], because friction holds the joints after its end."""
-UPDATE_S = 8e-3
+POSTURE_UPDATE_PERIOD_S = 8e-3
 """Time between two estimates of the turn in the null space [s]."""
 TURN_SMOOTHING_S = 20e-3
 """Time constant of the low-pass filter for the turn by contact [s]."""
 
 
 @kernel_helper
-def estimate_joint_angles(x: Tables, c: ConstantTables, k: int, t_ns: int) -> None:
+def estimate_joint_angles(x: StateTables, c: ConstantTables, k: int, t_ns: int) -> None:
     """Write the estimated joint angles of a tick, and their standard deviations.
 
     Args:
@@ -108,7 +108,7 @@ def estimate_joint_angles(x: Tables, c: ConstantTables, k: int, t_ns: int) -> No
 
 
 @kernel_helper
-def _excursion_deviations(x: Tables, c: ConstantTables) -> tuple[Matrix, Vector]:
+def _excursion_deviations(x: StateTables, c: ConstantTables) -> tuple[Matrix, Vector]:
     """Return the deviations (J, N) of the joint angles by the error of each excursion [rad], and the variances (J,)."""
     joints = x.joint.shape[1]
     tendons = x.tendon.shape[1]
@@ -134,7 +134,7 @@ def _excursion_deviations(x: Tables, c: ConstantTables) -> tuple[Matrix, Vector]
 
 
 @kernel_helper
-def _covariance_columns(x: Tables, c: ConstantTables) -> Matrix:
+def _covariance_columns(x: StateTables, c: ConstantTables) -> Matrix:
     """Return deviations (2 H + 2, J) of the joint angles in the null space [rad], and write the turn by contact.
 
     The covariance of the angles is the sum of the products of these deviations. H is the number of
@@ -177,7 +177,7 @@ def _covariance_columns(x: Tables, c: ConstantTables) -> Matrix:
 
 
 @kernel_helper
-def _contact_turns(x: Tables, c: ConstantTables) -> tuple[Matrix, Matrix]:
+def _contact_turns(x: StateTables, c: ConstantTables) -> tuple[Matrix, Matrix]:
     """Return how far a contact at each place turns each joint, and the standard deviations, both (H, J) [rad]."""
     places = c.place_joint.shape[1]
     joints = x.joint.shape[1]
@@ -204,7 +204,9 @@ def _contact_turns(x: Tables, c: ConstantTables) -> tuple[Matrix, Matrix]:
 
 
 @kernel_helper
-def _write_place_levers(c: ConstantTables, d: int, place: int, pose: Matrix, lever: Vector) -> None:
+def _write_place_levers(
+    c: ConstantTables, d: int, contact_place: int, pose: Matrix, lever: Vector
+) -> None:
     """Write the levers (J,) of a force at a place of contact about the joints of a digit [m].
 
     Place i is the middle of link i. The place after the last link is the tip. Further places have
@@ -214,7 +216,7 @@ def _write_place_levers(c: ConstantTables, d: int, place: int, pose: Matrix, lev
     end = c.digit_int[h.JOINTS_END, d]
     for j in range(first, end):
         lever[j] = 0.0
-    touched = first + place
+    touched = first + contact_place
     if touched < end:
         write_levers(pose, first, touched, 0.5 * c.joint[h.LINK_TABLE + LENGTH_ROW, touched], lever)
     elif touched == end:
@@ -223,7 +225,7 @@ def _write_place_levers(c: ConstantTables, d: int, place: int, pose: Matrix, lev
 
 @kernel_helper
 def _write_digit_turn(
-    x: Tables,
+    x: StateTables,
     c: ConstantTables,
     d: int,
     lever: Vector,
@@ -268,7 +270,7 @@ def _write_digit_turn(
 
 
 @kernel_helper
-def _range_fraction(x: Tables, c: ConstantTables, d: int, turn: Vector, sign: float) -> float:
+def _range_fraction(x: StateTables, c: ConstantTables, d: int, turn: Vector, sign: float) -> float:
     """Return the fraction, 0 to 1, of a turn (J,) [rad] by which the joints of a digit can turn within their ranges.
 
     The turn starts at the angles of the free digit.
@@ -283,14 +285,14 @@ def _range_fraction(x: Tables, c: ConstantTables, d: int, turn: Vector, sign: fl
 
 
 @kernel_helper
-def _write_free_errors(x: Tables, c: ConstantTables, turn: Matrix) -> None:
+def _write_free_errors(x: StateTables, c: ConstantTables, turn: Matrix) -> None:
     """Write how far friction, and springs with gravity, turn free digits out of the coupling, (2, J) [rad]."""
     joints = x.joint.shape[1]
     torque = np.zeros((2, joints))
     write_static_torque(c, x.joint[s.Q], torque[1])
     for n in range(x.tendon.shape[1]):
         d = c.tendon_int[h.DIGIT_OF_TENDON, n]
-        wrapped = first_wrap(c, n, x.joint[s.Q])
+        wrapped = wrap_before_digit(c, n, x.joint[s.Q])
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
             arm = c.tendon_joint[h.MOMENT_ARMS, n, j]
             if arm != 0.0:
@@ -306,7 +308,7 @@ def _write_free_errors(x: Tables, c: ConstantTables, turn: Matrix) -> None:
 
 @kernel_helper
 def _fuse_encoders(
-    x: Tables, c: ConstantTables, columns: Matrix, spread: Matrix, t_ns: int
+    x: StateTables, c: ConstantTables, columns: Matrix, spread: Matrix, t_ns: int
 ) -> None:
     """Correct the joint angles by the joint encoders, one after the other.
 
@@ -361,7 +363,7 @@ def _fuse_encoders(
 
 
 @kernel_helper
-def estimate_tip_forces(x: Tables, c: ConstantTables) -> None:
+def estimate_tip_forces(x: StateTables, c: ConstantTables) -> None:
     """Write the tip-equivalent forces of all digits, and their standard deviations by errors of angles and tensions.
 
     The tip-equivalent force acts at the tip, along the y axis of the last link, and makes the
@@ -433,9 +435,9 @@ def _reduce_levers(c: ConstantTables, d: int, lever: Vector, result: Vector) -> 
 
 
 @kernel_helper
-def _dot_over_coordinates(c: ConstantTables, d: int, one: Vector, other: Vector) -> float:
+def _dot_over_coordinates(c: ConstantTables, d: int, vector: Vector, other_vector: Vector) -> float:
     """Return the dot product of two vectors (C,) over the coordinates of a digit."""
     total = 0.0
     for k in range(c.digit_int[h.COORDINATES_FIRST, d], c.digit_int[h.COORDINATES_END, d]):
-        total += one[k] * other[k]
+        total += vector[k] * other_vector[k]
     return total

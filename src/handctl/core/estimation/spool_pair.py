@@ -16,13 +16,13 @@ from handctl.compiled import kernel_helper
 
 
 @kernel_helper
-def net_tension_at_joint(net: float, pretension: float, passed: float) -> float:
+def net_tension_at_joint(net: float, pretension: float, passed_fraction: float) -> float:
     """Return the net tension at a joint, less the friction of the pulleys [N].
 
     Args:
         net: net tension at the spool [N].
         pretension: pretension of both tendons [N].
-        passed: tension of the first tendon behind the pulleys, as a fraction of its tension at the
+        passed_fraction: tension of the first tendon behind the pulleys, as a fraction of its tension at the
             spool. The second tendon moves in the opposite direction, and has the reciprocal of this
             fraction.
 
@@ -30,13 +30,17 @@ def net_tension_at_joint(net: float, pretension: float, passed: float) -> float:
     """
     first = max(pretension + 0.5 * net, net, 0.0)
     second = max(pretension - 0.5 * net, -net, 0.0)
-    return first * passed - second / passed
+    return first * passed_fraction - second / passed_fraction
 
 
 @kernel_helper
-def net_tension_at_spool(net: float, pretension: float, passed: float) -> float:
+def net_tension_at_spool(net: float, pretension: float, passed_fraction: float) -> float:
     """Return the net tension at the spool for a net tension at a joint [N], the inverse of ``net_tension_at_joint``."""
-    both_taut = 2.0 * (net + pretension * (1.0 / passed - passed)) / (passed + 1.0 / passed)
+    both_taut = (
+        2.0
+        * (net + pretension * (1.0 / passed_fraction - passed_fraction))
+        / (passed_fraction + 1.0 / passed_fraction)
+    )
     if abs(both_taut) < 2.0 * pretension:
         return both_taut
-    return net / passed if both_taut > 0.0 else net * passed
+    return net / passed_fraction if both_taut > 0.0 else net * passed_fraction

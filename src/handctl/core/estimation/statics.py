@@ -48,7 +48,7 @@ def write_static_torque(c: ConstantTables, q: Vector, torque: Vector) -> None:
 
 @kernel_helper
 def pulley_torque(
-    c: ConstantTables, n: int, arm: float, tension: float, developed: float, wrapped: float
+    c: ConstantTables, n: int, arm: float, tension: float, friction_state: float, wrap_angle: float
 ) -> float:
     """Return the torque of tendon n about the joint of a pulley, less the effect of friction [N m].
 
@@ -57,13 +57,13 @@ def pulley_torque(
         n: index of the tendon.
         arm: moment arm about the joint [m].
         tension: tension at the load cell, the net tension for a spool pair [N].
-        developed: development of friction, from 1 for a winding tendon to -1 for a tendon that is
+        friction_state: development of friction, from 1 for a winding tendon to -1 for a tendon that is
             paid out.
-        wrapped: wrap angle of the tendon up to the pulley [rad].
+        wrap_angle: wrap angle of the tendon up to the pulley [rad].
 
     Source: capstan equation.
     """
-    passed = math.exp(-c.tendon[h.CAPSTAN_COEFFICIENT, n] * developed * wrapped)
+    passed = math.exp(-c.tendon[h.CAPSTAN_COEFFICIENT, n] * friction_state * wrap_angle)
     if c.tendon_int[h.IS_SPOOL_PAIR, n]:
         return arm * net_tension_at_joint(tension, c.tendon[h.PRETENSION, n], passed)
     return arm * tension * passed
@@ -71,7 +71,7 @@ def pulley_torque(
 
 @kernel_helper
 def subtract_passing_torque(
-    c: ConstantTables, q: Vector, tension: Vector, developed: Vector, torque: Vector
+    c: ConstantTables, q: Vector, tension: Vector, friction_state: Vector, torque: Vector
 ) -> None:
     """Subtract the torques of passing tendons from the joint torques (J,) that the tendons of carriers must make.
 
@@ -82,7 +82,7 @@ def subtract_passing_torque(
         c: constants of the hand.
         q: (J,) joint angles [rad].
         tension: (N,) tensions at the load cells [N].
-        developed: (N,) development of friction, from 1 for a winding tendon to -1 for a tendon that
+        friction_state: (N,) development of friction, from 1 for a winding tendon to -1 for a tendon that
             is paid out.
         torque: (J,) joint torques, modified in place [N m].
     """
@@ -94,11 +94,11 @@ def subtract_passing_torque(
             arm = c.tendon_joint[h.CARRIER_ARMS, n, j]
             if arm != 0.0:
                 wrapped += q[j]
-                torque[j] -= pulley_torque(c, n, arm, tension[n], developed[n], wrapped)
+                torque[j] -= pulley_torque(c, n, arm, tension[n], friction_state[n], wrapped)
 
 
 @kernel_helper
-def first_wrap(c: ConstantTables, n: int, q: Vector) -> float:
+def wrap_before_digit(c: ConstantTables, n: int, q: Vector) -> float:
     """Return the wrap angle of tendon n before the joints of its digit [rad].
 
     Args:
@@ -139,7 +139,7 @@ def write_tensions_for_torque(c: ConstantTables, torque: Vector, tension: Vector
 
 @kernel_helper
 def write_tensions_at_joints(
-    c: ConstantTables, q: Vector, tension: Vector, developed: Vector, result: Vector
+    c: ConstantTables, q: Vector, tension: Vector, friction_state: Vector, result: Vector
 ) -> None:
     """Write the tensions at the joints, less friction.
 
@@ -150,7 +150,7 @@ def write_tensions_at_joints(
         c: constants of the hand.
         q: (J,) joint angles [rad].
         tension: (N,) tensions at the load cells [N].
-        developed: (N,) development of friction, from 1 for a winding tendon to -1 for a tendon that
+        friction_state: (N,) development of friction, from 1 for a winding tendon to -1 for a tendon that
             is paid out.
         result: (N,) tensions at the joints [N].
 
@@ -159,12 +159,12 @@ def write_tensions_at_joints(
     torque = np.zeros(len(q))
     for n in range(len(tension)):
         d = c.tendon_int[h.DIGIT_OF_TENDON, n]
-        wrapped = first_wrap(c, n, q)
+        wrapped = wrap_before_digit(c, n, q)
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
             arm = c.tendon_joint[h.MOMENT_ARMS, n, j]
             if arm != 0.0:
                 wrapped += q[j]
-                torque[j] += pulley_torque(c, n, arm, tension[n], developed[n], wrapped)
+                torque[j] += pulley_torque(c, n, arm, tension[n], friction_state[n], wrapped)
     write_tensions_for_torque(c, torque, result)
 
 
@@ -223,7 +223,7 @@ def winding_efficiency(c: ConstantTables, n: int, q: Vector) -> float:
         q: (J,) joint angles [rad].
     """
     d = c.tendon_int[h.DIGIT_OF_TENDON, n]
-    wrapped = first_wrap(c, n, q)
+    wrapped = wrap_before_digit(c, n, q)
     efficiency = 0.0
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
         if c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0:

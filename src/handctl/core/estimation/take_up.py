@@ -3,10 +3,10 @@
 import math
 
 from handctl.compiled import kernel_helper
-from handctl.core import block as s
 from handctl.core import constants as h
-from handctl.core.block import Tables
+from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
+from handctl.core.state_block import StateTables
 
 SLACK_REGIME = 2
 SLACK_BELOW_N = 1.0
@@ -46,7 +46,7 @@ RANGE_MARGIN_M = 1e-3
 
 @kernel_helper
 def regime_evidence(
-    regime: int, points: int, tension: float, cell: float, error: float, near: bool
+    regime: int, points: int, tension: float, cell: float, cell_error: float, is_nearly_taut: bool
 ) -> int:
     """Return the evidence that a regime ends: points for a slack tendon, or ticks in a row for a taut tendon.
 
@@ -57,21 +57,21 @@ def regime_evidence(
         points: evidence before this tick.
         tension: estimated tension [N].
         cell: load-cell reading [N].
-        error: estimated error of the load cell [N].
-        near: True if the spool has wound up the slack length.
+        cell_error: estimated error of the load cell [N].
+        is_nearly_taut: True if the spool has wound up the slack length.
     """
     if regime != SLACK_REGIME:
         return points + 1 if tension < SLACK_BELOW_N and cell < SLACK_BELOW_N else 0
     if math.isnan(cell):
         return points
     evidence = -POINTS_AGAINST
-    if cell - error > TAUT_ABOVE_N:
+    if cell - cell_error > TAUT_ABOVE_N:
         evidence = POINTS_AT_ONCE
-    elif cell - error > LIKELY_ABOVE_N:
+    elif cell - cell_error > LIKELY_ABOVE_N:
         evidence = POINTS_LIKELY
-    elif cell - error > POSSIBLE_ABOVE_N:
+    elif cell - cell_error > POSSIBLE_ABOVE_N:
         evidence = POINTS_POSSIBLE
-    if evidence > 0 and near:
+    if evidence > 0 and is_nearly_taut:
         evidence *= NEARLY_TAUT_FACTOR
     return max(points + evidence, 0)
 
@@ -104,7 +104,7 @@ def regime_evidence_without_cell(regime: int, points: int, tension: float, missi
 
 
 @kernel_helper
-def is_nearly_taut(x: Tables, n: int) -> bool:
+def is_nearly_taut(x: StateTables, n: int) -> bool:
     """Return True if the encoder shows that a slack tendon of known length is nearly taut."""
     return (
         x.tendon[s.TRAVEL, n] - x.tendon[s.EXCURSION, n] - x.tendon[s.STRETCH_OFFSET, n]
@@ -113,17 +113,17 @@ def is_nearly_taut(x: Tables, n: int) -> bool:
 
 
 @kernel_helper
-def is_regime_over(regime: int, points: int, blind: bool) -> bool:
+def is_regime_over(regime: int, points: int, without_cell: bool) -> bool:
     """Return True if the evidence ends a regime.
 
-    Without load cell (``blind``), a taut tendon counts as slack only after more ticks.
+    Without load cell (``without_cell``), a taut tendon counts as slack only after more ticks.
     """
-    slack_ticks = SLACK_TICKS_WITHOUT_CELL if blind else SLACK_TICKS
+    slack_ticks = SLACK_TICKS_WITHOUT_CELL if without_cell else SLACK_TICKS
     return points >= (POINTS_OF_TAUT if regime == SLACK_REGIME else slack_ticks)
 
 
 @kernel_helper
-def set_offset_of_newly_taut(x: Tables, c: ConstantTables, n: int, cell: float) -> None:
+def set_offset_of_newly_taut(x: StateTables, c: ConstantTables, n: int, cell: float) -> None:
     """Set stretch offset or excursion of a newly taut tendon, so that its stretch agrees with the load cell.
 
     If the excursion is known, from the open stop or from joint encoders, the stretch offset is set.

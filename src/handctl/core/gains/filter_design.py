@@ -38,7 +38,7 @@ from handctl.core.estimation.filter_stack import (
 )
 from handctl.core.gains.gains import FilterGains
 from handctl.core.gains.riccati import solve_covariance
-from handctl.core.gains.solvable import finite_or_error, solver_failures_as_errors
+from handctl.core.gains.solver_errors import finite_or_error, solver_failures_as_errors
 from handctl.core.tendon_space import TendonSpace
 
 with deferred_imports():
@@ -108,11 +108,11 @@ def design_filter(
         if kind not in made:
             with solver_failures_as_errors("filter"):
                 certain = tuple(
-                    _design_block(space, i, (regime, False), gains, period, joints)
+                    _design_filter_block(space, i, (regime, False), gains, period, joints)
                     for regime in TendonRegime
                 )
                 adds_noise = (
-                    _design_block(space, i, (regime, True), gains, period, joints)
+                    _design_filter_block(space, i, (regime, True), gains, period, joints)
                     for regime in TAUT_REGIMES
                 )
                 made[kind] = (
@@ -225,7 +225,7 @@ def _discretise_model(
     return F, held[:n, n:], (noise + noise.T) / 2
 
 
-def _design_block(
+def _design_filter_block(
     space: TendonSpace,
     i: int,
     kind: tuple[TendonRegime, bool],

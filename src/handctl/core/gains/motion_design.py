@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.core.deferred_imports import deferred_imports
-from handctl.core.gains.bounds import check_tendon_names
+from handctl.core.gains.gain_bounds import check_tendon_names
 from handctl.core.gains.gains import Gains
 from handctl.core.gains.riccati import solve_lqr
-from handctl.core.gains.solvable import finite_or_error, solver_failures_as_errors
+from handctl.core.gains.solver_errors import finite_or_error, solver_failures_as_errors
 from handctl.core.tendon_space import TendonSpace
-from handctl.core.types import Vector
+from handctl.core.tick_types import Vector
 
 with deferred_imports():
     from scipy.linalg import expm
@@ -80,18 +80,18 @@ def design_piece_count(space: TendonSpace) -> int:
     return 2 * len(space.spool)
 
 
-def design_piece(space: TendonSpace, gains: Gains, period: float, piece: int) -> Vector:
+def design_piece(space: TendonSpace, gains: Gains, period: float, piece_index: int) -> Vector:
     """Return the gain (2,) of one loop. Pieces 0 to N - 1 are motion loops, pieces N to 2 N - 1 are tension loops.
 
     Raises:
         ConfigError: if no gains follow from the weights.
     """
     n = len(space.spool)
-    if piece < n:
+    if piece_index < n:
         with solver_failures_as_errors("motion"):
-            return _design_motion_loop(space, piece, gains, period)
+            return _design_motion_loop(space, piece_index, gains, period)
     with solver_failures_as_errors("tension"):
-        return _design_tension_loop(space, piece - n, gains, period)
+        return _design_tension_loop(space, piece_index - n, gains, period)
 
 
 def design_from_pieces(space: TendonSpace, designed: list[Vector]) -> MotionDesign:

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from handctl.core.deferred_imports import deferred_imports, import_without_package
-from handctl.core.types import Vector
+from handctl.core.tick_types import Vector
 
 # control.dlqr and control.dlqe call this solver. The package control also imports matplotlib and
 # scipy.signal, which takes longer than the design of the gains.

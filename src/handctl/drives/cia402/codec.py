@@ -24,7 +24,7 @@ import math
 import struct
 from typing import NamedTuple
 
-from handctl.drives.signals import Message, Quantity, Signal, SignalCoding
+from handctl.drives.signals import CyclicMessage, Signal, SignalCoding, SignalQuantity
 
 # Identifiers. NMT and SYNC are complete identifiers. The node number is added to all others.
 NMT = 0x000
@@ -113,7 +113,9 @@ def power_state(status: int) -> str:
     return next((state for mask, value, state in _POWER_STATES if status & mask == value), "")
 
 
-def feedback_message(node_id: int, counts: int, ratio: float, rated: float, zero: float) -> Message:
+def feedback_message(
+    node_id: int, counts: int, ratio: float, rated: float, zero: float
+) -> CyclicMessage:
     """Return the signal table of TPDO1: status word, position [count], torque [1/1000 of rated].
 
     Position and torque refer to the motor's shaft.
@@ -128,19 +130,19 @@ def feedback_message(node_id: int, counts: int, ratio: float, rated: float, zero
     """
     count = math.tau / counts / ratio
     torque = rated / 1000 * ratio
-    return Message("tpdo1", TPDO + node_id, 8, (
+    return CyclicMessage("tpdo1", TPDO + node_id, 8, (
         # Bits 0..3 and 5..6 define the power state. Bit 4 (voltage) and the upper bits do not
         # belong to it.
-        Signal("state", Quantity.STATUS, 0, 4),
-        Signal("voltage", Quantity.UNUSED, 4, 1),
-        Signal("stop", Quantity.STATUS, 5, 2),
-        Signal("status", Quantity.UNUSED, 7, 9),
-        Signal("position", Quantity.POSITION, 16, 32, False, SignalCoding.SIGNED, count, -zero / ratio, "rad"),
-        Signal("torque", Quantity.TORQUE, 48, 16, False, SignalCoding.SIGNED, torque, 0.0, "N m"),
+        Signal("state", SignalQuantity.STATUS, 0, 4),
+        Signal("voltage", SignalQuantity.UNUSED, 4, 1),
+        Signal("stop", SignalQuantity.STATUS, 5, 2),
+        Signal("status", SignalQuantity.UNUSED, 7, 9),
+        Signal("position", SignalQuantity.POSITION, 16, 32, False, SignalCoding.SIGNED, count, -zero / ratio, "rad"),
+        Signal("torque", SignalQuantity.TORQUE, 48, 16, False, SignalCoding.SIGNED, torque, 0.0, "N m"),
     ))  # fmt: skip
 
 
-def command_message(node_id: int, ratio: float, rated: float, limit: float) -> Message:
+def command_message(node_id: int, ratio: float, rated: float, limit: float) -> CyclicMessage:
     """Return the signal table of RPDO1 to an enabled drive: control word, target torque [1/1000 of rated].
 
     Args:
@@ -152,7 +154,7 @@ def command_message(node_id: int, ratio: float, rated: float, limit: float) -> M
     """
     torque = Signal(
         "torque",
-        Quantity.TORQUE,
+        SignalQuantity.TORQUE,
         16,
         16,
         False,
@@ -161,12 +163,14 @@ def command_message(node_id: int, ratio: float, rated: float, limit: float) -> M
         0.0,
         "N m",
     )
-    control = Signal("control", Quantity.UNUSED, 0, 16)
+    control = Signal("control", SignalQuantity.UNUSED, 0, 16)
     base = struct.pack("<Hh", ENABLE_OPERATION, 0)
-    return Message("rpdo1", RPDO + node_id, 4, (control, torque), 0, base, False, limit)
+    return CyclicMessage("rpdo1", RPDO + node_id, 4, (control, torque), 0, base, False, limit)
 
 
-def position_message(node_id: int, counts: int, ratio: float, zero: float, limit: float) -> Message:
+def position_message(
+    node_id: int, counts: int, ratio: float, zero: float, limit: float
+) -> CyclicMessage:
     """Return the signal table of RPDO1 to an enabled drive: control word, target position [count].
 
     Args:
@@ -183,7 +187,7 @@ def position_message(node_id: int, counts: int, ratio: float, zero: float, limit
     count = math.tau / counts / ratio
     signal = Signal(
         "position",
-        Quantity.POSITION,
+        SignalQuantity.POSITION,
         16,
         32,
         False,
@@ -195,7 +199,7 @@ def position_message(node_id: int, counts: int, ratio: float, zero: float, limit
     return _motion_message(node_id, signal, limit, limit + abs(zero / ratio))
 
 
-def velocity_message(node_id: int, unit: float, limit: float) -> Message:
+def velocity_message(node_id: int, unit: float, limit: float) -> CyclicMessage:
     """Return the signal table of RPDO1 to an enabled drive: control word, target velocity.
 
     Args:
@@ -208,20 +212,20 @@ def velocity_message(node_id: int, unit: float, limit: float) -> Message:
         ValueError: the largest velocity does not fit into the object of the drive.
     """
     signal = Signal(
-        "velocity", Quantity.VELOCITY, 16, 32, False, SignalCoding.SIGNED, unit, 0.0, "rad/s"
+        "velocity", SignalQuantity.VELOCITY, 16, 32, False, SignalCoding.SIGNED, unit, 0.0, "rad/s"
     )
     return _motion_message(node_id, signal, limit, limit)
 
 
-def _motion_message(node_id: int, signal: Signal, limit: float, largest: float) -> Message:
+def _motion_message(node_id: int, signal: Signal, limit: float, largest: float) -> CyclicMessage:
     """Return the signal table of RPDO1 with a target of four bytes, from ``-largest`` to ``largest``."""
     if not largest / abs(signal.scale) < MAX_TARGET_COUNT:
         raise ValueError(
             f"{signal.name} {limit:g} {signal.unit} does not fit into the object of the drive"
         )
-    control = Signal("control", Quantity.UNUSED, 0, 16)
+    control = Signal("control", SignalQuantity.UNUSED, 0, 16)
     base = struct.pack("<Hi", ENABLE_OPERATION, 0)
-    return Message("rpdo1", RPDO + node_id, 6, (control, signal), 0, base, False, limit)
+    return CyclicMessage("rpdo1", RPDO + node_id, 6, (control, signal), 0, base, False, limit)
 
 
 def error_text(code: int) -> str:
@@ -234,16 +238,16 @@ def abort_text(code: int) -> str:
     return ABORT_TEXTS.get(code, f"abort {code:#010x}")
 
 
-def upload_request(index: int, sub: int) -> bytes:
+def upload_request(index: int, subindex: int) -> bytes:
     """Return the SDO payload to request the value of an object."""
     # 0x40 starts an upload from the drive to the host.
-    return struct.pack("<BHB4x", 0x40, index, sub)
+    return struct.pack("<BHB4x", 0x40, index, subindex)
 
 
-def download_request(index: int, sub: int, raw: bytes) -> bytes:
+def download_request(index: int, subindex: int, value_bytes: bytes) -> bytes:
     """Return the SDO payload that writes one to four bytes to an object."""
     # 0x23 starts an expedited download. Bits 2..3 contain the number of unused bytes.
-    return struct.pack("<BHB4s", 0x23 | (4 - len(raw)) << 2, index, sub, raw)
+    return struct.pack("<BHB4s", 0x23 | (4 - len(value_bytes)) << 2, index, subindex, value_bytes)
 
 
 class SdoReply(NamedTuple):

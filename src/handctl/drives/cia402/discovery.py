@@ -14,8 +14,8 @@ from handctl.drives.discovery import (
     ReceivedFrames,
     have_two_drives_answered,
 )
-from handctl.drives.frame import REMOTE, Frame
-from handctl.hand.file.sections import CIA404
+from handctl.drives.frame import REMOTE_FLAG, Frame
+from handctl.hand.file.sections import CIA404_PROTOCOL
 
 NODE_NUMBERS = range(1, HOST_NODE)
 """Node numbers for a scan to try."""
@@ -37,21 +37,23 @@ _RPDO_BASE_IDS = (0x200, 0x300, 0x400, 0x500)
 """Identifiers of the four RPDOs, before the node number is added."""
 
 
-def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
+def probe_frames(scan_round: int, received: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the requests of a round of the scan.
 
     Round 2 reads the device type of every node number. Round 3 reads the serial number of the
     discovered nodes, and the number of channels of measuring amplifiers.
     """
-    if turn == 2:
+    if scan_round == 2:
         return tuple(
             Frame(codec.SDO_REQUEST + number, codec.upload_request(DEVICE_TYPE, 0))
             for number in NODE_NUMBERS
         )
-    if turn == 3:
+    if scan_round == 3:
         found = discovered_nodes(received)
         asked = [(node, SERIAL_NUMBER) for node in found]
-        asked += [(node, CHANNEL_COUNT_OBJECT) for node in found if node.protocol == CIA404]
+        asked += [
+            (node, CHANNEL_COUNT_OBJECT) for node in found if node.protocol == CIA404_PROTOCOL
+        ]
         return tuple(
             Frame(codec.SDO_REQUEST + node.node_id, codec.upload_request(*entry))
             for node, entry in asked
@@ -90,13 +92,16 @@ def discovered_nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
 
 
 def _describe_node(
-    number: int, device_type: int | None, nmt: int | None, twins: bool, channels: int
+    node_number: int, device_type: int | None, nmt: int | None, twins: bool, channels: int
 ) -> DiscoveredNode:
     """Return a discovered node, with the data reported by the node."""
     state = NMT_STATES.get(nmt, f"NMT state {nmt:#x}") if nmt is not None else ""
     if device_type is None:
         return DiscoveredNode(
-            "canopen", number, state=state, notes=("sends heartbeats, but does not answer an SDO",)
+            "canopen",
+            node_number,
+            state=state,
+            notes=("sends heartbeats, but does not answer an SDO",),
         )
     profile = device_type & 0xFFFF
     notes = (TWO_DRIVES_WARNING,) * twins
@@ -106,12 +111,17 @@ def _describe_node(
             {"channels_per_node": channels} if channels else {}
         )
         return DiscoveredNode(
-            CIA404, number, state=state, options=options, notes=(*notes, text), twins=twins
+            CIA404_PROTOCOL,
+            node_number,
+            state=state,
+            options=options,
+            notes=(*notes, text),
+            twins=twins,
         )
     if profile != CIA402_PROFILE:
         notes = (*notes, f"a CANopen device of profile {profile}, not a drive of CiA 402")
     protocol = "cia402" if profile == CIA402_PROFILE else "canopen"
-    return DiscoveredNode(protocol, number, state=state, notes=notes, twins=twins)
+    return DiscoveredNode(protocol, node_number, state=state, notes=notes, twins=twins)
 
 
 def command_ids(node: DiscoveredNode) -> frozenset[int]:
@@ -123,7 +133,7 @@ def command_ids(node: DiscoveredNode) -> frozenset[int]:
 def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the received frames from another host: SYNC, NMT, and heartbeats of another handctl."""
     identifiers = (codec.NMT, codec.SYNC, codec.HEARTBEAT + HOST_NODE)
-    return tuple(frame for frame in received if frame.can_id & ~REMOTE in identifiers)
+    return tuple(frame for frame in received if frame.can_id & ~REMOTE_FLAG in identifiers)
 
 
 def ping_request(node: DiscoveredNode) -> Frame:

@@ -15,7 +15,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from handctl.drives import readback
-from handctl.drives.causes import DriveFaultCause
 from handctl.drives.cia402 import codec
 from handctl.drives.cia402 import settings as setup
 from handctl.drives.cia402.progress import (
@@ -31,6 +30,7 @@ from handctl.drives.cia402.progress import (
     state_after_timeout,
 )
 from handctl.drives.contract import NO_STEADY_STATUS, DrivePhase, DriveState, DriveTarget
+from handctl.drives.fault_causes import DriveFaultCause
 from handctl.drives.frame import Frame
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.option_checks import (
@@ -39,7 +39,7 @@ from handctl.drives.option_checks import (
     checked_whole_number,
     refuse_unknown_options,
 )
-from handctl.drives.signals import CyclicMessages, Message, SignalTable
+from handctl.drives.signals import CyclicMessage, CyclicMessages, SignalTable
 from handctl.errors import ConfigError
 
 LISTEN, POLL, ENABLE, DISABLE = DriveTarget
@@ -98,10 +98,10 @@ class Cia402Drive:
         object.__setattr__(self, "feedback", SignalTable(feedback))
 
     @staticmethod
-    def of(
+    def from_motor(
         motor: MotorDescription,
         bus: int,
-        given: Mapping[str, Any] | None = None,
+        options_override: Mapping[str, Any] | None = None,
         mode: int = setup.TORQUE_MODE,
     ) -> "Cia402Drive":
         """Return the drive for a motor description.
@@ -109,14 +109,14 @@ class Cia402Drive:
         Args:
             motor: description of the motor.
             bus: index of the bus of the drive.
-            given: options to use instead of the options in the description.
+            options_override: options to use instead of the options in the description.
             mode: mode of operation of the drive, see ``settings``.
 
         Raises:
             ConfigError: an option is unknown or wrong, the node number is out of range, or the
                 torque limit is too large.
         """
-        options = dict(motor.options if given is None else given)
+        options = dict(motor.options if options_override is None else options_override)
         where = f"motor[{motor.name}].options"
         if not 0 < motor.node_id < setup.HOST_NODE:
             raise ConfigError(
@@ -174,7 +174,7 @@ class Cia402Drive:
         )
 
     @property
-    def exchange(self) -> tuple[tuple[int, bool], ...]:
+    def frames_per_tick(self) -> tuple[tuple[int, bool], ...]:
         """Return the frames of a tick: RPDO, TPDO, and also SYNC if the option ``sync`` is set."""
         return ((4, False), (8, False), *(((0, False),) if self.sync else ()))
 
@@ -231,9 +231,9 @@ class Cia402Drive:
         return 0.0
 
     @property
-    def cyclic(self) -> CyclicMessages:
+    def cyclic_messages(self) -> CyclicMessages:
         """Return the signal tables of RPDO and TPDO, and also of SYNC if the option ``sync`` is set."""
-        sync = (Message("sync", codec.SYNC, 0, answers=False),) if self.sync else ()
+        sync = (CyclicMessage("sync", codec.SYNC, 0, answers=False),) if self.sync else ()
         return CyclicMessages(
             (self.feedback.message,), (self.command.message, *sync), self.life_sign_timeout_ns
         )
@@ -256,7 +256,7 @@ class Cia402Drive:
             step for step in self.steps if (step.number, step.sub) in setup.PROTECTION_OBJECTS
         )
 
-    def initial(self) -> DriveState:
+    def initial_state(self) -> DriveState:
         """Return the state of the drive before the first frame."""
         return DriveState(private=Cia402Progress())
 
@@ -272,12 +272,12 @@ class Cia402Drive:
         if service == codec.HEARTBEAT:
             return on_heartbeat(state, frame)
         if service == codec.SDO_REPLY:
-            return self._on_object(state, frame.data)
+            return self._on_sdo_reply(state, frame.data)
         # The only service left is the emergency. Its code 0 reports that all errors have ended.
         code = int.from_bytes(frame.data[:2], "little")
         return state._replace(private=progress_of(state)._replace(code=code)) if code else state
 
-    def _on_object(self, state: DriveState, data: bytes) -> DriveState:
+    def _on_sdo_reply(self, state: DriveState, data: bytes) -> DriveState:
         """Return the state after an SDO reply of the drive."""
         progress = progress_of(state)
         reply = codec.decode_sdo_reply(data)
@@ -352,14 +352,14 @@ class Cia402Drive:
             < t_ns - self.life_sign_timeout_ns
         ):
             state = state_after_timeout(state)
-        state, frames = self._command(state, t_ns, target, torque)
+        state, frames = self._follow_target(state, t_ns, target, torque)
         progress = progress_of(state)
         if t_ns - progress.heartbeat_sent_ns >= self.heartbeat_period_ns:
             frames = (*frames, Frame(_HOST_HEARTBEAT, bytes((codec.OPERATIONAL,)), 0, self.bus))
             state = state._replace(private=progress._replace(heartbeat_sent_ns=t_ns))
         return state, (*frames, Frame(codec.SYNC, b"", 0, self.bus)) if self.sync else frames
 
-    def _command(
+    def _follow_target(
         self, state: DriveState, t_ns: int, target: DriveTarget, torque: float
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state and the frames for the requested drive state.
@@ -373,14 +373,14 @@ class Cia402Drive:
             return self._disable(state, progress, t_ns)
         if state.phase == ENABLED:
             state, recheck = self._next_recheck(state, progress, t_ns)
-            return state, (self._rpdo(codec.ENABLE_OPERATION, torque), *recheck)
+            return state, (self._rpdo_frame(codec.ENABLE_OPERATION, torque), *recheck)
         if state.phase == FAULT:
-            return state, self.cut() if progress.may_be_enabled else ()
+            return state, self.cut_frames() if progress.may_be_enabled else ()
         progress = progress._replace(disabling_ns=-1)
         if progress.cursor.step < len(self.steps):
             return self._configure(state, progress, t_ns)
         if state.phase != READY:
-            return self._start(state, progress, t_ns)
+            return self._start_node(state, progress, t_ns)
         if target == ENABLE:
             control_word = codec.NEXT_CONTROLWORD.get(progress.power, codec.DISABLE_VOLTAGE)
             check = (
@@ -389,7 +389,7 @@ class Cia402Drive:
                 else readback.first_recheck(self.node_id, t_ns)
             )
             return state._replace(private=progress._replace(enable_sent=True, check=check)), (
-                self._rpdo(control_word, self._rest(state)),
+                self._rpdo_frame(control_word, self._rest_command(state)),
             )
         return state._replace(private=progress), ()
 
@@ -430,10 +430,10 @@ class Cia402Drive:
         start: tuple[Frame, ...] = ()
         if t_ns - max(state.feedback_t_ns, progress.started_ns) > REPEAT_PERIOD_NS:
             progress = progress._replace(started_ns=t_ns)
-            start = (self._nmt(codec.START_NODE),)
+            start = (self._nmt_frame(codec.START_NODE),)
         return state._replace(phase=phase, private=progress), (
             *start,
-            self._rpdo(codec.DISABLE_VOLTAGE, 0.0),
+            self._rpdo_frame(codec.DISABLE_VOLTAGE, 0.0),
         )
 
     def _configure(
@@ -449,11 +449,11 @@ class Cia402Drive:
             return enter_fault(updated, SETTING_MISMATCH_ERROR, problem), ()
         frames = (Frame(codec.SDO_REQUEST + self.node_id, data, 0, self.bus),) if data else ()
         return updated, (
-            self._nmt(codec.PRE_OPERATIONAL),
+            self._nmt_frame(codec.PRE_OPERATIONAL),
             *frames,
         ) if cursor.step == 0 and data else frames
 
-    def _start(
+    def _start_node(
         self, state: DriveState, progress: Cia402Progress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state, and the frames to set the node to the NMT state operational.
@@ -465,15 +465,17 @@ class Cia402Drive:
             # The control word alternates between two values, because only the rising edge of bit 7
             # resets a fault.
             control_word = codec.FAULT_RESET if progress.clearing % 2 else codec.DISABLE_VOLTAGE
-            return state._replace(private=progress), (self._rpdo(control_word, 0.0),)
+            return state._replace(private=progress), (self._rpdo_frame(control_word, 0.0),)
         if t_ns - progress.started_ns < REPEAT_PERIOD_NS:
             return state._replace(private=progress), ()
         question = "does a node send SYNC (0x080) on its bus, and does the drive accept SYNC with a counter?"
         text = f"no TPDO yet: {question}" if progress.started_ns >= 0 else ""
         updated = progress._replace(started_ns=t_ns)
-        return state._replace(error_text=text, private=updated), (self._nmt(codec.START_NODE),)
+        return state._replace(error_text=text, private=updated), (
+            self._nmt_frame(codec.START_NODE),
+        )
 
-    def _rpdo(self, control: int, torque: float) -> Frame:
+    def _rpdo_frame(self, control: int, torque: float) -> Frame:
         """Return RPDO1 with the given control word and torque [N m at the spool]."""
         try:
             data = struct.pack("<H", control) + self.command.pack(torque)[2:]
@@ -481,11 +483,11 @@ class Cia402Drive:
             raise ValueError(f"{self.name}: {error}") from None
         return Frame(codec.RPDO + self.node_id, data, 0, self.bus)
 
-    def _rest(self, state: DriveState) -> float:
+    def _rest_command(self, state: DriveState) -> float:
         """Return the command to a drive that is being enabled: zero torque."""
         return 0.0
 
-    def _nmt(self, order: int) -> Frame:
+    def _nmt_frame(self, order: int) -> Frame:
         """Return the frame of an NMT command to the node."""
         return Frame(codec.NMT, bytes((order, self.node_id)), 0, self.bus)
 
@@ -493,17 +495,18 @@ class Cia402Drive:
         """Return the serial number in object 0x1018:4, or the node number if the drive does not have this object."""
         return f"{serial:#x}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
 
-    def cause(self, error: int) -> DriveFaultCause:
+    def fault_cause(self, error_code: int) -> DriveFaultCause:
         """Return the cause of an error code, see ``contract.Drive``."""
         return CAUSE_BY_ERROR.get(
-            error, DriveFaultCause.OTHER if error in codec.ERROR_TEXTS else DriveFaultCause.UNKNOWN
+            error_code,
+            DriveFaultCause.OTHER if error_code in codec.ERROR_TEXTS else DriveFaultCause.UNKNOWN,
         )
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
         """Return an RPDO with a target torque [N m at the spool] and a control word that leaves the power stage off."""
-        return (self._rpdo(codec.DISABLE_VOLTAGE, torque),)
+        return (self._rpdo_frame(codec.DISABLE_VOLTAGE, torque),)
 
-    def cut(self) -> tuple[Frame, ...]:
+    def cut_frames(self) -> tuple[Frame, ...]:
         """Return the frames that remove the torque: DISABLE_VOLTAGE, then NMT pre-operational.
 
         In the NMT state pre-operational, object 0x6007 makes the drive go into fault.
@@ -511,7 +514,10 @@ class Cia402Drive:
         The order of the two frames matters. A node reads PDOs only in the NMT state operational.
         CiA 402-2 does not require that a drive loses its torque when it enters pre-operational.
         """
-        return (self._rpdo(codec.DISABLE_VOLTAGE, 0.0), self._nmt(codec.PRE_OPERATIONAL))
+        return (
+            self._rpdo_frame(codec.DISABLE_VOLTAGE, 0.0),
+            self._nmt_frame(codec.PRE_OPERATIONAL),
+        )
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
         """Return the SDO request after which the drive no longer supervises the host's heartbeat.
@@ -532,7 +538,10 @@ class Cia402Drive:
         power = progress_of(state).power
         fresh = Cia402Progress(power="" if power == codec.FAULT else power, clearing=CLEAR_TRIES)
         updated = state._replace(phase=SILENT, error=0, error_text="", private=fresh)
-        return updated, (self._rpdo(codec.DISABLE_VOLTAGE, 0.0), self._rpdo(codec.FAULT_RESET, 0.0))
+        return updated, (
+            self._rpdo_frame(codec.DISABLE_VOLTAGE, 0.0),
+            self._rpdo_frame(codec.FAULT_RESET, 0.0),
+        )
 
 
 _HOST_HEARTBEAT = codec.HEARTBEAT + setup.HOST_NODE

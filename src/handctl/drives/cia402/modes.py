@@ -16,8 +16,8 @@ from handctl.drives.cia402 import codec
 from handctl.drives.cia402 import settings as setup
 from handctl.drives.cia402.drive import Cia402Drive
 from handctl.drives.contract import DriveState
+from handctl.drives.drive_modes import DriveMode, MotionLimits, constructor_arguments
 from handctl.drives.frame import Frame
-from handctl.drives.modes import DriveMode, MotionLimits, init_fields
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.signals import SignalTable
 from handctl.errors import ConfigError
@@ -66,11 +66,11 @@ class Cia402ModeDrive(Cia402Drive):
         object.__setattr__(self, "command", SignalTable(message))
 
     @property
-    def exchange(self) -> tuple[tuple[int, bool], ...]:
+    def frames_per_tick(self) -> tuple[tuple[int, bool], ...]:
         """Return the frames of a tick: RPDO, TPDO, and also SYNC if the option ``sync`` is set."""
         return ((6, False), (8, False), *(((0, False),) if self.sync else ()))
 
-    def _rest(self, state: DriveState) -> float:
+    def _rest_command(self, state: DriveState) -> float:
         """Return the command that causes no motion: the present position, or zero velocity."""
         return self.mode.rest(state.position)
 
@@ -95,7 +95,9 @@ def make_mode_drive(
     where = f"motor[{motor.name}]"
     if unit not in VELOCITY_UNITS:
         raise ConfigError(repr(unit), f"{where}.options.velocity_unit", " or ".join(VELOCITY_UNITS))
-    fields = init_fields(Cia402Drive.of(motor, bus, options, _OPERATION_MODES[mode]))
+    fields = constructor_arguments(
+        Cia402Drive.from_motor(motor, bus, options, _OPERATION_MODES[mode])
+    )
     ratio = abs(fields["ratio"])
     speed = math.ceil(limits.speed * ratio / RAD_S_PER_RPM)
     window = math.ceil(FOLLOWING_ERROR_RAD * ratio / math.tau * fields["counts"])

@@ -2,9 +2,9 @@
 
 from typing import NamedTuple, cast
 
-from handctl.drives.causes import DriveFaultCause
 from handctl.drives.cia402 import codec
 from handctl.drives.contract import DrivePhase, DriveState
+from handctl.drives.fault_causes import DriveFaultCause
 from handctl.drives.frame import Frame
 from handctl.drives.readback import ReadbackCursor, RecheckCursor
 
@@ -76,9 +76,9 @@ def progress_of(state: DriveState) -> Cia402Progress:
     return cast(Cia402Progress, state.private)
 
 
-def enter_fault(state: DriveState, error: int, text: str) -> DriveState:
+def enter_fault(state: DriveState, error_code: int, text: str) -> DriveState:
     """Return the state in phase FAULT, with the given error code and text."""
-    return state._replace(phase=FAULT, error=error, error_text=text)
+    return state._replace(phase=FAULT, error=error_code, error_text=text)
 
 
 def apply_power_state(state: DriveState, progress: Cia402Progress) -> DriveState:

@@ -58,7 +58,7 @@ class LoadCellAmplifier:
     tpdo_ids: tuple[int, ...]
     steps: tuple[setup.SetupStep, ...]
 
-    def initial(self) -> AmplifierState:
+    def initial_state(self) -> AmplifierState:
         """Return the state of the amplifier before the first frame."""
         return AmplifierState(self.node_id)
 
@@ -81,7 +81,7 @@ class LoadCellAmplifier:
         if frame.can_id == codec.HEARTBEAT + self.node_id and len(frame.data) == 1:
             return self._on_heartbeat(state, frame.data[0])
         if frame.can_id == codec.SDO_REPLY + self.node_id and len(frame.data) == 8:
-            return self._on_object(state, frame.data)
+            return self._on_sdo_reply(state, frame.data)
         return state
 
     def _on_life_sign(self, state: AmplifierState) -> AmplifierState:
@@ -101,10 +101,10 @@ class LoadCellAmplifier:
         if nmt == codec.OPERATIONAL:
             return self._on_life_sign(state)
         if nmt == codec.BOOT_UP or state.phase == READY:
-            return self.initial()
+            return self.initial_state()
         return state
 
-    def _on_object(self, state: AmplifierState, data: bytes) -> AmplifierState:
+    def _on_sdo_reply(self, state: AmplifierState, data: bytes) -> AmplifierState:
         """Return the state after an SDO reply of the amplifier."""
         reply = codec.decode_sdo_reply(data)
         if reply is None or state.cursor.step >= len(self.steps):
@@ -127,7 +127,9 @@ class LoadCellAmplifier:
         if t_ns - state.started_ns < REPEAT_PERIOD_NS:
             return state, ()
         text = "does not become operational" if state.started_ns >= 0 else ""
-        return state._replace(started_ns=t_ns, error_text=text), (self._nmt(codec.START_NODE),)
+        return state._replace(started_ns=t_ns, error_text=text), (
+            self._nmt_frame(codec.START_NODE),
+        )
 
     def _configure(
         self, state: AmplifierState, t_ns: int
@@ -142,10 +144,10 @@ class LoadCellAmplifier:
             return updated._replace(phase=DrivePhase.FAULT, error_text=problem), ()
         frames = (Frame(codec.SDO_REQUEST + self.node_id, data, 0, self.bus),) if data else ()
         return updated, (
-            self._nmt(codec.PRE_OPERATIONAL),
+            self._nmt_frame(codec.PRE_OPERATIONAL),
             *frames,
         ) if cursor.step == 0 and data else frames
 
-    def _nmt(self, order: int) -> Frame:
+    def _nmt_frame(self, order: int) -> Frame:
         """Return the frame of an NMT command to the amplifier."""
         return Frame(codec.NMT, bytes((order, self.node_id)), 0, self.bus)

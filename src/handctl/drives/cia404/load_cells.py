@@ -27,7 +27,7 @@ from handctl.drives.cia404.settings import (
     required_steps,
 )
 from handctl.drives.frame import Frame
-from handctl.drives.signals import Message, Quantity, Signal, SignalCoding
+from handctl.drives.signals import CyclicMessage, Signal, SignalCoding, SignalQuantity
 
 TARE_MARGIN_N = 6.0
 """Largest accepted tare of a load cell [N]."""
@@ -113,7 +113,9 @@ class Cia404LoadCells:
     coding: SignalCoding
 
     @staticmethod
-    def of(node: AmplifierDescription, bus: int, tendons: tuple[str, ...]) -> "Cia404LoadCells":
+    def from_description(
+        node: AmplifierDescription, bus: int, tendons: tuple[str, ...]
+    ) -> "Cia404LoadCells":
         """Return the load cells of a hand.
 
         Args:
@@ -200,7 +202,7 @@ class Cia404LoadCells:
         return TENSION_LOW_N
 
     @property
-    def exchange(self) -> tuple[tuple[int, float], ...]:
+    def frames_per_tick(self) -> tuple[tuple[int, float], ...]:
         """Return the frames of a tick, SYNC and every TPDO, as (payload bytes, frames per tick)."""
         return ((0, 1.0), *((length, 1.0) for length in self.lengths)) if self.ids else ()
 
@@ -210,24 +212,26 @@ class Cia404LoadCells:
         return ((1, 1e3 / HEARTBEAT_MS),) * len(self.amplifiers)
 
     @property
-    def messages(self) -> tuple[Message, ...]:
+    def messages(self) -> tuple[CyclicMessage, ...]:
         """Return the signal tables of the frames. ``Signal.channel`` is the index of the tendon."""
         messages = []
         for amplifier, groups in zip(self.amplifiers, self.group_ranges, strict=True):
             for tpdo, group in enumerate(groups):
                 signals = [
-                    Signal(f"tension_{slot}", Quantity.TENSION, 32 * slot, 32, False, self.coding, self.scale, 0.0, "N",
-                           index)
+                    Signal(f"tension_{slot}", SignalQuantity.TENSION, 32 * slot, 32, False, self.coding, self.scale,
+                           0.0, "N", index)
                     for slot, index in enumerate(self.channels[group])
                 ]  # fmt: skip
                 name = f"amplifier_{amplifier.node_id:02x}_tpdo{tpdo + 1}"
-                messages.append(Message(name, self.ids[group], self.lengths[group], tuple(signals)))
+                messages.append(
+                    CyclicMessage(name, self.ids[group], self.lengths[group], tuple(signals))
+                )
         return tuple(messages)
 
     @property
-    def sync_message(self) -> Message:
+    def sync_message(self) -> CyclicMessage:
         """Return the signal table of SYNC, without a counter: a node without object 0x1019 expects none."""
-        return Message("sync", self.sync_id, 0)
+        return CyclicMessage("sync", self.sync_id, 0)
 
     @property
     def has_counter(self) -> bool:
@@ -250,14 +254,14 @@ class Cia404LoadCells:
         """Return True, because a payload does not show which SYNC it answers."""
         return True
 
-    def lost(self, syncs: int, accepted: int, stale: int) -> int:
+    def lost_frame_count(self, syncs: int, accepted: int, stale: int) -> int:
         """Return the number of lost frames. Answers to the last SYNC are not counted."""
         return max(0, (syncs - 1) * len(self.ids) - accepted - stale)
 
-    def group_of_tendon(self, index: int) -> int:
+    def group_of_tendon(self, tendon_index: int) -> int:
         """Return the index of the frame with the load cell of a tendon, -1 for a tendon without a load cell."""
-        return self.frame_of[index]
+        return self.frame_of[tendon_index]
 
-    def group_of_joint(self, index: int) -> int:
+    def group_of_joint(self, joint_index: int) -> int:
         """Return -1, because the amplifiers have no joint encoders."""
         return -1

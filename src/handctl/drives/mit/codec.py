@@ -42,7 +42,7 @@ import math
 import struct
 from typing import NamedTuple
 
-from handctl.drives.signals import Message, Quantity, Signal, SignalCoding, SignalTable
+from handctl.drives.signals import CyclicMessage, Signal, SignalCoding, SignalQuantity, SignalTable
 
 BROADCAST_ID = 0x7FF
 """Identifier of register requests to all motors.
@@ -146,7 +146,9 @@ FeedbackValues = tuple[int, float, float, float, float]
 """Values in feedback: state nibble, position [rad], velocity [rad/s], torque [N m], higher temperature [degC]."""
 
 
-def command_message(can_id: int, ranges: MotorRanges, sign: int = 1, flags: int = 0) -> Message:
+def command_message(
+    can_id: int, ranges: MotorRanges, direction: int = 1, flags: int = 0
+) -> CyclicMessage:
     """Return the signal table of the torque command, in which kp = kd = 0.
 
     This format has no code for zero torque. 0 N m is sent as the nearest code, half a step (TMAX /
@@ -155,18 +157,20 @@ def command_message(can_id: int, ranges: MotorRanges, sign: int = 1, flags: int 
     Args:
         can_id: identifier of the motor, ESC_ID.
         ranges: full scale of the motor. TMAX is the torque limit.
-        sign: 1 if positive torque of the motor winds the tendon, else -1.
+        direction: 1 if positive torque of the motor winds the tendon, else -1.
         flags: flags of the frame, see ``frame``.
     """
-    unused = Quantity.UNUSED
+    unused = SignalQuantity.UNUSED
     signals = (
         _signal_over_range("position", unused, 7, 16, ranges.position, "rad"),
         _signal_over_range("velocity", unused, 23, 12, ranges.velocity, "rad/s"),
         Signal("kp", unused, 27, 12, True, scale=KP_MAX / MAX_COUNT, unit="N m/rad"),
         Signal("kd", unused, 47, 12, True, scale=KD_MAX / MAX_COUNT, unit="N m s/rad"),
-        _signal_over_range("torque", Quantity.TORQUE, 51, 12, ranges.torque, "N m", sign),
+        _signal_over_range(
+            "torque", SignalQuantity.TORQUE, 51, 12, ranges.torque, "N m", direction
+        ),
     )
-    return Message(
+    return CyclicMessage(
         "command", can_id, 8, signals, flags, _NO_MOTION.to_bytes(8, "big"), False, ranges.torque
     )
 
@@ -174,17 +178,17 @@ def command_message(can_id: int, ranges: MotorRanges, sign: int = 1, flags: int 
 def impedance_message(
     can_id: int,
     ranges: MotorRanges,
-    sign: int = 1,
+    direction: int = 1,
     zero: float = 0.0,
     flags: int = 0,
     gains: tuple[float, float] = (KP_MAX, KD_MAX),
-) -> Message:
+) -> CyclicMessage:
     """Return the signal table of the command with position, velocity, kp, kd and torque, see ``POSITION_COMMAND``.
 
     Args:
         can_id: identifier of the motor, ESC_ID.
         ranges: full scale of the motor. TMAX is the torque limit.
-        sign: 1 if positive torque of the motor winds the tendon, else -1. Position and velocity
+        direction: 1 if positive torque of the motor winds the tendon, else -1. Position and velocity
             have the same sign.
         zero: motor angle at spool angle zero [rad].
         flags: flags of the frame.
@@ -192,62 +196,68 @@ def impedance_message(
     """
     kp, kd = gains
     position = _signal_over_range(
-        "position", Quantity.POSITION, 7, 16, ranges.position, "rad", sign
+        "position", SignalQuantity.POSITION, 7, 16, ranges.position, "rad", direction
     )
     signals = (
-        position._replace(offset=position.offset - sign * zero),
-        _signal_over_range("velocity", Quantity.VELOCITY, 23, 12, ranges.velocity, "rad/s", sign),
-        Signal("kp", Quantity.STIFFNESS, 27, 12, True, scale=kp / MAX_COUNT, unit="N m/rad"),
-        Signal("kd", Quantity.DAMPING, 47, 12, True, scale=kd / MAX_COUNT, unit="N m s/rad"),
-        _signal_over_range("torque", Quantity.TORQUE, 51, 12, ranges.torque, "N m", sign),
+        position._replace(offset=position.offset - direction * zero),
+        _signal_over_range(
+            "velocity", SignalQuantity.VELOCITY, 23, 12, ranges.velocity, "rad/s", direction
+        ),
+        Signal("kp", SignalQuantity.STIFFNESS, 27, 12, True, scale=kp / MAX_COUNT, unit="N m/rad"),
+        Signal("kd", SignalQuantity.DAMPING, 47, 12, True, scale=kd / MAX_COUNT, unit="N m s/rad"),
+        _signal_over_range(
+            "torque", SignalQuantity.TORQUE, 51, 12, ranges.torque, "N m", direction
+        ),
     )
-    return Message("position_command", can_id, 8, signals, flags, bytes(8), False, ranges.torque)
+    return CyclicMessage(
+        "position_command", can_id, 8, signals, flags, bytes(8), False, ranges.torque
+    )
 
 
 def position_message(
-    can_id: int, ranges: MotorRanges, speed: float, sign: int, zero: float, flags: int
-) -> Message:
+    can_id: int, ranges: MotorRanges, speed: float, direction: int, zero: float, flags: int
+) -> CyclicMessage:
     """Return the signal table of the command in position-velocity mode, which has a constant speed limit.
 
     Args:
         can_id: identifier of the motor, ESC_ID.
         ranges: full scale of the motor. PMAX is the largest position command.
         speed: speed limit [rad/s].
-        sign: 1 if a positive position of the motor winds the tendon, else -1.
+        direction: 1 if a positive position of the motor winds the tendon, else -1.
         zero: motor angle at spool angle zero [rad].
         flags: flags of the frame.
     """
     signals = (
-        _float_signal("position", Quantity.POSITION, 0, "rad", sign, -sign * zero),
-        _float_signal("speed", Quantity.UNUSED, 4, "rad/s"),
+        _float_signal("position", SignalQuantity.POSITION, 0, "rad", direction, -direction * zero),
+        _float_signal("speed", SignalQuantity.UNUSED, 4, "rad/s"),
     )
     base = struct.pack("<ff", 0.0, speed)
-    return Message(
+    return CyclicMessage(
         "position_velocity", 0x100 + can_id, 8, signals, flags, base, limit=ranges.position
     )
 
 
-def velocity_message(can_id: int, limit: float, sign: int, flags: int) -> Message:
+def velocity_message(can_id: int, limit: float, direction: int, flags: int) -> CyclicMessage:
     """Return the signal table of the command in velocity mode.
 
     Args:
         can_id: identifier of the motor, ESC_ID.
         limit: largest speed in a command [rad/s].
-        sign: 1 if a positive velocity of the motor winds the tendon, else -1.
+        direction: 1 if a positive velocity of the motor winds the tendon, else -1.
         flags: flags of the frame.
     """
-    signal = _float_signal("velocity", Quantity.VELOCITY, 0, "rad/s", sign)
-    return Message("velocity", 0x200 + can_id, 4, (signal,), flags, bytes(4), limit=limit)
+    signal = _float_signal("velocity", SignalQuantity.VELOCITY, 0, "rad/s", direction)
+    return CyclicMessage("velocity", 0x200 + can_id, 4, (signal,), flags, bytes(4), limit=limit)
 
 
 def force_position_message(
     can_id: int,
     ranges: MotorRanges,
     limits: tuple[float, float],
-    sign: int,
+    direction: int,
     zero: float,
     flags: int,
-) -> Message:
+) -> CyclicMessage:
     """Return the signal table of the command in force-position mode, which has constant limits.
 
     Args:
@@ -255,7 +265,7 @@ def force_position_message(
         ranges: full scale of the motor. PMAX is the largest position command.
         limits: speed limit [rad/s], and current limit as a fraction of the largest current of the
             motor.
-        sign: 1 if a positive position of the motor winds the tendon, else -1.
+        direction: 1 if a positive position of the motor winds the tendon, else -1.
         zero: motor angle at spool angle zero [rad].
         flags: flags of the frame.
 
@@ -269,55 +279,80 @@ def force_position_message(
             f"no code for speed {speed:g} rad/s and current {fraction:g}, expected at most 100 and 1"
         )
     signals = (
-        _float_signal("position", Quantity.POSITION, 0, "rad", sign, -sign * zero),
-        Signal("speed", Quantity.UNUSED, 32, 16, scale=1.0 / SPEED_CODES, unit="rad/s"),
-        Signal("current", Quantity.UNUSED, 48, 16, scale=1.0 / FULL_SCALE_COUNT),
+        _float_signal("position", SignalQuantity.POSITION, 0, "rad", direction, -direction * zero),
+        Signal("speed", SignalQuantity.UNUSED, 32, 16, scale=1.0 / SPEED_CODES, unit="rad/s"),
+        Signal("current", SignalQuantity.UNUSED, 48, 16, scale=1.0 / FULL_SCALE_COUNT),
     )
     base = struct.pack("<fHH", 0.0, *codes)
-    return Message("force_position", 0x300 + can_id, 8, signals, flags, base, limit=ranges.position)
+    return CyclicMessage(
+        "force_position", 0x300 + can_id, 8, signals, flags, base, limit=ranges.position
+    )
 
 
 def _float_signal(
-    name: str, quantity: Quantity, first: int, unit: str, scale: float = 1.0, offset: float = 0.0
+    name: str,
+    quantity: SignalQuantity,
+    first_byte: int,
+    unit: str,
+    scale: float = 1.0,
+    offset: float = 0.0,
 ) -> Signal:
-    """Return the description of a float32 signal that begins at byte ``first``."""
-    return Signal(name, quantity, 8 * first, 32, False, SignalCoding.FLOAT, scale, offset, unit)
+    """Return the description of a float32 signal that begins at byte ``first_byte``."""
+    return Signal(
+        name, quantity, 8 * first_byte, 32, False, SignalCoding.FLOAT, scale, offset, unit
+    )
 
 
-def feedback_message(can_id: int, ranges: MotorRanges, sign: int = 1, zero: float = 0.0) -> Message:
+def feedback_message(
+    can_id: int, ranges: MotorRanges, direction: int = 1, zero: float = 0.0
+) -> CyclicMessage:
     """Return the signal table of the feedback frame.
 
     Args:
         can_id: identifier of the feedback, MST_ID.
         ranges: full scale of the motor.
-        sign: 1 if positive torque of the motor winds the tendon, else -1. Position and velocity
+        direction: 1 if positive torque of the motor winds the tendon, else -1. Position and velocity
             have the same sign.
         zero: motor angle at spool angle zero [rad].
     """
     position = _signal_over_range(
-        "position", Quantity.POSITION, 15, 16, ranges.position, "rad", sign
+        "position", SignalQuantity.POSITION, 15, 16, ranges.position, "rad", direction
     )
-    return Message("feedback", can_id, 8, (
+    return CyclicMessage("feedback", can_id, 8, (
         # The nibbles of state and node form one status byte, so that one comparison checks both.
-        Signal("state", Quantity.STATUS, 7, 8, True),
+        Signal("state", SignalQuantity.STATUS, 7, 8, True),
         # The spool angle is sign * (motor angle - zero).
-        position._replace(offset=position.offset - sign * zero),
-        _signal_over_range("velocity", Quantity.VELOCITY, 31, 12, ranges.velocity, "rad/s", sign),
-        _signal_over_range("torque", Quantity.TORQUE, 35, 12, ranges.torque, "N m", sign),
-        Signal("mosfet", Quantity.TEMPERATURE, 55, 8, True, unit="degC"),
-        Signal("winding", Quantity.TEMPERATURE, 63, 8, True, unit="degC"),
+        position._replace(offset=position.offset - direction * zero),
+        _signal_over_range("velocity", SignalQuantity.VELOCITY, 31, 12, ranges.velocity, "rad/s", direction),
+        _signal_over_range("torque", SignalQuantity.TORQUE, 35, 12, ranges.torque, "N m", direction),
+        Signal("mosfet", SignalQuantity.TEMPERATURE, 55, 8, True, unit="degC"),
+        Signal("winding", SignalQuantity.TEMPERATURE, 63, 8, True, unit="degC"),
     ))  # fmt: skip
 
 
 def _signal_over_range(
-    name: str, quantity: Quantity, start: int, length: int, largest: float, unit: str, sign: int = 1
+    name: str,
+    quantity: SignalQuantity,
+    start: int,
+    length: int,
+    largest: float,
+    unit: str,
+    direction: int = 1,
 ) -> Signal:
     """Return the description of a signal whose codes cover the values from -largest to largest."""
     # The highest code is +largest, so there are 2^n - 1 steps. A negative sign reverses scale and
     # offset.
-    scale = sign * 2 * largest / ((1 << length) - 1)
+    scale = direction * 2 * largest / ((1 << length) - 1)
     return Signal(
-        name, quantity, start, length, True, SignalCoding.UNSIGNED, scale, -sign * largest, unit
+        name,
+        quantity,
+        start,
+        length,
+        True,
+        SignalCoding.UNSIGNED,
+        scale,
+        -direction * largest,
+        unit,
     )
 
 

@@ -19,7 +19,6 @@ import math
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from handctl.drives.causes import DriveFaultCause
 from handctl.drives.contract import (
     END_OF_TIME_NS,
     NO_STEADY_STATUS,
@@ -27,11 +26,12 @@ from handctl.drives.contract import (
     DriveState,
     DriveTarget,
 )
+from handctl.drives.fault_causes import DriveFaultCause
 from handctl.drives.frame import Frame
 from handctl.drives.mit import codec
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.option_checks import check_full_scale, pop_motor_model, refuse_unknown_options
-from handctl.drives.signals import CyclicMessages, Quantity, Signal, SignalTable
+from handctl.drives.signals import CyclicMessages, Signal, SignalQuantity, SignalTable
 from handctl.errors import ConfigError
 
 LISTEN, POLL, ENABLE, DISABLE = DriveTarget
@@ -160,20 +160,20 @@ class CubemarsDrive:
             torque,
             Signal(
                 "temperature",
-                Quantity.TEMPERATURE,
+                SignalQuantity.TEMPERATURE,
                 55,
                 8,
                 True,
                 offset=self.temperature_offset,
                 unit="degC",
             ),
-            Signal("error", Quantity.STATUS, 63, 8, True),
+            Signal("error", SignalQuantity.STATUS, 63, 8, True),
         )
         object.__setattr__(self, "command", SignalTable(command._replace(limit=self.torque_limit)))
         object.__setattr__(self, "feedback", SignalTable(feedback._replace(signals=signals)))
 
     @staticmethod
-    def of(motor: MotorDescription, bus: int) -> "CubemarsDrive":
+    def from_motor(motor: MotorDescription, bus: int) -> "CubemarsDrive":
         """Return the drive for a motor description.
 
         The full scales of position and velocity come from the motor model, not from the
@@ -212,7 +212,7 @@ class CubemarsDrive:
         )
 
     @property
-    def exchange(self) -> tuple[tuple[int, bool], ...]:
+    def frames_per_tick(self) -> tuple[tuple[int, bool], ...]:
         """Return the frames of a tick: command and answer."""
         return ((8, False), (8, False))
 
@@ -263,7 +263,7 @@ class CubemarsDrive:
         return 0.0
 
     @property
-    def cyclic(self) -> CyclicMessages:
+    def cyclic_messages(self) -> CyclicMessages:
         """Return the signal tables of the commands and of the feedback."""
         position = codec.impedance_message(self.node_id, self.ranges, self.direction, self.zero)
         position = position._replace(limit=self.torque_limit)
@@ -283,7 +283,7 @@ class CubemarsDrive:
         """Return END_OF_TIME_NS, because the motor has no settings to read back."""
         return END_OF_TIME_NS
 
-    def initial(self) -> DriveState:
+    def initial_state(self) -> DriveState:
         """Return the state of the motor before the first frame."""
         return DriveState(private=CubemarsProgress())
 
@@ -361,7 +361,7 @@ class CubemarsDrive:
             if progress.enable_sent and (target == DISABLE or state.phase != FAULT)
             else state.phase
         )
-        return self._after_command(state._replace(phase=phase), DISABLE, t_ns), self.cut()
+        return self._after_command(state._replace(phase=phase), DISABLE, t_ns), self.cut_frames()
 
     def _after_command(self, state: DriveState, command_sent: DriveTarget, t_ns: int) -> DriveState:
         """Return the state after an enable or disable command was sent.
@@ -395,7 +395,7 @@ class CubemarsDrive:
         """
         return (self._frame_to_motor(self._torque_payload(torque)),)
 
-    def cut(self) -> tuple[Frame, ...]:
+    def cut_frames(self) -> tuple[Frame, ...]:
         """Return the frame of the disable command."""
         return (self._frame_to_motor(codec.special_command(codec.DISABLE)),)
 
@@ -412,7 +412,7 @@ class CubemarsDrive:
             error_text="",
             private=CubemarsProgress(enable_sent=progress.enable_sent),
         )
-        return fresh, self.cut()
+        return fresh, self.cut_frames()
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
         """Return no frames, because the motor has no watchdog."""
@@ -422,9 +422,9 @@ class CubemarsDrive:
         """Return the node number, because the motor does not report a serial number."""
         return f"node {self.node_id}"
 
-    def cause(self, error: int) -> DriveFaultCause:
+    def fault_cause(self, error_code: int) -> DriveFaultCause:
         """Return the cause of an error code, see ``contract.Drive``."""
-        return CAUSE_BY_ERROR.get(error, DriveFaultCause.UNKNOWN)
+        return CAUSE_BY_ERROR.get(error_code, DriveFaultCause.UNKNOWN)
 
     def _frame_to_motor(self, data: bytes) -> Frame:
         """Return a frame to the motor with the given payload."""

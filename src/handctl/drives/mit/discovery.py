@@ -57,15 +57,15 @@ _RANGE_REGISTERS = (
 _STATE_TEXTS = {codec.DISABLED: "disabled", codec.ENABLED: "enabled"}
 
 
-def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
+def probe_frames(scan_round: int, received: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the requests of a round of the scan.
 
     Round 2 reads register MST_ID of every node number. Round 3 reads the other registers and the
     state of the discovered motors.
     """
-    if turn == 2:
+    if scan_round == 2:
         return tuple(_read_request(number, MST_ID) for number in MOTOR_NUMBERS)
-    if turn != 3:
+    if scan_round != 3:
         return ()
     frames = []
     for motor in discovered_motors(received):
@@ -98,13 +98,13 @@ def discovered_motors(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
 
 
 def _describe_motor(
-    number: int,
+    node_number: int,
     reply_ids: dict[int, int],
     answers: dict[int, list[bytes]],
     received: ReceivedFrames,
 ) -> DiscoveredNode:
     """Return a discovered motor, with the data in its registers."""
-    reply_id = reply_ids[number]
+    reply_id = reply_ids[node_number]
     raw = {register: payloads[-1] for register, payloads in answers.items()}
     values = {
         register: _decode_integer(data)
@@ -118,14 +118,14 @@ def _describe_motor(
     }
     # A hand file without the option reply_id means MST_ID = ESC_ID + 0x10.
     options: dict[str, bool | int | float | str] = (
-        {} if reply_id == number + 0x10 else {"reply_id": reply_id}
+        {} if reply_id == node_number + 0x10 else {"reply_id": reply_id}
     )
     if values.get(CAN_BR, 0) >= FIRST_FD_BIT_RATE:
         options["fd"] = True
     twins = have_two_drives_answered(answers, SERIAL_NUMBER)
     notes = [TWO_DRIVES_WARNING] if twins else []
     if others := [
-        other for other, used in reply_ids.items() if used == reply_id and other != number
+        other for other, used in reply_ids.items() if used == reply_id and other != node_number
     ]:
         notes.append(
             f"answers on {reply_id:#x} as motor {others[0]} does: give each an MST_ID of its own (register 7)"
@@ -134,15 +134,25 @@ def _describe_motor(
         notes.append("its watchdog is off; handctl sets it before arming")
     if values.get(codec.CTRL_MODE, codec.MIT_MODE) != codec.MIT_MODE:
         notes.append("not in MIT mode; handctl sets it before arming")
-    state, error = _state_and_error(number, reply_id, received)
+    state, error = _state_and_error(node_number, reply_id, received)
     firmware = f"{values[SOFTWARE_VERSION]:#x}" if SOFTWARE_VERSION in values else ""
     serial = f"{values[SERIAL_NUMBER]:#x}" if SERIAL_NUMBER in values else ""
     return DiscoveredNode(
-        "mit", number, firmware, serial, state, error, settings, options, tuple(notes), {}, twins
+        "mit",
+        node_number,
+        firmware,
+        serial,
+        state,
+        error,
+        settings,
+        options,
+        tuple(notes),
+        {},
+        twins,
     )
 
 
-def _state_and_error(number: int, reply_id: int, received: ReceivedFrames) -> tuple[str, str]:
+def _state_and_error(node_number: int, reply_id: int, received: ReceivedFrames) -> tuple[str, str]:
     """Return the state and the error in the latest feedback of a motor, as texts.
 
     Both are empty without feedback.
@@ -151,9 +161,9 @@ def _state_and_error(number: int, reply_id: int, received: ReceivedFrames) -> tu
         matches = (
             frame.can_id == reply_id
             and len(frame.data) == 8
-            and frame.data[0] & 0xF == number & 0xF
+            and frame.data[0] & 0xF == node_number & 0xF
         )
-        if matches and codec.decode_register_reply(frame.data, number) is None:
+        if matches and codec.decode_register_reply(frame.data, node_number) is None:
             nibble = frame.data[0] >> 4
             values = _STATE_TEXTS.get(nibble)
             return (
@@ -182,9 +192,9 @@ def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
     )
 
 
-def _read_request(number: int, register: int) -> Frame:
+def _read_request(node_number: int, register: int) -> Frame:
     """Return the frame to read a register of a motor."""
-    return Frame(codec.BROADCAST_ID, codec.register_request(number, codec.READ, register))
+    return Frame(codec.BROADCAST_ID, codec.register_request(node_number, codec.READ, register))
 
 
 def _decode_integer(raw: bytes) -> int:

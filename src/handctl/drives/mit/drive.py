@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from handctl.drives import readback
-from handctl.drives.causes import DriveFaultCause
 from handctl.drives.contract import NO_STEADY_STATUS, DrivePhase, DriveState, DriveTarget
+from handctl.drives.fault_causes import DriveFaultCause
 from handctl.drives.frame import BRS, FDF, Frame
 from handctl.drives.mit import codec
 from handctl.drives.mit import settings as registers
@@ -80,18 +80,20 @@ class MitDrive:
         object.__setattr__(self, "feedback", SignalTable(feedback))
 
     @staticmethod
-    def of(motor: MotorDescription, bus: int, given: Mapping[str, Any] | None = None) -> "MitDrive":
+    def from_motor(
+        motor: MotorDescription, bus: int, options_override: Mapping[str, Any] | None = None
+    ) -> "MitDrive":
         """Return the drive for a motor description.
 
         Args:
             motor: description of the motor.
             bus: index of the bus of the motor.
-            given: options to use instead of the options in the description.
+            options_override: options to use instead of the options in the description.
 
         Raises:
             ConfigError: an option is unknown, or has a wrong value.
         """
-        options = dict(motor.options if given is None else given)
+        options = dict(motor.options if options_override is None else options_override)
         where = f"motor[{motor.name}].options"
         reply = options.pop("reply_id", motor.node_id + 0x10)
         fd = checked_boolean(options.pop("fd", False), f"{where}.fd")
@@ -118,7 +120,7 @@ class MitDrive:
         return self.ranges.torque
 
     @property
-    def exchange(self) -> tuple[tuple[int, bool], ...]:
+    def frames_per_tick(self) -> tuple[tuple[int, bool], ...]:
         """Return the frames of a tick: command and answer."""
         return ((8, bool(self.flags)), (8, bool(self.flags)))
 
@@ -184,7 +186,7 @@ class MitDrive:
         return ((codec.TIMEOUT, self.timeout), (codec.TMAX, self.ranges.torque))
 
     @property
-    def cyclic(self) -> CyclicMessages:
+    def cyclic_messages(self) -> CyclicMessages:
         """Return the signal tables of the commands and of the feedback."""
         position = codec.impedance_message(
             self.node_id, self.ranges, self.direction, self.zero, self.flags
@@ -207,7 +209,7 @@ class MitDrive:
         """Return the time of the next read-back request [ns]."""
         return progress_of(state).check.due_ns
 
-    def initial(self) -> DriveState:
+    def initial_state(self) -> DriveState:
         """Return the state of the motor before the first frame."""
         return DriveState(private=MitProgress())
 
@@ -225,20 +227,22 @@ class MitDrive:
                 codec.READ,
                 self.rechecked_settings[progress.check.step][0],
             ):
-                return self._on_guard(state, progress, reply)
+                return self._on_recheck_reply(state, progress, reply)
         # Byte 0 of feedback from an enabled motor is 0x10 | node nibble. If the node number is from
         # 0x10 to 0x1f, byte 0 of a register reply is the same. The frame then counts as feedback.
         if state.phase != ENABLED or self.node_id >> 4 != codec.ENABLED:
             reply = codec.decode_register_reply(data, self.node_id)
             if reply is not None:
-                return self._on_register(state, reply, t_ns)
+                return self._on_register_reply(state, reply, t_ns)
         # The low nibble of byte 0 is the node number. With another value, the frame is from another
         # motor.
         if (data[0] ^ self.node_id) & 0xF:
             return state._replace(misread=state.misread + 1)
         return self._on_feedback(state, data, t_ns)
 
-    def _on_register(self, state: DriveState, reply: codec.RegisterReply, t_ns: int) -> DriveState:
+    def _on_register_reply(
+        self, state: DriveState, reply: codec.RegisterReply, t_ns: int
+    ) -> DriveState:
         """Return the state after a register reply during configuration."""
         if state.phase != CONFIGURING:
             return state
@@ -255,7 +259,7 @@ class MitDrive:
             return enter_fault(state, SETTING_MISMATCH_ERROR, problem)
         return state._replace(private=progress._replace(cursor=cursor))
 
-    def _on_guard(
+    def _on_recheck_reply(
         self, state: DriveState, progress: MitProgress, reply: codec.RegisterReply
     ) -> DriveState:
         """Compare a register, read again from the enabled motor, with the required value."""
@@ -294,31 +298,33 @@ class MitDrive:
         """Return the next state and the frames to send, see ``contract.Drive``."""
         progress: MitProgress = state.private
         if target == ENABLE and state.phase == ENABLED and not progress.disabling:
-            command = self._command(torque)
+            command = self._command_frame(torque)
             # In a running hand this is the usual case: one command, and no change of the state.
             if t_ns < progress.check.due_ns:
                 return state, (command,)
-            state, question = self._ask_guard(state, progress, t_ns)
+            state, question = self._next_recheck(state, progress, t_ns)
             return state, (command, question)
         if target == LISTEN:
             return state, ()
         if target == DISABLE or state.phase == ENABLED:
-            return self._disable(state, progress, t_ns), self.cut()
+            return self._disable(state, progress, t_ns), self.cut_frames()
         if state.phase == FAULT and progress.enabled_by_other:
-            return state, self.cut()
+            return state, self.cut_frames()
         progress = progress._replace(disabling=False)
         if (
             state.phase == READY
             and not progress.enable_sent
             and t_ns - max(state.feedback_t_ns, progress.ready_ns) > SILENCE_TIMEOUT_NS
         ):
-            return state._replace(phase=SILENT, private=MitProgress()), (self._refresh(),)
+            return state._replace(phase=SILENT, private=MitProgress()), (self._refresh_frame(),)
         # This motor has a watchdog that runs even while it is disabled. Commands restart it.
         fed = state.error_text == FIRES_WHILE_DISABLED_TEXT
-        clear = (self._frame(codec.special_command(codec.CLEAR)),) if progress.clearing else ()
+        clear = (
+            (self._frame_to_motor(codec.special_command(codec.CLEAR)),) if progress.clearing else ()
+        )
         if state.phase == CONFIGURING or (state.phase == READY and not progress.configured):
             updated, requests = self._configure(state._replace(phase=CONFIGURING), progress, t_ns)
-            return updated, (*(clear or self.cut()), *requests) if fed else requests
+            return updated, (*(clear or self.cut_frames()), *requests) if fed else requests
         if state.phase == READY and target == ENABLE and not (fed and progress.clearing):
             check = (
                 progress.check
@@ -326,11 +332,11 @@ class MitDrive:
                 else readback.first_recheck(self.node_id, t_ns)
             )
             enabling = state._replace(private=progress._replace(enable_sent=True, check=check))
-            return enabling, (self._frame(codec.special_command(codec.ENABLE)),)
+            return enabling, (self._frame_to_motor(codec.special_command(codec.ENABLE)),)
         if fed and not clear:
-            return state._replace(private=progress), self.cut()
+            return state._replace(private=progress), self.cut_frames()
         # The manual does not say if the clear command has an answer, so feedback is requested too.
-        return state._replace(private=progress), (*clear, self._refresh())
+        return state._replace(private=progress), (*clear, self._refresh_frame())
 
     def _disable(self, state: DriveState, progress: MitProgress, t_ns: int) -> DriveState:
         """Return the state of a motor that is being disabled.
@@ -343,7 +349,7 @@ class MitDrive:
             phase=phase, private=progress._replace(disabling=True, disabling_ns=since)
         )
 
-    def _ask_guard(
+    def _next_recheck(
         self, state: DriveState, progress: MitProgress, t_ns: int
     ) -> tuple[DriveState, Frame]:
         """Return the next state and the request to read a protection register of the enabled motor."""
@@ -354,7 +360,9 @@ class MitDrive:
         state = state._replace(private=progress._replace(check=check))
         if problem:
             state = enter_fault(state, SETTING_MISMATCH_ERROR, problem)
-        return state, self._broadcast(codec.register_request(self.node_id, codec.READ, register))
+        return state, self._register_frame(
+            codec.register_request(self.node_id, codec.READ, register)
+        )
 
     def _configure(
         self, state: DriveState, progress: MitProgress, t_ns: int
@@ -365,14 +373,14 @@ class MitDrive:
         """
         if progress.enabled_by_other:
             updated = state._replace(error_text="enabled, and does not disable", private=progress)
-            return updated, self.cut()
+            return updated, self.cut_frames()
         if progress.cursor.step >= len(self.required):
             cursor, data, unanswered = registers.next_serial_request(
                 progress.cursor, self.node_id, t_ns
             )
             updated = state._replace(private=progress._replace(cursor=cursor))
             return _ready_state(updated, progress, t_ns, 0) if unanswered else updated, (
-                self._broadcast(data),
+                self._register_frame(data),
             ) if data else ()
         cursor, data, problem = registers.next_request(
             progress.cursor, self.required, self.node_id, t_ns
@@ -383,9 +391,9 @@ class MitDrive:
             ), ()
         text = FIRES_WHILE_DISABLED_TEXT if state.error_text == FIRES_WHILE_DISABLED_TEXT else ""
         updated = state._replace(error_text=text, private=progress._replace(cursor=cursor))
-        return updated, (self._broadcast(data),) if data else ()
+        return updated, (self._register_frame(data),) if data else ()
 
-    def _torque(self, torque: float) -> bytes:
+    def _command_payload(self, torque: float) -> bytes:
         """Return the payload of a command.
 
         Args:
@@ -404,15 +412,15 @@ class MitDrive:
 
         The frame does not enable the motor.
         """
-        return (self._command(torque),)
+        return (self._command_frame(torque),)
 
-    def _command(self, torque: float) -> Frame:
+    def _command_frame(self, torque: float) -> Frame:
         """Return the frame of a command [N m at the spool]."""
-        return self._frame(self._torque(torque))
+        return self._frame_to_motor(self._command_payload(torque))
 
-    def cut(self) -> tuple[Frame, ...]:
+    def cut_frames(self) -> tuple[Frame, ...]:
         """Return the frame of the disable command."""
-        return (self._frame(codec.special_command(codec.DISABLE)),)
+        return (self._frame_to_motor(codec.special_command(codec.DISABLE)),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the state and the frame that clear the latched error.
@@ -422,7 +430,7 @@ class MitDrive:
         fresh = state._replace(
             phase=SILENT, error=0, error_text="", private=MitProgress(clearing=CLEAR_TRIES)
         )
-        return fresh, (self._frame(codec.special_command(codec.CLEAR)),)
+        return fresh, (self._frame_to_motor(codec.special_command(codec.CLEAR)),)
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
         """Return no frames, because the watchdog of a disabled motor is not active."""
@@ -432,21 +440,21 @@ class MitDrive:
         """Return the serial number from register 15, or the node number if it is unknown."""
         return f"{serial:#x}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
 
-    def cause(self, error: int) -> DriveFaultCause:
+    def fault_cause(self, error_code: int) -> DriveFaultCause:
         """Return the cause of an error code, see ``contract.Drive``."""
-        return CAUSE_BY_ERROR.get(error, DriveFaultCause.UNKNOWN)
+        return CAUSE_BY_ERROR.get(error_code, DriveFaultCause.UNKNOWN)
 
-    def _frame(self, data: bytes) -> Frame:
+    def _frame_to_motor(self, data: bytes) -> Frame:
         """Return a frame to the motor with the given payload."""
         return Frame(self.node_id, data, self.flags, self.bus)
 
-    def _broadcast(self, data: bytes) -> Frame:
+    def _register_frame(self, data: bytes) -> Frame:
         """Return the frame of a register request with the given payload."""
         return Frame(codec.BROADCAST_ID, data, self.flags, self.bus)
 
-    def _refresh(self) -> Frame:
+    def _refresh_frame(self) -> Frame:
         """Return the frame to request feedback from the motor."""
-        return self._broadcast(codec.register_request(self.node_id, codec.REFRESH))
+        return self._register_frame(codec.register_request(self.node_id, codec.REFRESH))
 
 
 def _ready_state(state: DriveState, progress: MitProgress, t_ns: int, serial: int) -> DriveState:

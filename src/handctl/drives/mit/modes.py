@@ -10,13 +10,13 @@ the torque in the other modes. In force-position mode each command contains a cu
 
 from dataclasses import dataclass
 
+from handctl.drives.drive_modes import DriveMode, MotionLimits, constructor_arguments
 from handctl.drives.frame import Frame
 from handctl.drives.mit import codec
 from handctl.drives.mit.drive import MitDrive
-from handctl.drives.modes import DriveMode, MotionLimits, init_fields
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.option_checks import checked_positive
-from handctl.drives.signals import Message, SignalTable
+from handctl.drives.signals import CyclicMessage, SignalTable
 from handctl.errors import ConfigError
 
 _CONTROL_MODES = {
@@ -45,9 +45,9 @@ class MitModeDrive(MitDrive):
     def __post_init__(self) -> None:
         """Build the signal tables of the cyclic frames."""
         MitDrive.__post_init__(self)
-        object.__setattr__(self, "command", SignalTable(self._message()))
+        object.__setattr__(self, "command", SignalTable(self._mode_command_message()))
 
-    def _message(self) -> Message:
+    def _mode_command_message(self) -> CyclicMessage:
         """Return the signal table of the command in this mode."""
         if self.mode == DriveMode.VELOCITY:
             return codec.velocity_message(
@@ -91,10 +91,10 @@ class MitModeDrive(MitDrive):
         """Return no frames, because the motor takes no torque commands in position and velocity modes."""
         return ()
 
-    def _command(self, torque: float) -> Frame:
+    def _command_frame(self, torque: float) -> Frame:
         """Return the frame of a command [rad or rad/s at the spool]."""
         message = self.command.message
-        return Frame(message.can_id, self._torque(torque), self.flags, self.bus)
+        return Frame(message.can_id, self._command_payload(torque), self.flags, self.bus)
 
 
 def make_mode_drive(
@@ -108,9 +108,11 @@ def make_mode_drive(
     options = dict(motor.options)
     where = f"motor[{motor.name}].options.current_fraction"
     fraction = checked_positive(options.pop("current_fraction", 1.0), where, 1.0)
-    base = MitDrive.of(motor, bus, options)
+    base = MitDrive.from_motor(motor, bus, options)
     try:
-        return MitModeDrive(**init_fields(base), mode=mode, limits=limits, fraction=fraction)
+        return MitModeDrive(
+            **constructor_arguments(base), mode=mode, limits=limits, fraction=fraction
+        )
     except ValueError as error:
         raise ConfigError(
             str(error), f"motor[{motor.name}]", "a limit that the command can carry"

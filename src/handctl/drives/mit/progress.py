@@ -2,8 +2,8 @@
 
 from typing import NamedTuple
 
-from handctl.drives.causes import DriveFaultCause
 from handctl.drives.contract import DrivePhase, DriveState
+from handctl.drives.fault_causes import DriveFaultCause
 from handctl.drives.mit import codec
 from handctl.drives.readback import ReadbackCursor, RecheckCursor
 
@@ -77,9 +77,9 @@ def progress_of(state: DriveState) -> MitProgress:
     return progress
 
 
-def enter_fault(state: DriveState, error: int, text: str) -> DriveState:
+def enter_fault(state: DriveState, error_code: int, text: str) -> DriveState:
     """Return the state in phase FAULT, with the given error code and text."""
-    return state._replace(phase=FAULT, error=error, error_text=text)
+    return state._replace(phase=FAULT, error=error_code, error_text=text)
 
 
 def apply_status(state: DriveState, nibble: int) -> DriveState:

@@ -50,9 +50,9 @@ import struct
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from handctl.drives.frame import BRS, EXTENDED, FDF
+from handctl.drives.frame import BRS, EXTENDED_FLAG, FDF
 from handctl.drives.frame_time import FD_SIZES
-from handctl.drives.signals import Message, Quantity, Signal, SignalCoding
+from handctl.drives.signals import CyclicMessage, Signal, SignalCoding, SignalQuantity
 
 FD_FRAME_FLAGS = FDF | BRS
 """Flags of all frames to the drive."""
@@ -160,13 +160,13 @@ STATUS_HEADERS = ((0, b"\x21"), (3, b"\x22"), (7, b"\x2f\x01"), (21, b"\x21\x0a"
 
 def request_id(node_id: int, source: int = 0) -> int:
     """Return the identifier of a request from a source to a node."""
-    return EXTENDED | REPLY_WANTED | source << 8 | node_id
+    return EXTENDED_FLAG | REPLY_WANTED | source << 8 | node_id
 
 
 def reply_id(node_id: int, source: int = 0) -> int:
     """Return the identifier of a node's reply to a request from a source."""
     number = node_id << 8 | source
-    return number if number < STANDARD_IDS else number | EXTENDED
+    return number if number < STANDARD_IDS else number | EXTENDED_FLAG
 
 
 def padded_payload(payload: bytes) -> bytes:
@@ -185,9 +185,9 @@ def write_bytes_subframe(first: int, *values: int) -> bytes:
     return struct.pack(f"<BB{len(values)}b", WRITE | len(values), first, *values)
 
 
-def read_subframe(kind: int, register: int) -> bytes:
+def read_subframe(value_type: int, register: int) -> bytes:
     """Return the subframe to read a register as a value of the given type."""
-    return bytes((READ | kind << 2 | 1,)) + encode_varuint(register)
+    return bytes((READ | value_type << 2 | 1,)) + encode_varuint(register)
 
 
 def encode_varuint(number: int) -> bytes:
@@ -230,14 +230,16 @@ TEXT_REQUEST = padded_payload(bytes((TEXT_POLL, DIAGNOSTIC_CHANNEL, LONGEST_TEXT
 """Payload to request text from the diagnostic channel."""
 
 
-def command_message(node_id: int, torque: float, timeout_s: float, sign: int = 1) -> Message:
+def command_message(
+    node_id: int, torque: float, timeout_s: float, direction: int = 1
+) -> CyclicMessage:
     """Return the signal table of the torque command: position mode, gains 0, and feedforward torque.
 
     Args:
         node_id: node number of the drive.
         torque: torque limit that both host and drive apply [N m].
         timeout_s: timeout of the watchdog [s].
-        sign: 1 if positive torque of the motor winds the tendon, else -1.
+        direction: 1 if positive torque of the motor winds the tendon, else -1.
     """
     no_motion = (
         write_bytes_subframe(0x020, -128, 0)
@@ -252,12 +254,12 @@ def command_message(node_id: int, torque: float, timeout_s: float, sign: int = 1
         + QUERY_SUBFRAMES
     )
     signals = (
-        _float_signal("torque", Quantity.TORQUE, 5, float(sign), "N m"),
-        _float_signal("torque_limit", Quantity.UNUSED, 22, 1.0, "N m"),
-        _float_signal("watchdog", Quantity.UNUSED, 28, 1.0, "s"),
+        _float_signal("torque", SignalQuantity.TORQUE, 5, float(direction), "N m"),
+        _float_signal("torque_limit", SignalQuantity.UNUSED, 22, 1.0, "N m"),
+        _float_signal("watchdog", SignalQuantity.UNUSED, 28, 1.0, "s"),
     )
     base = padded_payload(base)
-    return Message(
+    return CyclicMessage(
         "command", request_id(node_id), len(base), signals, FD_FRAME_FLAGS, base, False, torque
     )
 
@@ -275,13 +277,13 @@ class PositionGains(NamedTuple):
 
 
 def position_message(
-    torque: Message,
+    torque: CyclicMessage,
     gains: PositionGains,
     timeout_s: float,
     top_speed: float,
-    sign: int = 1,
+    direction: int = 1,
     zero: float = 0.0,
-) -> Message:
+) -> CyclicMessage:
     """Return the command with position, velocity, kp, kd, torque and limit, see ``signals.POSITION_COMMAND``.
 
     The frame contains kp and kd as fractions of the drive's gains. Until the next command, the drive
@@ -292,7 +294,7 @@ def position_message(
         gains: gains of the drive.
         timeout_s: time of the watchdog [s].
         top_speed: largest velocity command [rad/s].
-        sign: sign of position, velocity and torque, 1 if positive torque winds.
+        direction: sign of position, velocity and torque, 1 if positive torque winds.
         zero: motor angle of the spool's zero [rad].
     """
     base = (
@@ -303,57 +305,61 @@ def position_message(
         + write_floats_subframe(TIMEOUT, timeout_s)
         + QUERY_SUBFRAMES
     )
-    turns = sign * math.tau
-    position = _float_signal("position", Quantity.POSITION, 5, turns, "rad")
-    velocity = _float_signal("velocity", Quantity.VELOCITY, 9, turns, "rad/s")
+    turns = direction * math.tau
+    position = _float_signal("position", SignalQuantity.POSITION, 5, turns, "rad")
+    velocity = _float_signal("velocity", SignalQuantity.VELOCITY, 9, turns, "rad/s")
     # A gain of 0 has a fraction of 0, whatever its scale.
-    kp = _float_signal("kp", Quantity.STIFFNESS, 19, gains.kp / math.tau or 1.0, "N m/rad")
-    kd = _float_signal("kd", Quantity.DAMPING, 23, gains.kd / math.tau or 1.0, "N m s/rad")
-    limit = _float_signal("limit", Quantity.LIMIT, 27, 1.0, "N m")
+    kp = _float_signal("kp", SignalQuantity.STIFFNESS, 19, gains.kp / math.tau or 1.0, "N m/rad")
+    kd = _float_signal("kd", SignalQuantity.DAMPING, 23, gains.kd / math.tau or 1.0, "N m s/rad")
+    limit = _float_signal("limit", SignalQuantity.LIMIT, 27, 1.0, "N m")
     signals = (
-        position._replace(offset=-sign * zero, largest=MAX_TURNS),
+        position._replace(offset=-direction * zero, largest=MAX_TURNS),
         velocity._replace(largest=top_speed / math.tau),
         kp._replace(largest=1.0),
         kd._replace(largest=1.0),
-        _float_signal("torque", Quantity.TORQUE, 13, float(sign), "N m"),
+        _float_signal("torque", SignalQuantity.TORQUE, 13, float(direction), "N m"),
         limit._replace(largest=torque.limit * (1.0 + FLOAT32_STEP)),
-        _float_signal("watchdog", Quantity.UNUSED, 36, 1.0, "s"),
+        _float_signal("watchdog", SignalQuantity.UNUSED, 36, 1.0, "s"),
     )
     return torque._replace(name="position_command", signals=signals, base=base)
 
 
-def feedback_message(node_id: int, sign: int = 1, zero: float = 0.0) -> Message:
+def feedback_message(node_id: int, direction: int = 1, zero: float = 0.0) -> CyclicMessage:
     """Return the signal table of the feedback frame.
 
     Args:
         node_id: node number of the drive.
-        sign: 1 if positive torque of the motor winds the tendon, else -1. Position and velocity
+        direction: 1 if positive torque of the motor winds the tendon, else -1. Position and velocity
             have the same sign.
         zero: motor angle at spool angle zero [rad].
     """
-    turns = sign * math.tau
-    position = _float_signal("position", Quantity.POSITION, 9, turns, "rad")
-    return Message("feedback", reply_id(node_id), FEEDBACK_LENGTH, (
-        Signal("mode_head", Quantity.STATUS, 0, 8),
-        Signal("mode", Quantity.STATUS, 16, 8),
-        Signal("temperature_head", Quantity.STATUS, 24, 8),
-        Signal("fault", Quantity.STATUS, 48, 8),
-        Signal("values_head", Quantity.STATUS, 56, 16),
-        Signal("motor_head", Quantity.STATUS, 168, 16),
+    turns = direction * math.tau
+    position = _float_signal("position", SignalQuantity.POSITION, 9, turns, "rad")
+    return CyclicMessage("feedback", reply_id(node_id), FEEDBACK_LENGTH, (
+        Signal("mode_head", SignalQuantity.STATUS, 0, 8),
+        Signal("mode", SignalQuantity.STATUS, 16, 8),
+        Signal("temperature_head", SignalQuantity.STATUS, 24, 8),
+        Signal("fault", SignalQuantity.STATUS, 48, 8),
+        Signal("values_head", SignalQuantity.STATUS, 56, 16),
+        Signal("motor_head", SignalQuantity.STATUS, 168, 16),
         # The spool angle is sign * (motor angle - zero).
-        position._replace(offset=-sign * zero),
-        _float_signal("velocity", Quantity.VELOCITY, 13, turns, "rad/s"),
-        _float_signal("torque", Quantity.TORQUE, 17, float(sign), "N m"),
-        Signal("board", Quantity.TEMPERATURE, 40, 8, coding=SignalCoding.SIGNED, unit="degC"),
+        position._replace(offset=-direction * zero),
+        _float_signal("velocity", SignalQuantity.VELOCITY, 13, turns, "rad/s"),
+        _float_signal("torque", SignalQuantity.TORQUE, 17, float(direction), "N m"),
+        Signal("board", SignalQuantity.TEMPERATURE, 40, 8, coding=SignalCoding.SIGNED, unit="degC"),
         # Without a thermistor in the motor the count is -128, so the temperature of the board is
         # the highest.
-        Signal("motor", Quantity.TEMPERATURE, 184, 8, coding=SignalCoding.SIGNED, unit="degC"),
+        Signal("motor", SignalQuantity.TEMPERATURE, 184, 8, coding=SignalCoding.SIGNED, unit="degC"),
     ), FD_FRAME_FLAGS)  # fmt: skip
 
 
-def _float_signal(name: str, quantity: Quantity, byte: int, scale: float, unit: str) -> Signal:
+def _float_signal(
+    name: str, quantity: SignalQuantity, first_byte: int, scale: float, unit: str
+) -> Signal:
     """Return the description of a float32 signal that begins at a byte."""
-    return Signal(name, quantity, 8 * byte, 32, coding=SignalCoding.FLOAT, scale=scale, unit=unit)
+    return Signal(
+        name, quantity, 8 * first_byte, 32, coding=SignalCoding.FLOAT, scale=scale, unit=unit
+    )
 
 
 def joined_status(mode: int, fault: int) -> int:
@@ -442,10 +448,10 @@ class _SubframeReader:
                 return number
         raise IndexError
 
-    def registers(self, kind: int) -> Iterator[tuple[int, Any]]:
+    def registers(self, value_type: int) -> Iterator[tuple[int, Any]]:
         """Yield the (register, value) pairs of a register subframe."""
-        coding = _VALUE_STRUCTS[kind >> 2 & 3]
-        count = kind & 3 or self.varuint()
+        coding = _VALUE_STRUCTS[value_type >> 2 & 3]
+        count = value_type & 3 or self.varuint()
         first = self.varuint()
         for register in range(first, first + count):
             yield register, coding.unpack(self.bytes(coding.size))[0]

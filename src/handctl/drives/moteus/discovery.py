@@ -14,7 +14,7 @@ from handctl.drives.discovery import (
     ReceivedFrames,
     have_two_drives_answered,
 )
-from handctl.drives.frame import ERROR, EXTENDED, REMOTE, Frame
+from handctl.drives.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, Frame
 from handctl.drives.moteus import codec
 from handctl.drives.moteus.progress import error_text
 
@@ -42,15 +42,15 @@ _MODE_TEXTS = {
 }
 
 
-def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
+def probe_frames(scan_round: int, received: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the requests of a round of the scan.
 
     Round 2 reads the mode from every node number. Round 3 reads other registers of the discovered
     drives.
     """
-    if turn == 2:
+    if scan_round == 2:
         return tuple(Frame(codec.request_id(number), MODE_REQUEST) for number in DRIVE_NUMBERS)
-    if turn == 3:
+    if scan_round == 3:
         return tuple(
             Frame(codec.request_id(drive.node_id), data)
             for drive in discovered_drives(received)
@@ -79,7 +79,7 @@ def discovered_drives(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     )
 
 
-def _describe_drive(number: int, answers: dict[int, list[bytes]]) -> DiscoveredNode:
+def _describe_drive(node_number: int, answers: dict[int, list[bytes]]) -> DiscoveredNode:
     """Return a discovered drive with all data.
 
     ``answers`` has the payloads from the drive, by register.
@@ -101,7 +101,7 @@ def _describe_drive(number: int, answers: dict[int, list[bytes]]) -> DiscoveredN
     notes = (TWO_DRIVES_WARNING,) * twins + ("needs a bus with CAN FD: data_bitrate = 5_000_000",)
     state = _MODE_TEXTS.get(mode, f"mode {mode}")
     return DiscoveredNode(
-        "moteus", number, firmware, serial, state, error, notes=notes, twins=twins
+        "moteus", node_number, firmware, serial, state, error, notes=notes, twins=twins
     )
 
 
@@ -122,9 +122,9 @@ def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
     return tuple(
         frame
         for frame in received
-        if frame.can_id & EXTENDED
-        and not frame.can_id & (REMOTE | ERROR)
-        and (frame.can_id & ~EXTENDED) >> 15 == 1
+        if frame.can_id & EXTENDED_FLAG
+        and not frame.can_id & (REMOTE_FLAG | ERROR_FLAG)
+        and (frame.can_id & ~EXTENDED_FLAG) >> 15 == 1
         and 0 < frame.can_id & 0xFF <= codec.BROADCAST
         and frame.data
     )

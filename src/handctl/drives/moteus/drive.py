@@ -12,8 +12,8 @@ import math
 from dataclasses import dataclass, field
 
 from handctl.drives import readback
-from handctl.drives.causes import DriveFaultCause
 from handctl.drives.contract import NO_STEADY_STATUS, DrivePhase, DriveState, DriveTarget
+from handctl.drives.fault_causes import DriveFaultCause
 from handctl.drives.frame import Frame
 from handctl.drives.moteus import codec
 from handctl.drives.moteus import settings as items
@@ -102,7 +102,7 @@ class MoteusDrive:
         object.__setattr__(self, "required", required)
 
     @staticmethod
-    def of(motor: MotorDescription, bus: int) -> "MoteusDrive":
+    def from_motor(motor: MotorDescription, bus: int) -> "MoteusDrive":
         """Return the drive of a motor description.
 
         Raises:
@@ -128,7 +128,7 @@ class MoteusDrive:
         )
 
     @property
-    def exchange(self) -> tuple[tuple[int, bool], ...]:
+    def frames_per_tick(self) -> tuple[tuple[int, bool], ...]:
         """Return the frames of a tick: command and feedback."""
         return ((self.command.message.length, True), (codec.FEEDBACK_LENGTH, True))
 
@@ -178,7 +178,7 @@ class MoteusDrive:
         return 0.0
 
     @property
-    def cyclic(self) -> CyclicMessages:
+    def cyclic_messages(self) -> CyclicMessages:
         """Return the signal tables of command and feedback."""
         torque = self.command.message
         position = None
@@ -209,7 +209,7 @@ class MoteusDrive:
         """Return the time of the next read-back request [ns]."""
         return progress_of(state).check.due_ns
 
-    def initial(self) -> DriveState:
+    def initial_state(self) -> DriveState:
         """Return the state of the drive before the first frame."""
         return DriveState(private=MoteusProgress())
 
@@ -232,13 +232,13 @@ class MoteusDrive:
                 f"refuses register {register:#x} with error {error}: firmware too old?",
             )
         if reply.text is not None:
-            return self._on_text(state, progress, reply.text)
+            return self._on_text_reply(state, progress, reply.text)
         if codec.SERIAL_NUMBER in reply.values:
-            return self._on_serial(state, progress, reply.values, t_ns)
+            return self._on_serial_number(state, progress, reply.values, t_ns)
         setting = self._open_setting(state, progress)
         if setting is None or setting.register not in reply.values:
             return state
-        return self._on_value(state, progress, setting, reply.values[setting.register], "")
+        return self._on_setting_value(state, progress, setting, reply.values[setting.register], "")
 
     def _on_feedback(self, state: DriveState, data: bytes, t_ns: int) -> DriveState:
         """Return the state after feedback, with the values and the effect of the mode and fault code."""
@@ -269,7 +269,9 @@ class MoteusDrive:
             return self.configuration[progress.check.step]
         return None
 
-    def _on_text(self, state: DriveState, progress: MoteusProgress, text: bytes) -> DriveState:
+    def _on_text_reply(
+        self, state: DriveState, progress: MoteusProgress, text: bytes
+    ) -> DriveState:
         """Return the state after a part of an answer over the text channel."""
         emptied = progress.channel.asked_ns < 0
         channel, line = progress.channel.take(text)
@@ -286,11 +288,11 @@ class MoteusDrive:
             return state
         if state.phase == CONFIGURING and progress.cursor.writing:
             return state._replace(private=progress._replace(cursor=progress.cursor.after_write()))
-        return self._on_value(
+        return self._on_setting_value(
             state, progress, setting, items.value_in_answer(line), line.decode(errors="replace")
         )
 
-    def _on_value(
+    def _on_setting_value(
         self,
         state: DriveState,
         progress: MoteusProgress,
@@ -327,7 +329,7 @@ class MoteusDrive:
         updated = state._replace(private=progress._replace(cursor=cursor))
         return enter_fault(updated, SETTING_MISMATCH_ERROR, problem) if problem else updated
 
-    def _on_serial(
+    def _on_serial_number(
         self, state: DriveState, progress: MoteusProgress, values: dict[int, float], t_ns: int
     ) -> DriveState:
         """Return the state after the serial number has arrived, the last step of the configuration."""
@@ -351,9 +353,9 @@ class MoteusDrive:
         if target == LISTEN:
             return state, ()
         if target == DISABLE or state.phase == ENABLED:
-            return self._disable(state, progress, t_ns), self.cut()
+            return self._disable(state, progress, t_ns), self.cut_frames()
         if state.phase == FAULT and progress.enabled_by_other:
-            return state, self.cut()
+            return state, self.cut_frames()
         progress = progress._replace(disabling=False)
         if (
             state.phase == READY
@@ -374,7 +376,9 @@ class MoteusDrive:
             enabling = state._replace(private=progress._replace(enable_sent=True, check=check))
             return enabling, (self._frame_to_drive(self._torque_payload(0.0)),)
         question = (
-            self.cut()[0] if progress.clearing else self._frame_to_drive(codec.QUERY_SUBFRAMES)
+            self.cut_frames()[0]
+            if progress.clearing
+            else self._frame_to_drive(codec.QUERY_SUBFRAMES)
         )
         return state._replace(private=progress), (question,)
 
@@ -422,7 +426,7 @@ class MoteusDrive:
         """
         if progress.enabled_by_other:
             text = f"in mode {progress.mode} without a command, and does not stop"
-            return state._replace(error_text=text, private=progress), self.cut()
+            return state._replace(error_text=text, private=progress), self.cut_frames()
         if progress.cursor.step >= len(self.required):
             return self._request_serial(state, progress, t_ns)
         setting = self.required[progress.cursor.step]
@@ -498,7 +502,7 @@ class MoteusDrive:
         """Return no frames, because every torque command enables the drive."""
         return ()
 
-    def cut(self) -> tuple[Frame, ...]:
+    def cut_frames(self) -> tuple[Frame, ...]:
         """Return the frame of the stop command."""
         return (self._frame_to_drive(codec.STOP_PAYLOAD),)
 
@@ -510,7 +514,7 @@ class MoteusDrive:
         fresh = state._replace(
             phase=SILENT, error=0, error_text="", private=MoteusProgress(clearing=CLEAR_TRIES)
         )
-        return fresh, self.cut()
+        return fresh, self.cut_frames()
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
         """Return no frames, because the watchdog of a stopped drive is not active."""
@@ -520,9 +524,9 @@ class MoteusDrive:
         """Return the serial number (96 bits), or the node number if it is unknown."""
         return f"{serial:024x}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
 
-    def cause(self, error: int) -> DriveFaultCause:
+    def fault_cause(self, error_code: int) -> DriveFaultCause:
         """Return the cause of an error code, see ``contract.Drive``."""
-        return CAUSE_BY_ERROR.get(error, DriveFaultCause.UNKNOWN)
+        return CAUSE_BY_ERROR.get(error_code, DriveFaultCause.UNKNOWN)
 
     def _frame_to_drive(self, data: bytes) -> Frame:
         """Return a frame to the drive with the given payload."""

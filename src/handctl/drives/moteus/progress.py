@@ -2,8 +2,8 @@
 
 from typing import NamedTuple
 
-from handctl.drives.causes import DriveFaultCause
 from handctl.drives.contract import DrivePhase, DriveState
+from handctl.drives.fault_causes import DriveFaultCause
 from handctl.drives.moteus import codec
 from handctl.drives.moteus.settings import DiagnosticChannel
 from handctl.drives.readback import ReadbackCursor, RecheckCursor
@@ -68,9 +68,9 @@ def progress_of(state: DriveState) -> MoteusProgress:
     return progress
 
 
-def enter_fault(state: DriveState, error: int, text: str) -> DriveState:
+def enter_fault(state: DriveState, error_code: int, text: str) -> DriveState:
     """Return the state in phase FAULT, with the given error code and text."""
-    return state._replace(phase=FAULT, error=error, error_text=text)
+    return state._replace(phase=FAULT, error=error_code, error_text=text)
 
 
 def apply_mode(state: DriveState, mode: int, fault: int) -> DriveState:
@@ -148,18 +148,18 @@ def _state_when_enabled_by_other(
     return enabled._replace(phase=CONFIGURING) if state.phase == SILENT else enabled
 
 
-def _state_after_error(state: DriveState, progress: MoteusProgress, error: int) -> DriveState:
+def _state_after_error(state: DriveState, progress: MoteusProgress, error_code: int) -> DriveState:
     """Return the state after the drive has reported an error. In error, it makes no torque."""
     if progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
     off = state._replace(private=progress._replace(enable_sent=False, enabled_by_other=False))
-    return enter_fault(off, error, error_text(error))
+    return enter_fault(off, error_code, error_text(error_code))
 
 
-def error_text(error: int) -> str:
+def error_text(error_code: int) -> str:
     """Return the text for an error code of the drive."""
-    if error == codec.TIMED_OUT:
+    if error_code == codec.TIMED_OUT:
         return "commands were missing: the drive's watchdog fired"
-    if error == codec.FAULT_MODE:
+    if error_code == codec.FAULT_MODE:
         return "fault without a code"
-    return codec.FAULT_TEXTS.get(error, f"unknown fault {error}")
+    return codec.FAULT_TEXTS.get(error_code, f"unknown fault {error_code}")

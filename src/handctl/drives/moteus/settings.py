@@ -20,7 +20,7 @@ WRITE_TRIES = 3
 """Number of writes per setting. The drive does not confirm a write, and a write may be lost."""
 UNANSWERED_READS = 3
 """Number of reads without text that are necessary, at any control rate, before a request counts as unanswered."""
-LONGEST_LINE = 128
+MAX_ANSWER_LINE_BYTES = 128
 """Length above which a text without an end of line counts as an answer to another host [bytes]."""
 
 
@@ -171,6 +171,6 @@ class DiagnosticChannel(NamedTuple):
         line, end, _ = (self.text + text).partition(b"\n")
         if end:
             return DiagnosticChannel(True), line.strip()
-        if len(line) > LONGEST_LINE:
+        if len(line) > MAX_ANSWER_LINE_BYTES:
             return DiagnosticChannel(), b""
         return self._replace(text=line), b""

@@ -30,8 +30,8 @@ import math
 import struct
 from typing import NamedTuple
 
-from handctl.drives.frame import REMOTE
-from handctl.drives.signals import Message, Quantity, Signal, SignalCoding
+from handctl.drives.frame import REMOTE_FLAG
+from handctl.drives.signals import CyclicMessage, Signal, SignalCoding, SignalQuantity
 
 # Command numbers, the low five bits of an identifier.
 GET_VERSION = 0x00
@@ -136,13 +136,20 @@ def result_text(result: int) -> str:
 
 
 def _float_signal(
-    name: str, quantity: Quantity, first: int, scale: float, offset: float = 0.0, unit: str = ""
+    name: str,
+    quantity: SignalQuantity,
+    first_byte: int,
+    scale: float,
+    offset: float = 0.0,
+    unit: str = "",
 ) -> Signal:
-    """Return the description of a float32 signal that begins at byte ``first``."""
-    return Signal(name, quantity, 8 * first, 32, False, SignalCoding.FLOAT, scale, offset, unit)
+    """Return the description of a float32 signal that begins at byte ``first_byte``."""
+    return Signal(
+        name, quantity, 8 * first_byte, 32, False, SignalCoding.FLOAT, scale, offset, unit
+    )
 
 
-def encoder_message(node_id: int, ratio: float, zero: float, requested: bool) -> Message:
+def encoder_message(node_id: int, ratio: float, zero: float, requested: bool) -> CyclicMessage:
     """Return the signal table of Get_Encoder_Estimates: position [turn] and velocity [turn/s] of the shaft.
 
     Args:
@@ -156,13 +163,13 @@ def encoder_message(node_id: int, ratio: float, zero: float, requested: bool) ->
     # One turn of the shaft is an angle of tau / ratio at the spool. A negative ratio reverses the
     # sign.
     turn = math.tau / ratio
-    return Message("encoder_estimates", message_id(node_id, ENCODER_ESTIMATES), 8, (
-        _float_signal("position", Quantity.POSITION, 0, turn, -zero / ratio, "rad"),
-        _float_signal("velocity", Quantity.VELOCITY, 4, turn, 0.0, "rad/s"),
+    return CyclicMessage("encoder_estimates", message_id(node_id, ENCODER_ESTIMATES), 8, (
+        _float_signal("position", SignalQuantity.POSITION, 0, turn, -zero / ratio, "rad"),
+        _float_signal("velocity", SignalQuantity.VELOCITY, 4, turn, 0.0, "rad/s"),
     ), nearest=requested)  # fmt: skip
 
 
-def torques_message(node_id: int, ratio: float) -> Message:
+def torques_message(node_id: int, ratio: float) -> CyclicMessage:
     """Return the signal table of Get_Torques: commanded and estimated torque of the shaft [N m].
 
     The controller uses only the estimated torque.
@@ -172,13 +179,13 @@ def torques_message(node_id: int, ratio: float) -> Message:
         ratio: turns of the shaft per turn of the spool, negative if positive torque unwinds the
             tendon.
     """
-    return Message("torques", message_id(node_id, TORQUES), 8, (
-        _float_signal("target", Quantity.UNUSED, 0, ratio, 0.0, "N m"),
-        _float_signal("torque", Quantity.TORQUE, 4, ratio, 0.0, "N m"),
+    return CyclicMessage("torques", message_id(node_id, TORQUES), 8, (
+        _float_signal("target", SignalQuantity.UNUSED, 0, ratio, 0.0, "N m"),
+        _float_signal("torque", SignalQuantity.TORQUE, 4, ratio, 0.0, "N m"),
     ), answers=False)  # fmt: skip
 
 
-def torque_message(node_id: int, ratio: float, limit: float) -> Message:
+def torque_message(node_id: int, ratio: float, limit: float) -> CyclicMessage:
     """Return the signal table of Set_Input_Torque: torque of the shaft [N m].
 
     Args:
@@ -188,11 +195,11 @@ def torque_message(node_id: int, ratio: float, limit: float) -> Message:
         limit: largest torque command [N m at the spool].
     """
     # The torque at the spool is ratio * torque at the shaft.
-    signal = _float_signal("torque", Quantity.TORQUE, 0, ratio, 0.0, "N m")
-    return Message("input_torque", message_id(node_id, SET_TORQUE), 4, (signal,), limit=limit)
+    signal = _float_signal("torque", SignalQuantity.TORQUE, 0, ratio, 0.0, "N m")
+    return CyclicMessage("input_torque", message_id(node_id, SET_TORQUE), 4, (signal,), limit=limit)
 
 
-def position_message(node_id: int, ratio: float, zero: float, limit: float) -> Message:
+def position_message(node_id: int, ratio: float, zero: float, limit: float) -> CyclicMessage:
     """Return the signal table of Set_Input_Pos, without feedforward of velocity and torque.
 
     Args:
@@ -203,10 +210,12 @@ def position_message(node_id: int, ratio: float, zero: float, limit: float) -> M
         limit: largest position command [rad at the spool].
     """
     signals = (
-        _float_signal("position", Quantity.POSITION, 0, math.tau / ratio, -zero / ratio, "rad"),
+        _float_signal(
+            "position", SignalQuantity.POSITION, 0, math.tau / ratio, -zero / ratio, "rad"
+        ),
         Signal(
             "velocity",
-            Quantity.UNUSED,
+            SignalQuantity.UNUSED,
             32,
             16,
             False,
@@ -216,13 +225,23 @@ def position_message(node_id: int, ratio: float, zero: float, limit: float) -> M
             "rad/s",
         ),
         Signal(
-            "torque", Quantity.UNUSED, 48, 16, False, SignalCoding.SIGNED, 1e-3 * ratio, 0.0, "N m"
+            "torque",
+            SignalQuantity.UNUSED,
+            48,
+            16,
+            False,
+            SignalCoding.SIGNED,
+            1e-3 * ratio,
+            0.0,
+            "N m",
         ),
     )
-    return Message("input_position", message_id(node_id, SET_POSITION), 8, signals, limit=limit)
+    return CyclicMessage(
+        "input_position", message_id(node_id, SET_POSITION), 8, signals, limit=limit
+    )
 
 
-def velocity_message(node_id: int, ratio: float, limit: float) -> Message:
+def velocity_message(node_id: int, ratio: float, limit: float) -> CyclicMessage:
     """Return the signal table of Set_Input_Vel, without feedforward of the torque.
 
     Args:
@@ -232,15 +251,19 @@ def velocity_message(node_id: int, ratio: float, limit: float) -> Message:
         limit: largest velocity command [rad/s at the spool].
     """
     signals = (
-        _float_signal("velocity", Quantity.VELOCITY, 0, math.tau / ratio, 0.0, "rad/s"),
-        _float_signal("torque", Quantity.UNUSED, 4, ratio, 0.0, "N m"),
+        _float_signal("velocity", SignalQuantity.VELOCITY, 0, math.tau / ratio, 0.0, "rad/s"),
+        _float_signal("torque", SignalQuantity.UNUSED, 4, ratio, 0.0, "N m"),
     )
-    return Message("input_velocity", message_id(node_id, SET_VELOCITY), 8, signals, limit=limit)
+    return CyclicMessage(
+        "input_velocity", message_id(node_id, SET_VELOCITY), 8, signals, limit=limit
+    )
 
 
-def request_message(node_id: int, command: int) -> Message:
+def request_message(node_id: int, command: int) -> CyclicMessage:
     """Return the signal table of the remote frame that requests a message."""
-    return Message(f"ask_{command:#04x}", message_id(node_id, command) | REMOTE, 0, answers=False)
+    return CyclicMessage(
+        f"ask_{command:#04x}", message_id(node_id, command) | REMOTE_FLAG, 0, answers=False
+    )
 
 
 def decode_heartbeat(data: bytes) -> Heartbeat:

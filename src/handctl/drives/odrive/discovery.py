@@ -15,7 +15,7 @@ from handctl.drives.discovery import (
     ReceivedFrames,
     have_two_drives_answered,
 )
-from handctl.drives.frame import ERROR, EXTENDED, FDF, REMOTE, Frame
+from handctl.drives.frame import ERROR_FLAG, EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
 from handctl.drives.odrive import codec
 from handctl.drives.odrive import firmware_05 as odrive_05
 
@@ -45,20 +45,20 @@ _CYCLIC_MESSAGES = {0x00, 0x01, 0x03, 0x09, 0x14, 0x15, 0x17, 0x1C, 0x1D}
 """Numbers of messages that a drive can send without a request."""
 
 
-def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
+def probe_frames(scan_round: int, received: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the requests of a round of the scan.
 
     Round 1 requests the message Address from all nodes. Round 2 requests the version of the
     discovered drives. Round 3 repeats this request to drives that have not reported a version. It
     also requests two messages of firmware 0.5 from these drives.
     """
-    if turn == 1:
-        return (Frame(codec.message_id(BROADCAST, ADDRESS) | REMOTE, b""),)
-    if turn == 2:
+    if scan_round == 1:
+        return (Frame(codec.message_id(BROADCAST, ADDRESS) | REMOTE_FLAG, b""),)
+    if scan_round == 2:
         return tuple(
             _remote_request(drive, codec.GET_VERSION) for drive in discovered_drives(received)
         )
-    if turn == 3:
+    if scan_round == 3:
         silent = [drive for drive in discovered_drives(received) if not drive.firmware]
         return tuple(
             _remote_request(drive, command)
@@ -70,7 +70,7 @@ def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
 
 def _remote_request(drive: DiscoveredNode, command: int) -> Frame:
     """Return a remote frame that requests a message from a drive."""
-    return Frame(codec.message_id(drive.node_id, command) | REMOTE, b"")
+    return Frame(codec.message_id(drive.node_id, command) | REMOTE_FLAG, b"")
 
 
 def discovered_drives(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
@@ -167,7 +167,9 @@ def _payloads_by_node(received: ReceivedFrames, command: int) -> dict[int, list[
     """
     by_node: dict[int, list[bytes]] = {}
     for frame in received:
-        is_standard = not frame.can_id & (EXTENDED | REMOTE | ERROR) and not frame.flags & FDF
+        is_standard = (
+            not frame.can_id & (EXTENDED_FLAG | REMOTE_FLAG | ERROR_FLAG) and not frame.flags & FDF
+        )
         if (
             is_standard
             and frame.can_id & 0x1F == command
@@ -205,9 +207,9 @@ def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
     return tuple(
         frame
         for frame in received
-        if (frame.can_id & ~REMOTE) >> 5 in numbers
+        if (frame.can_id & ~REMOTE_FLAG) >> 5 in numbers
         and (
-            frame.can_id & REMOTE
+            frame.can_id & REMOTE_FLAG
             or frame.can_id & 0x1F not in _CYCLIC_MESSAGES | {codec.TX_SDO, ADDRESS}
         )
     )

@@ -11,7 +11,6 @@ import math
 from dataclasses import dataclass, field
 
 from handctl.drives import readback
-from handctl.drives.causes import DriveFaultCause
 from handctl.drives.contract import (
     END_OF_TIME_NS,
     NO_STEADY_STATUS,
@@ -19,7 +18,8 @@ from handctl.drives.contract import (
     DriveState,
     DriveTarget,
 )
-from handctl.drives.frame import REMOTE, Frame
+from handctl.drives.fault_causes import DriveFaultCause
+from handctl.drives.frame import REMOTE_FLAG, Frame
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.odrive import codec
 from handctl.drives.odrive import settings as endpoints
@@ -105,7 +105,7 @@ class OdriveDrive:
         )
 
     @staticmethod
-    def of(motor: MotorDescription, bus: int) -> "OdriveDrive":
+    def from_motor(motor: MotorDescription, bus: int) -> "OdriveDrive":
         """Return the drive for a motor description.
 
         Raises:
@@ -140,7 +140,7 @@ class OdriveDrive:
         )
 
     @property
-    def exchange(self) -> tuple[tuple[int, bool], ...]:
+    def frames_per_tick(self) -> tuple[tuple[int, bool], ...]:
         """Return the frames of a tick: torque command, remote frames, and the messages that these request."""
         return (
             (4, False),
@@ -178,7 +178,7 @@ class OdriveDrive:
             codec.message_id(self.node_id, command) for command in codec.HOST_COMMANDS
         )
         return commands | {
-            codec.message_id(self.node_id, command) | REMOTE
+            codec.message_id(self.node_id, command) | REMOTE_FLAG
             for command in codec.REQUESTABLE_MESSAGES
         }
 
@@ -210,7 +210,7 @@ class OdriveDrive:
         return self.cyclic_s
 
     @property
-    def cyclic(self) -> CyclicMessages:
+    def cyclic_messages(self) -> CyclicMessages:
         """Return the signal tables of position and torque, the torque command, and the remote frames."""
         requests = [codec.ENCODER_ESTIMATES] * (not self.cyclic_s) + [
             codec.TORQUES
@@ -248,7 +248,7 @@ class OdriveDrive:
             else END_OF_TIME_NS,
         )
 
-    def initial(self) -> DriveState:
+    def initial_state(self) -> DriveState:
         """Return the state of the drive before the first frame."""
         return DriveState(private=OdriveProgress(version=self.firmware_05))
 
@@ -269,11 +269,11 @@ class OdriveDrive:
         if command == codec.HEARTBEAT:
             return on_heartbeat(state, frame, self.firmware_05)
         if command == codec.GET_VERSION:
-            return self._on_version(state, frame.data)
+            return self._on_version_message(state, frame.data)
         if command == codec.TX_SDO:
             return self._on_setting(state, frame.data)
         if command == codec.ADDRESS:
-            return self._on_serial(state, frame.data)
+            return self._on_address_message(state, frame.data)
         return self._on_values(state, command, frame)
 
     def _on_values(self, state: DriveState, command: int, frame: Frame) -> DriveState:
@@ -296,7 +296,7 @@ class OdriveDrive:
             feedback_count=state.feedback_count + 1,
         )
 
-    def _on_version(self, state: DriveState, data: bytes) -> DriveState:
+    def _on_version_message(self, state: DriveState, data: bytes) -> DriveState:
         """Return the state after the message Get_Version, with the protocol version."""
         if state.phase not in (SILENT, CONFIGURING):
             return state
@@ -311,7 +311,7 @@ class OdriveDrive:
             private=progress_of(state)._replace(version=True, tries=0, sent_ns=-REPEAT_PERIOD_NS),
         )
 
-    def _on_serial(self, state: DriveState, data: bytes) -> DriveState:
+    def _on_address_message(self, state: DriveState, data: bytes) -> DriveState:
         """Return the state after the message Address, with the node number and a serial number of 48 bits."""
         if state.phase != CONFIGURING or data[0] != self.node_id:
             return state
@@ -365,21 +365,21 @@ class OdriveDrive:
         if target == DISABLE or (
             state.phase == ENABLED and (target != ENABLE or progress.disabling_ns >= 0)
         ):
-            return start_disabling(state, progress, t_ns), (self._state(codec.IDLE),)
+            return start_disabling(state, progress, t_ns), (self._axis_state_frame(codec.IDLE),)
         if state.phase == ENABLED:
-            state, requests = self._questions(state, t_ns)
+            state, requests = self._feedback_requests(state, t_ns)
             state, recheck = self._next_recheck(state, t_ns)
-            return state, (self._torque(torque), *requests, *recheck)
+            return state, (self._command_frame(torque), *requests, *recheck)
         if state.phase == FAULT:
-            return state, self.cut() if progress.may_be_enabled else ()
+            return state, self.cut_frames() if progress.may_be_enabled else ()
         state = state._replace(private=progress._replace(disabling_ns=-1))
         if state.phase == READY and progress.configured:
-            return self._ready(state, t_ns, target)
+            return self._advance_configured(state, t_ns, target)
         return self._configure(
             state._replace(phase=SILENT if progress.heartbeat_ns < 0 else CONFIGURING), t_ns
         )
 
-    def _ready(
+    def _advance_configured(
         self, state: DriveState, t_ns: int, target: DriveTarget
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state and the frames for a configured drive: request feedback, and enable it if requested.
@@ -387,12 +387,12 @@ class OdriveDrive:
         The enable command is sent once. Torque commands of 0 N m follow, until the drive reports
         the state enabled. A repeated enable command would also enable a drive that has restarted.
         """
-        state, requests = self._questions(state, t_ns)
+        state, requests = self._feedback_requests(state, t_ns)
         progress = progress_of(state)
         if target != ENABLE:
             return state._replace(private=progress._replace(just_verified=False)), requests
         if progress.enable_sent_ns >= 0:
-            return state, (self._torque(self._rest(state)), *requests)
+            return state, (self._command_frame(self._rest_command(state)), *requests)
         if not progress.just_verified:
             recheck = progress._replace(cursor=ReadbackCursor(), configured=False)
             return state._replace(phase=CONFIGURING, private=recheck), requests
@@ -403,7 +403,8 @@ class OdriveDrive:
             )
         )
         return parsed, (
-            *self._setup(), self._torque(self._rest(state)), self._state(codec.CLOSED_LOOP), *requests,
+            *self._setup_frames(), self._command_frame(self._rest_command(state)),
+            self._axis_state_frame(codec.CLOSED_LOOP), *requests,
         )  # fmt: skip
 
     def _configure(self, state: DriveState, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
@@ -414,17 +415,17 @@ class OdriveDrive:
         progress = progress_of(state)
         if progress.axis > codec.IDLE:
             text = f"in axis state {progress.axis} without a command, and does not go idle"
-            return state._replace(error_text=text), (self._state(codec.IDLE),)
+            return state._replace(error_text=text), (self._axis_state_frame(codec.IDLE),)
         if not progress.version:
-            return self._ask_version(state, progress, t_ns)
+            return self._request_version(state, progress, t_ns)
         if progress.serial_requests < SERIAL_NUMBER_TRIES and not self.firmware_05:
-            return self._ask_serial(state, progress, t_ns)
+            return self._request_serial(state, progress, t_ns)
         if progress.cursor.step < len(self.settings):
             return self._next_setting(state, progress, t_ns)
         if progress.heartbeat_ns < 0:
             return state, ()
         done = progress._replace(configured=True, just_verified=True)
-        return state._replace(phase=READY, error_text="", private=done), self._setup()
+        return state._replace(phase=READY, error_text="", private=done), self._setup_frames()
 
     def _next_setting(
         self, state: DriveState, progress: OdriveProgress, t_ns: int
@@ -440,21 +441,21 @@ class OdriveDrive:
         if problem:
             return enter_fault(updated, SETTING_MISMATCH_ERROR, problem), ()
         updated, requests = (
-            self._questions(updated, t_ns) if state.feedback_count else (updated, ())
+            self._feedback_requests(updated, t_ns) if state.feedback_count else (updated, ())
         )
-        return updated, (*((self._frame(codec.RX_SDO, data),) if data else ()), *requests)
+        return updated, (*((self._data_frame(codec.RX_SDO, data),) if data else ()), *requests)
 
-    def _setup(self) -> tuple[Frame, ...]:
+    def _setup_frames(self) -> tuple[Frame, ...]:
         """Return the frames that set control mode and limits.
 
         The drive does not confirm them, so both are sent before each enable command.
         """
-        mode = self._frame(
+        mode = self._data_frame(
             codec.SET_MODE, codec.encode_integers(codec.TORQUE_MODE, codec.PASSTHROUGH_INPUT_MODE)
         )
-        return mode, self._frame(codec.SET_LIMITS, self.limits)
+        return mode, self._data_frame(codec.SET_LIMITS, self.limits)
 
-    def _ask_version(
+    def _request_version(
         self, state: DriveState, progress: OdriveProgress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state, and a frame that requests the version or clears errors.
@@ -471,29 +472,31 @@ class OdriveDrive:
             sent_ns=t_ns, tries=progress.tries + 1 if progress.heartbeat_ns >= 0 else 0
         )
         frame = (
-            self._frame(codec.CLEAR_ERRORS, b"")
+            self._data_frame(codec.CLEAR_ERRORS, b"")
             if progress.clearing
-            else self._ask(codec.GET_VERSION)
+            else self._remote_frame(codec.GET_VERSION)
         )
         return state._replace(private=requests), (frame,)
 
-    def _ask_serial(
+    def _request_serial(
         self, state: DriveState, progress: OdriveProgress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Request the serial number at most a few times, because early versions of firmware 0.6 do not answer."""
         if t_ns - progress.sent_ns < REPEAT_PERIOD_NS:
             return state, ()
         requests = progress._replace(sent_ns=t_ns, serial_requests=progress.serial_requests + 1)
-        return state._replace(private=requests), (self._ask(codec.ADDRESS),)
+        return state._replace(private=requests), (self._remote_frame(codec.ADDRESS),)
 
-    def _questions(self, state: DriveState, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
+    def _feedback_requests(
+        self, state: DriveState, t_ns: int
+    ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state, and the remote frames to request feedback in a tick."""
-        frames = [self._ask(codec.ENCODER_ESTIMATES)] * (not self.cyclic_s) + [
-            self._ask(codec.TORQUES)
+        frames = [self._remote_frame(codec.ENCODER_ESTIMATES)] * (not self.cyclic_s) + [
+            self._remote_frame(codec.TORQUES)
         ] * self.torque_feedback
         progress = progress_of(state)
         if t_ns - progress.temperature_request_ns >= TEMPERATURE_PERIOD_NS and not self.firmware_05:
-            frames.append(self._ask(codec.TEMPERATURE))
+            frames.append(self._remote_frame(codec.TEMPERATURE))
             state = state._replace(private=progress._replace(temperature_request_ns=t_ns))
         return state, tuple(frames)
 
@@ -508,17 +511,17 @@ class OdriveDrive:
         if problem:
             state = enter_fault(state, SETTING_MISMATCH_ERROR, problem)
         return state, (
-            self._frame(codec.RX_SDO, codec.sdo_request(codec.SDO_READ, setting.endpoint)),
+            self._data_frame(codec.RX_SDO, codec.sdo_request(codec.SDO_READ, setting.endpoint)),
         )
 
-    def _torque(self, torque: float) -> Frame:
+    def _command_frame(self, torque: float) -> Frame:
         """Return the frame of a torque command [N m at the spool]."""
         try:
-            return self._frame(codec.SET_TORQUE, self.command.pack(torque))
+            return self._data_frame(codec.SET_TORQUE, self.command.pack(torque))
         except ValueError as error:
             raise ValueError(f"{self.name}: {error}") from None
 
-    def _rest(self, state: DriveState) -> float:
+    def _rest_command(self, state: DriveState) -> float:
         """Return the command to a drive that is being enabled: zero torque."""
         return 0.0
 
@@ -533,20 +536,20 @@ class OdriveDrive:
         """
         return f"{serial:012X}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
 
-    def cause(self, error: int) -> DriveFaultCause:
+    def fault_cause(self, error_code: int) -> DriveFaultCause:
         """Return the cause of an error code, see ``contract.Drive``."""
-        return cause_of_error(error)
+        return cause_of_error(error_code)
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
         """Return the frame of a torque command [N m at the spool].
 
         The frame does not enable the drive.
         """
-        return (self._torque(torque),)
+        return (self._command_frame(torque),)
 
-    def cut(self) -> tuple[Frame, ...]:
+    def cut_frames(self) -> tuple[Frame, ...]:
         """Return the frame Estop, after which the drive is disabled and latches an error."""
-        return (self._frame(codec.ESTOP, b""),)
+        return (self._data_frame(codec.ESTOP, b""),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the state and the frames that clear the latched error.
@@ -557,16 +560,16 @@ class OdriveDrive:
             version=self.firmware_05, axis=progress_of(state).axis, clearing=CLEAR_TRIES
         )
         cleared = state._replace(phase=SILENT, error=0, error_text="", private=just_verified)
-        return cleared, (self._frame(codec.CLEAR_ERRORS, b""),)
+        return cleared, (self._data_frame(codec.CLEAR_ERRORS, b""),)
 
-    def _state(self, state: int) -> Frame:
+    def _axis_state_frame(self, state: int) -> Frame:
         """Return the frame that sets the axis state."""
-        return self._frame(codec.SET_AXIS_STATE, codec.encode_integers(state))
+        return self._data_frame(codec.SET_AXIS_STATE, codec.encode_integers(state))
 
-    def _frame(self, command: int, data: bytes) -> Frame:
+    def _data_frame(self, command: int, data: bytes) -> Frame:
         """Return a data frame to the drive, with the given command number and payload."""
         return Frame(codec.message_id(self.node_id, command), data, 0, self.bus)
 
-    def _ask(self, command: int) -> Frame:
+    def _remote_frame(self, command: int) -> Frame:
         """Return a remote frame that requests a message from the drive."""
-        return Frame(codec.message_id(self.node_id, command) | REMOTE, b"", 0, self.bus)
+        return Frame(codec.message_id(self.node_id, command) | REMOTE_FLAG, b"", 0, self.bus)

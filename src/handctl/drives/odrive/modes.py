@@ -9,8 +9,8 @@ import math
 from dataclasses import dataclass
 
 from handctl.drives.contract import DriveState
+from handctl.drives.drive_modes import DriveMode, MotionLimits, constructor_arguments
 from handctl.drives.frame import Frame
-from handctl.drives.modes import DriveMode, MotionLimits, init_fields
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.odrive import codec
 from handctl.drives.odrive.drive import OdriveDrive
@@ -42,25 +42,25 @@ class OdriveModeDrive(OdriveDrive):
             message = codec.position_message(self.node_id, self.ratio, self.zero, self.torque_limit)
         object.__setattr__(self, "command", SignalTable(message))
 
-    def _setup(self) -> tuple[Frame, ...]:
+    def _setup_frames(self) -> tuple[Frame, ...]:
         """Return the frames that set control mode and limits.
 
         The drive does not confirm these frames, as in torque control.
         """
-        mode = self._frame(
+        mode = self._data_frame(
             codec.SET_MODE,
             codec.encode_integers(_CONTROL_MODES[self.mode], codec.PASSTHROUGH_INPUT_MODE),
         )
-        return mode, self._frame(codec.SET_LIMITS, self.limits)
+        return mode, self._data_frame(codec.SET_LIMITS, self.limits)
 
-    def _torque(self, torque: float) -> Frame:
+    def _command_frame(self, torque: float) -> Frame:
         """Return the frame of a command [rad or rad/s at the spool]."""
         try:
             return Frame(self.command.message.can_id, self.command.pack(torque), 0, self.bus)
         except ValueError as error:
             raise ValueError(f"{self.name}: {error}") from None
 
-    def _rest(self, state: DriveState) -> float:
+    def _rest_command(self, state: DriveState) -> float:
         """Return the command that causes no motion: the present position, or zero velocity."""
         return self.mode.rest(state.position)
 
@@ -79,7 +79,7 @@ def make_mode_drive(
     """
     if mode not in _CONTROL_MODES:
         raise ConfigError(mode.value, "mode", "position, velocity or torque for an ODrive")
-    fields = init_fields(OdriveDrive.of(motor, bus))
+    fields = constructor_arguments(OdriveDrive.from_motor(motor, bus))
     _, current = codec.decode_float_pair(fields["limits"]) or (0.0, 0.0)
     fields["limits"] = codec.encode_floats(limits.speed * abs(fields["ratio"]) / math.tau, current)
     fields["torque_limit"] = (

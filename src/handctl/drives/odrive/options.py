@@ -35,12 +35,12 @@ class OdriveOptions(NamedTuple):
     firmware_05: bool
 
 
-def pop_options(options: MutableMapping[str, Any], where: str) -> OdriveOptions:
+def pop_options(options: MutableMapping[str, Any], key_path: str) -> OdriveOptions:
     """Return the values of the options, and remove their keys. The keys of endpoints remain.
 
     Args:
         options: options of the motor, modified in place.
-        where: key path of the options, for error messages.
+        key_path: key path of the options, for error messages.
 
     Raises:
         ConfigError: a value is invalid, or the firmware does not have an option.
@@ -49,26 +49,26 @@ def pop_options(options: MutableMapping[str, Any], where: str) -> OdriveOptions:
     feedback = options.pop("torque_feedback", False)
     if firmware not in FIRMWARE_VERSIONS:
         raise ConfigError(
-            repr(firmware), f"{where}.firmware", " or ".join(map(repr, FIRMWARE_VERSIONS))
+            repr(firmware), f"{key_path}.firmware", " or ".join(map(repr, FIRMWARE_VERSIONS))
         )
     firmware_05 = firmware == "0.5"
     if type(feedback) is not bool or (feedback and firmware_05):
         hint = "false: firmware 0.5 does not report torque" if feedback is True else "true or false"
-        raise ConfigError(repr(feedback), f"{where}.torque_feedback", hint)
+        raise ConfigError(repr(feedback), f"{key_path}.torque_feedback", hint)
     if firmware_05 and (keys := [key for key in options if key in endpoints.ENDPOINT_KEYS]):
-        raise ConfigError("firmware 0.5 has no SDO", f"{where}.{keys[0]}", "no such key")
+        raise ConfigError("firmware 0.5 has no SDO", f"{key_path}.{keys[0]}", "no such key")
     cyclic = options.pop("encoder_period_ms", None)
     if cyclic is not None:
-        cyclic = checked_whole_number(cyclic, f"{where}.encoder_period_ms", MAX_OPTION_VALUE)
+        cyclic = checked_whole_number(cyclic, f"{key_path}.encoder_period_ms", MAX_OPTION_VALUE)
     return OdriveOptions(
         ratio=checked_positive(
-            options.pop("gear_ratio", 1.0), f"{where}.gear_ratio", MAX_OPTION_VALUE
+            options.pop("gear_ratio", 1.0), f"{key_path}.gear_ratio", MAX_OPTION_VALUE
         ),
         current=checked_positive(
-            options.pop("current_limit_A", 10.0), f"{where}.current_limit_A", MAX_OPTION_VALUE
+            options.pop("current_limit_A", 10.0), f"{key_path}.current_limit_A", MAX_OPTION_VALUE
         ),
         heartbeat=checked_whole_number(
-            options.pop("heartbeat_ms", 100), f"{where}.heartbeat_ms", MAX_OPTION_VALUE
+            options.pop("heartbeat_ms", 100), f"{key_path}.heartbeat_ms", MAX_OPTION_VALUE
         ),
         torque_feedback=feedback,
         cyclic_s=(cyclic or 0) / 1e3,

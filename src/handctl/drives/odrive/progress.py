@@ -5,8 +5,8 @@ Only they report the state of the drive.
 
 from typing import NamedTuple, cast
 
-from handctl.drives.causes import DriveFaultCause
 from handctl.drives.contract import DrivePhase, DriveState
+from handctl.drives.fault_causes import DriveFaultCause
 from handctl.drives.frame import Frame
 from handctl.drives.odrive import codec
 from handctl.drives.odrive import firmware_05 as odrive_05
@@ -101,9 +101,9 @@ def progress_of(state: DriveState) -> OdriveProgress:
     return cast(OdriveProgress, state.private)
 
 
-def enter_fault(state: DriveState, error: int, text: str) -> DriveState:
+def enter_fault(state: DriveState, error_code: int, text: str) -> DriveState:
     """Return the state in phase FAULT, with the given error code and text."""
-    return state._replace(phase=FAULT, error=error, error_text=text)
+    return state._replace(phase=FAULT, error=error_code, error_text=text)
 
 
 def on_heartbeat(state: DriveState, frame: Frame, firmware_05: bool) -> DriveState:
@@ -260,11 +260,11 @@ def start_disabling(state: DriveState, progress: OdriveProgress, t_ns: int) -> D
     return state._replace(phase=phase, private=progress._replace(disabling_ns=since))
 
 
-def cause_of_error(error: int) -> DriveFaultCause:
+def cause_of_error(error_code: int) -> DriveFaultCause:
     """Return the cause of a nonzero error code."""
-    if error in CAUSE_BY_ERROR:
-        return CAUSE_BY_ERROR[error]
-    bits = [bit for bit in range(32) if error >> bit & 1]
+    if error_code in CAUSE_BY_ERROR:
+        return CAUSE_BY_ERROR[error_code]
+    bits = [bit for bit in range(32) if error_code >> bit & 1]
     if any(bit not in codec.ERROR_TEXTS for bit in bits):
         return DriveFaultCause.UNKNOWN
     causes = [CAUSE_BY_ERROR_BIT.get(bit, DriveFaultCause.OTHER) for bit in bits]

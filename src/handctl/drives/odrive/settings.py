@@ -34,13 +34,13 @@ class OdriveSetting(NamedTuple):
 
 
 def pop_settings(
-    options: MutableMapping[str, Any], where: str, watchdog_s: float, torque: float
+    options: MutableMapping[str, Any], key_path: str, watchdog_s: float, torque: float
 ) -> tuple[OdriveSetting, ...]:
     """Return the settings whose endpoint numbers are in the options, and remove these options.
 
     Args:
         options: options of the motor, modified in place.
-        where: key path of the options, for error messages.
+        key_path: key path of the options, for error messages.
         watchdog_s: required timeout of the watchdog [s].
         torque: required torque limit at the motor's shaft [N m].
 
@@ -61,14 +61,14 @@ def pop_settings(
             continue
         if type(endpoint) is not int or not 0 < endpoint <= 0xFFFF:
             raise ConfigError(
-                repr(endpoint), f"{where}.{key}", "a number from flat_endpoints.json, 1 to 65535"
+                repr(endpoint), f"{key_path}.{key}", "a number from flat_endpoints.json, 1 to 65535"
             )
         settings.append(OdriveSetting(endpoint, raw, key.removeprefix("endpoint_")))
     names = {setting.name for setting in settings}
     if len(names & {"enable_watchdog", "watchdog_timeout"}) == 1:
         raise ConfigError(
             "one of two watchdog endpoints",
-            f"{where}.{ENDPOINT_KEYS[0]}",
+            f"{key_path}.{ENDPOINT_KEYS[0]}",
             f"both {ENDPOINT_KEYS[0]} and {ENDPOINT_KEYS[1]}, or neither",
         )
     return tuple(settings)

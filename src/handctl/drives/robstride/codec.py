@@ -31,8 +31,14 @@ import math
 import struct
 from typing import NamedTuple
 
-from handctl.drives.frame import EXTENDED
-from handctl.drives.signals import IDENTIFIER_BIT, Message, Quantity, Signal, SignalCoding
+from handctl.drives.frame import EXTENDED_FLAG
+from handctl.drives.signals import (
+    IDENTIFIER_BIT,
+    CyclicMessage,
+    Signal,
+    SignalCoding,
+    SignalQuantity,
+)
 
 # Types of frames, in bits 28..24 of an identifier.
 GET_ID = 0x00
@@ -143,14 +149,14 @@ MOTOR_MODEL_RANGES = {
 """Full scale of each motor model. A motor does not report its model."""
 
 
-def request_id(kind: int, node_id: int, host: int, data: int = 0) -> int:
-    """Return the identifier of a request of type ``kind`` from a host to a motor."""
-    return EXTENDED | kind << 24 | data << 16 | host << 8 | node_id
+def request_id(frame_type: int, node_id: int, host: int, data_field: int = 0) -> int:
+    """Return the identifier of a request of type ``frame_type`` from a host to a motor."""
+    return EXTENDED_FLAG | frame_type << 24 | data_field << 16 | host << 8 | node_id
 
 
-def reply_id(kind: int, node_id: int, host: int, data: int = 0) -> int:
-    """Return the identifier of a frame of type ``kind`` from a motor to a host."""
-    return EXTENDED | kind << 24 | data << 16 | node_id << 8 | host
+def reply_id(frame_type: int, node_id: int, host: int, data_field: int = 0) -> int:
+    """Return the identifier of a frame of type ``frame_type`` from a motor to a host."""
+    return EXTENDED_FLAG | frame_type << 24 | data_field << 16 | node_id << 8 | host
 
 
 def motor_ids(node_id: int, host: int) -> frozenset[int]:
@@ -170,7 +176,9 @@ def joined_status(mode: int, fault: int) -> int:
     return mode << 6 | fault
 
 
-def command_message(node_id: int, ranges: ModelRanges, limit: float, sign: int = 1) -> Message:
+def command_message(
+    node_id: int, ranges: ModelRanges, limit: float, direction: int = 1
+) -> CyclicMessage:
     """Return the signal table of the torque command. The identifier contains the torque.
 
     The format has no code for exactly 0 N m. 0 N m is sent as the nearest code, half a step away.
@@ -179,79 +187,107 @@ def command_message(node_id: int, ranges: ModelRanges, limit: float, sign: int =
         node_id: number of the motor.
         ranges: full scale of the motor model.
         limit: largest torque command [N m].
-        sign: 1 if positive torque of the motor winds the tendon, else -1.
+        direction: 1 if positive torque of the motor winds the tendon, else -1.
     """
-    scale = sign * 2 * ranges.torque / MAX_COUNT
-    offset = -sign * ranges.torque
+    scale = direction * 2 * ranges.torque / MAX_COUNT
+    offset = -direction * ranges.torque
     torque = Signal(
-        "torque", Quantity.TORQUE, IDENTIFIER_BIT + 8, 16, scale=scale, offset=offset, unit="N m"
+        "torque",
+        SignalQuantity.TORQUE,
+        IDENTIFIER_BIT + 8,
+        16,
+        scale=scale,
+        offset=offset,
+        unit="N m",
     )
-    return Message(
-        "command", EXTENDED | CONTROL << 24 | node_id, 8, (torque,), 0, NO_MOTION, False, limit
+    return CyclicMessage(
+        "command", EXTENDED_FLAG | CONTROL << 24 | node_id, 8, (torque,), 0, NO_MOTION, False, limit
     )
 
 
 def impedance_message(
-    node_id: int, ranges: ModelRanges, limit: float, sign: int = 1, zero: float = 0.0
-) -> Message:
+    node_id: int, ranges: ModelRanges, limit: float, direction: int = 1, zero: float = 0.0
+) -> CyclicMessage:
     """Return the signal table of the command with position, velocity, kp, kd and torque, see ``POSITION_COMMAND``.
 
     Args:
         node_id: number of the motor.
         ranges: full scale of the motor model.
         limit: largest torque command [N m].
-        sign: 1 if positive torque of the motor winds the tendon, else -1. Position and velocity
+        direction: 1 if positive torque of the motor winds the tendon, else -1. Position and velocity
             have the same sign.
         zero: motor angle at spool angle zero [rad].
     """
-    torque = command_message(node_id, ranges, limit, sign)
-    position = _signal_over_range("position", Quantity.POSITION, 7, POSITION_RANGE_RAD, "rad", sign)
+    torque = command_message(node_id, ranges, limit, direction)
+    position = _signal_over_range(
+        "position", SignalQuantity.POSITION, 7, POSITION_RANGE_RAD, "rad", direction
+    )
     signals = (
-        position._replace(offset=position.offset - sign * zero),
-        _signal_over_range("velocity", Quantity.VELOCITY, 23, ranges.velocity, "rad/s", sign),
-        Signal("kp", Quantity.STIFFNESS, 39, 16, True, scale=ranges.kp / MAX_COUNT, unit="N m/rad"),
-        Signal("kd", Quantity.DAMPING, 55, 16, True, scale=ranges.kd / MAX_COUNT, unit="N m s/rad"),
+        position._replace(offset=position.offset - direction * zero),
+        _signal_over_range(
+            "velocity", SignalQuantity.VELOCITY, 23, ranges.velocity, "rad/s", direction
+        ),
+        Signal(
+            "kp",
+            SignalQuantity.STIFFNESS,
+            39,
+            16,
+            True,
+            scale=ranges.kp / MAX_COUNT,
+            unit="N m/rad",
+        ),
+        Signal(
+            "kd",
+            SignalQuantity.DAMPING,
+            55,
+            16,
+            True,
+            scale=ranges.kd / MAX_COUNT,
+            unit="N m s/rad",
+        ),
         *torque.signals,
     )
     return torque._replace(name="position_command", signals=signals, base=EMPTY_DATA)
 
 
 def feedback_message(
-    node_id: int, host: int, ranges: ModelRanges, sign: int = 1, zero: float = 0.0
-) -> Message:
+    node_id: int, host: int, ranges: ModelRanges, direction: int = 1, zero: float = 0.0
+) -> CyclicMessage:
     """Return the signal table of the feedback from a running motor without a fault.
 
     Args:
         node_id: number of the motor.
         host: number of the host.
         ranges: full scale of the motor model.
-        sign: 1 if positive torque of the motor winds the tendon, else -1. Position and velocity
+        direction: 1 if positive torque of the motor winds the tendon, else -1. Position and velocity
             have the same sign.
         zero: motor angle at spool angle zero [rad].
     """
-    position = _signal_over_range("position", Quantity.POSITION, 7, POSITION_RANGE_RAD, "rad", sign)
-    return Message("feedback", reply_id(FEEDBACK, node_id, host, joined_status(RUNNING_MODE, 0)), 8, (
+    position = _signal_over_range(
+        "position", SignalQuantity.POSITION, 7, POSITION_RANGE_RAD, "rad", direction
+    )
+    return CyclicMessage("feedback", reply_id(FEEDBACK, node_id, host, joined_status(RUNNING_MODE, 0)), 8, (
         # The spool angle is sign * (motor angle - zero).
-        position._replace(offset=position.offset - sign * zero),
-        _signal_over_range("velocity", Quantity.VELOCITY, 23, ranges.velocity, "rad/s", sign),
-        _signal_over_range("torque", Quantity.TORQUE, 39, ranges.torque, "N m", sign),
-        Signal("winding", Quantity.TEMPERATURE, 55, 16, True, SignalCoding.SIGNED, 0.1, unit="degC"),
+        position._replace(offset=position.offset - direction * zero),
+        _signal_over_range("velocity", SignalQuantity.VELOCITY, 23, ranges.velocity, "rad/s", direction),
+        _signal_over_range("torque", SignalQuantity.TORQUE, 39, ranges.torque, "N m", direction),
+        Signal("winding", SignalQuantity.TEMPERATURE, 55, 16, True, SignalCoding.SIGNED, 0.1, unit="degC"),
     ))  # fmt: skip
 
 
 def _signal_over_range(
-    name: str, quantity: Quantity, start: int, largest: float, unit: str, sign: int
+    name: str, quantity: SignalQuantity, start: int, largest: float, unit: str, direction: int
 ) -> Signal:
     """Return the description of a 16-bit signal whose codes cover the values from -largest to largest."""
-    scale = sign * 2 * largest / MAX_COUNT
+    scale = direction * 2 * largest / MAX_COUNT
     return Signal(
-        name, quantity, start, 16, True, SignalCoding.UNSIGNED, scale, -sign * largest, unit
+        name, quantity, start, 16, True, SignalCoding.UNSIGNED, scale, -direction * largest, unit
     )
 
 
-def parameter_request(number: int, raw: bytes = EMPTY_DATA[:4]) -> bytes:
+def parameter_request(parameter: int, raw: bytes = EMPTY_DATA[:4]) -> bytes:
     """Return the payload of a request that reads a parameter, or writes its four bytes."""
-    return _PARAMETER_STRUCT.pack(number, 0, raw)
+    return _PARAMETER_STRUCT.pack(parameter, 0, raw)
 
 
 def decode_parameter_reply(data: bytes) -> tuple[int, bytes]:

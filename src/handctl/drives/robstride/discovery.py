@@ -11,7 +11,7 @@ from handctl.drives.discovery import (
     ProtocolDiscovery,
     ReceivedFrames,
 )
-from handctl.drives.frame import ERROR, EXTENDED, REMOTE, Frame
+from handctl.drives.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, Frame
 from handctl.drives.robstride import codec
 
 MOTOR_NUMBERS = range(1, codec.LAST_NODE + 1)
@@ -26,22 +26,22 @@ HOST_REQUEST_TYPES = frozenset(codec.REQUEST_TYPES) - {
 """Types of frames by which another host is detected."""
 
 
-def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
+def probe_frames(scan_round: int, received: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the requests of a round of the scan.
 
     Round 2 requests the identity of every motor number. Round 3 repeats the request for the
     discovered motors.
     """
-    if turn == 2:
+    if scan_round == 2:
         return tuple(_identity_request(number) for number in MOTOR_NUMBERS)
-    if turn == 3:
+    if scan_round == 3:
         return tuple(_identity_request(motor.node_id) for motor in discovered_motors(received))
     return ()
 
 
-def _identity_request(number: int) -> Frame:
+def _identity_request(node_number: int) -> Frame:
     """Return the frame to request the identity of a motor."""
-    return Frame(codec.request_id(codec.GET_ID, number, codec.HOST_ID), codec.EMPTY_DATA)
+    return Frame(codec.request_id(codec.GET_ID, node_number, codec.HOST_ID), codec.EMPTY_DATA)
 
 
 def discovered_motors(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
@@ -57,13 +57,15 @@ def discovered_motors(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     return tuple(_describe_motor(number, serials[number]) for number in sorted(serials))
 
 
-def _describe_motor(number: int, serials: set[bytes]) -> DiscoveredNode:
+def _describe_motor(node_number: int, serials: set[bytes]) -> DiscoveredNode:
     """Return a discovered motor, with the serial numbers that were received under its number."""
     twins = len(serials) > 1
     notes = (TWO_DRIVES_WARNING,) * twins + (
         "does not report its model: give motor_type in the hand file",
     )
-    return DiscoveredNode("robstride", number, serial=min(serials).hex(), notes=notes, twins=twins)
+    return DiscoveredNode(
+        "robstride", node_number, serial=min(serials).hex(), notes=notes, twins=twins
+    )
 
 
 def command_ids(motor: DiscoveredNode) -> frozenset[int]:
@@ -80,9 +82,9 @@ def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
     return tuple(
         frame
         for frame in received
-        if frame.can_id & EXTENDED
-        and not frame.can_id & (REMOTE | ERROR)
-        and (frame.can_id & ~EXTENDED) >> 24 in HOST_REQUEST_TYPES
+        if frame.can_id & EXTENDED_FLAG
+        and not frame.can_id & (REMOTE_FLAG | ERROR_FLAG)
+        and (frame.can_id & ~EXTENDED_FLAG) >> 24 in HOST_REQUEST_TYPES
         and 0 < frame.can_id & 0xFF <= codec.LAST_NODE
         and len(frame.data) == 8
     )

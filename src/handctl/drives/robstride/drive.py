@@ -10,9 +10,9 @@ disabled motor, because such a motor answers no other request with feedback.
 from dataclasses import dataclass, field
 
 from handctl.drives import readback
-from handctl.drives.causes import DriveFaultCause
 from handctl.drives.contract import NO_STEADY_STATUS, DrivePhase, DriveState, DriveTarget
-from handctl.drives.frame import EXTENDED, Frame
+from handctl.drives.fault_causes import DriveFaultCause
+from handctl.drives.frame import EXTENDED_FLAG, Frame
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.option_checks import (
     check_full_scale,
@@ -97,7 +97,7 @@ class RobstrideDrive:
         object.__setattr__(self, "node_ids", codec.motor_ids(self.node_id, self.host))
 
     @staticmethod
-    def of(motor: MotorDescription, bus: int) -> "RobstrideDrive":
+    def from_motor(motor: MotorDescription, bus: int) -> "RobstrideDrive":
         """Return the drive for a motor description.
 
         The full scales of position and velocity come from the motor model, not from the
@@ -132,7 +132,7 @@ class RobstrideDrive:
         )
 
     @property
-    def exchange(self) -> tuple[tuple[int, bool], ...]:
+    def frames_per_tick(self) -> tuple[tuple[int, bool], ...]:
         """Return the frames of a tick: command and feedback."""
         return ((8, False), (8, False))
 
@@ -177,7 +177,7 @@ class RobstrideDrive:
         return 0.0
 
     @property
-    def cyclic(self) -> CyclicMessages:
+    def cyclic_messages(self) -> CyclicMessages:
         """Return the signal tables of the commands and of the feedback."""
         position = codec.impedance_message(
             self.node_id, self.ranges, self.torque_limit, self.direction, self.zero
@@ -200,14 +200,14 @@ class RobstrideDrive:
         """Return the time of the next read-back request [ns]."""
         return progress_of(state).check.due_ns
 
-    def initial(self) -> DriveState:
+    def initial_state(self) -> DriveState:
         """Return the state of the motor before the first frame."""
         return DriveState(private=RobstrideProgress())
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
         """Return the state after a received frame, see ``contract.Drive``."""
         can_id, data, _, bus, t_ns = frame
-        number = can_id & ~EXTENDED
+        number = can_id & ~EXTENDED_FLAG
         if bus != self.bus or can_id not in self.node_ids:
             return state
         if len(data) != 8:
@@ -217,9 +217,9 @@ class RobstrideDrive:
         if kind == codec.FEEDBACK:
             return self._on_feedback(state, data, t_ns, status)
         if kind == codec.READ:
-            return self._on_parameter(state, data, bool(status))
+            return self._on_parameter_reply(state, data, bool(status))
         if kind == codec.FAULT_REPORT:
-            return self._on_report(state, data)
+            return self._on_fault_report(state, data)
         serial = int.from_bytes(data, "big")
         progress = progress_of(state)._replace(serial=serial)
         phase = CONFIGURING if state.phase == SILENT and not progress.clearing else state.phase
@@ -238,7 +238,7 @@ class RobstrideDrive:
         )
         return apply_status(updated, status >> 6, status & 0x3F)
 
-    def _on_report(self, state: DriveState, data: bytes) -> DriveState:
+    def _on_fault_report(self, state: DriveState, data: bytes) -> DriveState:
         """Return the state after a fault report.
 
         Bytes 0 to 3 are faults, after which the motor makes no torque. Bytes 4 to 7 are warnings.
@@ -248,7 +248,7 @@ class RobstrideDrive:
             return state
         return apply_fault(state, codec.RESET_MODE, faults << codec.REPORT_SHIFT & 0xFFFFFFFF)
 
-    def _on_parameter(self, state: DriveState, data: bytes, failed: bool) -> DriveState:
+    def _on_parameter_reply(self, state: DriveState, data: bytes, failed: bool) -> DriveState:
         """Return the state after a parameter reply, whose value is compared with the required value."""
         progress = progress_of(state)
         number, raw = codec.decode_parameter_reply(data)
@@ -294,9 +294,9 @@ class RobstrideDrive:
         if target == LISTEN:
             return state, ()
         if target == DISABLE or state.phase == ENABLED:
-            return self._disable(state, progress, t_ns), self.cut()
+            return self._disable(state, progress, t_ns), self.cut_frames()
         if state.phase == FAULT:
-            return state, self.cut()
+            return state, self.cut_frames()
         progress = progress._replace(disabling=False)
         if (
             state.phase == READY
@@ -360,11 +360,11 @@ class RobstrideDrive:
         """
         if progress.enabled_by_other:
             updated = state._replace(error_text="enabled, and does not stop", private=progress)
-            return updated, self.cut()
+            return updated, self.cut_frames()
         cursor = progress.cursor
         if cursor.step >= len(self.required):
             ready = progress._replace(cursor=ReadbackCursor(), configured=True, ready_ns=t_ns)
-            return state._replace(phase=READY, private=ready), self.cut()
+            return state._replace(phase=READY, private=ready), self.cut_frames()
         one = self.required[cursor.step]
         if cursor.writing:
             updated = state._replace(private=progress._replace(cursor=cursor.after_write()))
@@ -403,7 +403,7 @@ class RobstrideDrive:
         """
         return (self._torque_frame(torque),)
 
-    def cut(self) -> tuple[Frame, ...]:
+    def cut_frames(self) -> tuple[Frame, ...]:
         """Return the frame of the stop command."""
         return (self._request_frame(codec.STOP),)
 
@@ -425,9 +425,9 @@ class RobstrideDrive:
         """Return the 64-bit identifier of the motor's processor, or the node number if it is unknown."""
         return f"{serial:016x}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
 
-    def cause(self, error: int) -> DriveFaultCause:
+    def fault_cause(self, error_code: int) -> DriveFaultCause:
         """Return the cause of an error code, see ``contract.Drive``."""
-        return cause_of_error(error)
+        return cause_of_error(error_code)
 
     def _request_frame(self, kind: int, data: bytes = codec.EMPTY_DATA) -> Frame:
         """Return a request of type ``kind`` to the motor."""

@@ -2,8 +2,8 @@
 
 from typing import NamedTuple
 
-from handctl.drives.causes import DriveFaultCause
 from handctl.drives.contract import DrivePhase, DriveState
+from handctl.drives.fault_causes import DriveFaultCause
 from handctl.drives.readback import ReadbackCursor, RecheckCursor
 from handctl.drives.robstride import codec
 
@@ -71,9 +71,9 @@ def progress_of(state: DriveState) -> RobstrideProgress:
     return progress
 
 
-def enter_fault(state: DriveState, error: int, text: str) -> DriveState:
+def enter_fault(state: DriveState, error_code: int, text: str) -> DriveState:
     """Return the state in phase FAULT, with the given error code and text."""
-    return state._replace(phase=FAULT, error=error, error_text=text)
+    return state._replace(phase=FAULT, error=error_code, error_text=text)
 
 
 def apply_status(state: DriveState, mode: int, fault: int) -> DriveState:
@@ -150,11 +150,11 @@ def fault_text(fault: int) -> str:
     return ", ".join(dict.fromkeys(names))
 
 
-def cause_of_error(error: int) -> DriveFaultCause:
+def cause_of_error(error_code: int) -> DriveFaultCause:
     """Return the cause of a nonzero error code."""
-    if error in CAUSE_BY_ERROR:
-        return CAUSE_BY_ERROR[error]
-    bits = [bit for bit in range(32) if error >> bit & 1]
+    if error_code in CAUSE_BY_ERROR:
+        return CAUSE_BY_ERROR[error_code]
+    bits = [bit for bit in range(32) if error_code >> bit & 1]
     if not bits or any(bit not in codec.FAULT_TEXTS for bit in bits):
         return DriveFaultCause.UNKNOWN
     causes = [CAUSE_BY_FAULT_BIT.get(bit, DriveFaultCause.OTHER) for bit in bits]

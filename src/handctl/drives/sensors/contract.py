@@ -7,7 +7,7 @@ from typing import Protocol
 
 from handctl.drives.cia404.amplifier import LoadCellAmplifier
 from handctl.drives.frame import Frame
-from handctl.drives.signals import Message
+from handctl.drives.signals import CyclicMessage
 
 
 class SensorInterface(Protocol):
@@ -98,7 +98,7 @@ class SensorInterface(Protocol):
         ...
 
     @property
-    def exchange(self) -> tuple[tuple[int, float], ...]:
+    def frames_per_tick(self) -> tuple[tuple[int, float], ...]:
         """Return the frames that a tick exchanges with the sensors, SYNC first, as (payload bytes, frames per tick)."""
         ...
 
@@ -108,12 +108,12 @@ class SensorInterface(Protocol):
         ...
 
     @property
-    def messages(self) -> tuple[Message, ...]:
+    def messages(self) -> tuple[CyclicMessage, ...]:
         """Return the signal tables of the cyclic frames, in the order of ``ids``."""
         ...
 
     @property
-    def sync_message(self) -> Message:
+    def sync_message(self) -> CyclicMessage:
         """Return the signal table of the SYNC frame."""
         ...
 
@@ -138,14 +138,14 @@ class SensorInterface(Protocol):
         """Return True if a payload can be the answer to the SYNC with the given counter."""
         ...
 
-    def lost(self, syncs: int, accepted: int, stale: int) -> int:
-        """Return the number of lost tension frames, see ``SensorNode.lost``."""
+    def lost_frame_count(self, syncs: int, accepted: int, stale: int) -> int:
+        """Return the number of lost tension frames, see ``SensorNode.lost_frame_count``."""
         ...
 
-    def group_of_tendon(self, index: int) -> int:
+    def group_of_tendon(self, tendon_index: int) -> int:
         """Return the index of the frame with the load cell of a tendon, -1 for a tendon without a load cell."""
         ...
 
-    def group_of_joint(self, index: int) -> int:
+    def group_of_joint(self, joint_index: int) -> int:
         """Return the index of the frame with the encoder of a joint, -1 for a joint without an encoder."""
         ...

@@ -2,7 +2,7 @@
 
 SYNC does not move a motor that handctl has set up. Other CANopen drives apply pending PDOs at SYNC.
 A scan therefore sends no SYNC on a bus with a CANopen drive, or with an ODrive with node number 4.
-Their ``command_ids`` include the identifier of SYNC. Source: ``node``.
+Their ``command_ids`` include the identifier of SYNC. Source: ``sensor_node``.
 """
 
 from handctl.drives.discovery import DiscoveredNode, ProtocolDiscovery, ReceivedFrames
@@ -22,9 +22,11 @@ MAX_FRAME_BYTES = 8
 """Largest payload of an answer of the sensor node [bytes]."""
 
 
-def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
+def probe_frames(scan_round: int, received: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the requests of a round of the scan: two SYNC frames in round 3, none in the others."""
-    return tuple(sync_with_counter(counter) for counter in PROBE_COUNTERS) if turn == 3 else ()
+    return (
+        tuple(sync_with_counter(counter) for counter in PROBE_COUNTERS) if scan_round == 3 else ()
+    )
 
 
 def discovered_sensor_nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:

@@ -14,10 +14,10 @@ from handctl.hand.file.sensor_checks import amplifier_identifiers, check_sensor_
 from handctl.hand.link_bodies import link_inertia
 from handctl.hand.moment_arms import (
     TABLE_DEGREE,
+    arm_table_residual,
     arms_at,
     is_arm_varying,
     polynomial_of_arm,
-    table_residual,
 )
 
 if TYPE_CHECKING:
@@ -396,7 +396,7 @@ def _check_arm(hand: Hand, tendon: Tendon, joint: str) -> MistakeIterator:
             where,
             f"0.0001 to 0.05 m over {range_text}",
         )
-    elif (residual := table_residual(arm)) > MAX_TABLE_RESIDUAL_FRACTION * size:
+    elif (residual := arm_table_residual(arm)) > MAX_TABLE_RESIDUAL_FRACTION * size:
         what = f"the polynomial of degree {TABLE_DEGREE} differs by {1e3 * residual:.2g} mm from the table"
         yield FileMistake(
             what,

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from pydantic import BaseModel, ValidationError
 
 from handctl.errors import ConfigError
-from handctl.hand.file.descriptions import key_description
+from handctl.hand.file.key_descriptions import key_description
 from handctl.hand.file.quantities import UNMEASURED_PLACEHOLDER
 from handctl.printing import similar_name
 

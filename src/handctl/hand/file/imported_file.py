@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from handctl.hand.digit import Array
-from handctl.hand.file.descriptions import key_description
 from handctl.hand.file.error_text import first_sentence
+from handctl.hand.file.key_descriptions import key_description
 from handctl.hand.file.new_file import (
     DRIVE_LIMIT_RATIO,
     MOTORS_PER_BUS,

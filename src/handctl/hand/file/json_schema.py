@@ -8,7 +8,7 @@ from copy import deepcopy
 from typing import Any
 
 from handctl.hand.description import Hand
-from handctl.hand.file.descriptions import DescribedSchema
+from handctl.hand.file.key_descriptions import DescribedSchema
 from handctl.hand.file.templates import (
     DIGIT_KINDS,
     KEYS_ONE_FOR_ALL_LINKS,

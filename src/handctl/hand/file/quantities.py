@@ -27,12 +27,12 @@ The checks refuse this text for every key.
 """
 
 
-def validation_error(right: str) -> PydanticCustomError:
+def validation_error(valid_value: str) -> PydanticCustomError:
     """Return a validation error that states a valid value.
 
     ``error_text`` prints this value after the invalid one.
     """
-    return PydanticCustomError("hand", "expected {right}", {"right": right})
+    return PydanticCustomError("hand", "expected {right}", {"right": valid_value})
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,12 +174,14 @@ def zero_or_in_range(low: float, high: float, unit: str, hint: str) -> CheckedTy
     return CheckedType(check_value, {"anyOf": [{"const": 0}, number.schema]})
 
 
-def number_or_list(number: NumberRange, entry: NumberRange, *counts: int) -> CheckedType:
+def number_or_list(
+    number_range: NumberRange, entry_range: NumberRange, *counts: int
+) -> CheckedType:
     """Return the validation of a value that may be a number or a list of numbers.
 
     Args:
-        number: check of a single number.
-        entry: check of each number of a list.
+        number_range: check of a single number.
+        entry_range: check of each number of a list.
         counts: valid lengths of a list.
     """
     right = f"a number, or a list of {' or '.join(str(count) for count in counts)} numbers"
@@ -187,16 +189,16 @@ def number_or_list(number: NumberRange, entry: NumberRange, *counts: int) -> Che
     def check_value(value: Any) -> float | tuple[float, ...]:
         """Return the number as a float, or the list as a tuple of floats."""
         if not isinstance(value, list | tuple):
-            return number(value)
+            return number_range(value)
         if len(value) not in counts:
             raise validation_error(right)
-        return tuple(entry(one) for one in value)
+        return tuple(entry_range(one) for one in value)
 
     lists = [
-        {"type": "array", "items": entry.schema, "minItems": count, "maxItems": count}
+        {"type": "array", "items": entry_range.schema, "minItems": count, "maxItems": count}
         for count in counts
     ]
-    return CheckedType(check_value, {"anyOf": [number.schema, *lists]})
+    return CheckedType(check_value, {"anyOf": [number_range.schema, *lists]})
 
 
 MOMENT_ARM_RANGE = NumberRange(-0.05, 0.05, "m", "in metres?")
@@ -237,11 +239,11 @@ def _check_moment_arm(value: Any) -> float | dict[str, tuple[float, ...]]:
 
 
 def _checked_numbers(
-    values: Any, key: str, least: int, most: int, largest: float
+    values: Any, key: str, min_length: int, max_length: int, largest: float
 ) -> tuple[float, ...]:
-    """Return the list at a key, if it has ``least`` to ``most`` numbers from ``-largest`` to ``largest``."""
-    right = f"{least} to {most} numbers from {-largest:g} to {largest:g} in {key}"
-    if not isinstance(values, list | tuple) or not least <= len(values) <= most:
+    """Return the list at a key, if it has ``min_length`` to ``max_length`` numbers from ``-largest`` to ``largest``."""
+    right = f"{min_length} to {max_length} numbers from {-largest:g} to {largest:g} in {key}"
+    if not isinstance(values, list | tuple) or not min_length <= len(values) <= max_length:
         raise validation_error(right)
     # NaN is refused because the comparison is negated.
     if any(
@@ -252,10 +254,10 @@ def _checked_numbers(
     return tuple(float(one) for one in values)
 
 
-def _list_schema(least: int, most: int, largest: float) -> dict[str, Any]:
+def _list_schema(min_length: int, max_length: int, largest: float) -> dict[str, Any]:
     """Return the JSON Schema of a list that ``_checked_numbers`` accepts."""
     entry = {"type": "number", "minimum": -largest, "maximum": largest}
-    return {"type": "array", "items": entry, "minItems": least, "maxItems": most}
+    return {"type": "array", "items": entry, "minItems": min_length, "maxItems": max_length}
 
 
 def _table_schema(**lists: dict[str, Any]) -> dict[str, Any]:
@@ -283,7 +285,7 @@ Name = Annotated[
 ]
 Text = Annotated[str, CheckedType(_check_text, {"type": "string"})]
 Direction = Annotated[int, CheckedType(_check_direction, {"enum": [1, -1]})]
-Options = Annotated[
+ProtocolOptions = Annotated[
     dict[str, bool | int | float | str],
     CheckedType(
         _check_options,
@@ -323,9 +325,9 @@ Armature = Annotated[float, in_range(0.0, 1e-3, "kg m2", "in kg m2?")]
 MotorInertia = Annotated[float, in_range(1e-8, 1e-1, "kg m2", "in kg m2, at the spool?")]
 JointAngle = Annotated[float, in_range(-180.0, 180.0, "deg")]
 MountAngle = Annotated[float, in_range(-360.0, 360.0, "deg")]
-Preload = Annotated[float, in_range(0.0, 6.3, "rad", "in radians?")]
-Wrap = Annotated[float, in_range(0.0, 20.0, "rad", "in radians?")]
-Zero = Annotated[float, in_range(-100.0, 100.0, "rad", "in radians?")]
+SpringPreload = Annotated[float, in_range(0.0, 6.3, "rad", "in radians?")]
+WrapAngle = Annotated[float, in_range(0.0, 20.0, "rad", "in radians?")]
+MotorZeroAngle = Annotated[float, in_range(-100.0, 100.0, "rad", "in radians?")]
 PositionRange = Annotated[float, in_range(0.1, 1000.0, "rad", "in radians?")]
 SpeedRange = Annotated[float, in_range(0.1, 1000.0, "rad/s", "in rad/s?")]
 Damping = Annotated[float, in_range(0.0, 0.1, "N m s/rad")]
@@ -359,6 +361,6 @@ AmplifierId = Annotated[int, whole_in_range(1, 0x7E)]
 """Node number of a CANopen device. 0x7F is the node number of handctl itself."""
 ChannelCount = Annotated[int, whole_in_range(1, 8)]
 DecimalDigits = Annotated[int, whole_in_range(0, 6)]
-Decimation = Annotated[int, whole_in_range(1, 256)]
-Watchdog = Annotated[int, whole_in_range(1, 10_000)]
+JointDecimation = Annotated[int, whole_in_range(1, 256)]
+WatchdogTimeout = Annotated[int, whole_in_range(1, 10_000)]
 SchemaNumber = Annotated[int, whole_in_range(1, 1)]

@@ -64,9 +64,9 @@ class Bus(Section):
     """Bit rate of the data phase of CAN FD. It is absent for a classical bus."""
 
 
-HANDCTL_NODE = "handctl"
+HANDCTL_PROTOCOL = "handctl"
 """Protocol of the sensor node that handctl itself defines, see sensor_node.dbc."""
-CIA404 = "cia404"
+CIA404_PROTOCOL = "cia404"
 """Protocol of CANopen measuring amplifiers according to CiA 404."""
 HANDCTL_NODE_KEYS = ("base_id", "joint_decimation", "joint_noise_rad", "joints")
 """Keys of ``SensorNode`` that only the protocol ``handctl`` has."""
@@ -85,7 +85,7 @@ CHANNELS_PER_TPDO = 2
 class SensorNode(Section):
     """Sensors of tendon tension, between spool and first pulley, and joint encoders."""
 
-    protocol: qty.SensorProtocol = HANDCTL_NODE
+    protocol: qty.SensorProtocol = HANDCTL_PROTOCOL
     """``handctl``: one node with load cells and joint encoders.
 
     ``cia404``: CANopen measuring amplifiers.
@@ -115,7 +115,7 @@ class SensorNode(Section):
 
     In schema 2, ``"all"`` stands for all joints. CiA 404: the key is absent.
     """
-    joint_decimation: qty.Decimation = 1
+    joint_decimation: qty.JointDecimation = 1
     """Number of ticks from one frame of the joint encoders to the next, required.
 
     CiA 404: the key is absent.
@@ -149,7 +149,7 @@ class SensorNode(Section):
     @property
     def is_cia404(self) -> bool:
         """Return True if CANopen measuring amplifiers according to CiA 404 measure the tensions."""
-        return self.protocol == CIA404
+        return self.protocol == CIA404_PROTOCOL
 
     @property
     def amplifier_channels(self) -> tuple[int, ...]:
@@ -216,7 +216,7 @@ class StreamLimits(Section):
 
 MAX_LINKS = 8
 """Largest number of links of a digit."""
-SPRINGS = ("spring_stiffness_N_m_per_rad", "spring_preload_rad")
+SPRING_KEYS = ("spring_stiffness_N_m_per_rad", "spring_preload_rad")
 """Keys of the return springs of a digit. A digit without springs has neither of them."""
 
 
@@ -282,7 +282,7 @@ class Digit(Section):
     """Inertia of each joint itself, for example of pulley and pin."""
     spring_stiffness_N_m_per_rad: tuple[qty.SpringStiffness, ...]
     """Stiffness k of the return spring of each joint."""
-    spring_preload_rad: tuple[qty.Preload, ...]
+    spring_preload_rad: tuple[qty.SpringPreload, ...]
     """Spring torque is k (q + preload), against flexion."""
     coupling: tuple[tuple[qty.Coupling, ...], ...] | None = None
     """Matrix B of q = B theta, with a row for each joint, for a digit with fewer tendons than joints.
@@ -325,11 +325,11 @@ class Digit(Section):
 
         Antagonistic tendons open such a digit.
         """
-        if not isinstance(given, dict) or given.keys() & set(SPRINGS):
+        if not isinstance(given, dict) or given.keys() & set(SPRING_KEYS):
             return given
         links = given.get("link_length_m")
         return given | dict.fromkeys(
-            SPRINGS, (0.0,) * len(links) if isinstance(links, list | tuple) else ()
+            SPRING_KEYS, (0.0,) * len(links) if isinstance(links, list | tuple) else ()
         )
 
     @property
@@ -368,7 +368,7 @@ class Tendon(Section):
     """Length over which the stiffness changes."""
     friction_coefficient: qty.FrictionCoefficient
     """Friction coefficient of the pulleys."""
-    wrap_angle_rad: qty.Wrap
+    wrap_angle_rad: qty.WrapAngle
     """Wrap angle between spool and first joint. The joint angles add to it."""
     rated_breaking_force_N: qty.PositiveForce
     """Breaking force of the tendon according to its data sheet."""
@@ -436,11 +436,11 @@ class Motor(Section):
     """Largest absolute velocity that the drive's frames can represent."""
     direction: qty.Direction
     """1 if positive torque of the drive winds the tendon, else -1."""
-    zero_rad: qty.Zero
+    zero_rad: qty.MotorZeroAngle
     """Spool angle of the open hand, until a calibration replaces it."""
-    watchdog_ms: qty.Watchdog
+    watchdog_ms: qty.WatchdogTimeout
     """Time without a command after which the drive removes its torque."""
-    options: qty.Options = Field(default_factory=dict)
+    options: qty.ProtocolOptions = Field(default_factory=dict)
     """Options of the protocol, such as ``reply_id``."""
     control: qty.MotorControl | None = None
     """``position`` if the drive closes the position loop of a motion.

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from handctl.hand.file.descriptions import key_description
 from handctl.hand.file.error_text import FileMistake, first_sentence
+from handctl.hand.file.key_descriptions import key_description
 from handctl.hand.file.sections import (
-    CIA404,
     CIA404_KEYS,
-    HANDCTL_NODE,
+    CIA404_PROTOCOL,
     HANDCTL_NODE_KEYS,
+    HANDCTL_PROTOCOL,
     SensorNode,
 )
 
@@ -37,7 +37,7 @@ def check_sensor_node(hand: Hand) -> Iterator[FileMistake]:
     """Yield the mistakes of the section ``sensor_node`` that concern several keys."""
     node = hand.sensor_node
     foreign, protocol = (
-        (HANDCTL_NODE_KEYS, HANDCTL_NODE) if node.is_cia404 else (CIA404_KEYS, CIA404)
+        (HANDCTL_NODE_KEYS, HANDCTL_PROTOCOL) if node.is_cia404 else (CIA404_KEYS, CIA404_PROTOCOL)
     )
     for key in foreign:
         value = getattr(node, key)

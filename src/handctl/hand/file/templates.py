@@ -386,7 +386,7 @@ def _list_of_tables(value: Any) -> list[TableContent]:
     return list(value) if _is_list_of_tables(value) else []
 
 
-def _section_label(entry: TableContent, position: int) -> str:
+def _section_label(section: TableContent, position: int) -> str:
     """Return the name of a section for key paths. Without a name, return the section's position."""
-    name = entry.get("name")
+    name = section.get("name")
     return name if isinstance(name, str) and name else str(position)

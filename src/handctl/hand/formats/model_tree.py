@@ -55,7 +55,7 @@ class ModelMesh:
     rotation: Array
 
     @staticmethod
-    def of(values: Mapping[str, Any]) -> "ModelMesh":
+    def from_values(values: Mapping[str, Any]) -> "ModelMesh":
         """Build a mesh from plain values."""
         return ModelMesh(
             file=values["file"],
@@ -123,7 +123,7 @@ class ModelLink:
     mesh: ModelMesh | None
 
     @staticmethod
-    def of(values: Mapping[str, Any], mesh: ModelMesh | None) -> "ModelLink":
+    def from_values(values: Mapping[str, Any], mesh: ModelMesh | None) -> "ModelLink":
         """Build a link from plain values and its mesh.
 
         The axis of a joint that flexes towards negative angles is reversed.
@@ -287,7 +287,7 @@ def _link_chains(links: Sequence[ModelLink]) -> Iterator[_LinkChain]:
         count += 1
 
 
-def _digit_name(links: Sequence[ModelLink], taken: set[str], count: int) -> str:
+def _digit_name(links: Sequence[ModelLink], used_names: set[str], count: int) -> str:
     """Return a name for a digit.
 
     It is the common beginning of the names of its joints or of its links. Without a usable one, the
@@ -303,10 +303,12 @@ def _digit_name(links: Sequence[ModelLink], taken: set[str], count: int) -> str:
             ]
             common = common[: len(name)]
         common = re.sub(r"\W", "_", JOINT_SUFFIX.sub("", common))
-        if NAME_PATTERN.fullmatch(common) and common not in taken:
+        if NAME_PATTERN.fullmatch(common) and common not in used_names:
             return common
     return next(
-        name for i in range(len(taken) + 1) if (name := f"digit_{count + 1 + i}") not in taken
+        name
+        for i in range(len(used_names) + 1)
+        if (name := f"digit_{count + 1 + i}") not in used_names
     )
 
 

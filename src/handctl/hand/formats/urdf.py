@@ -12,8 +12,8 @@ import numpy as np
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array
 from handctl.hand.file.sections import Digit
-from handctl.hand.formats.meshes import LinkMesh
-from handctl.hand.formats.numbers import number_text, numbers_text
+from handctl.hand.formats.link_meshes import LinkMesh
+from handctl.hand.formats.number_text import number_text, numbers_text
 from handctl.hand.link_bodies import (
     centre_of_mass,
     joint_axes,

@@ -25,9 +25,9 @@ import pyarrow as pa  # type: ignore[import-untyped]
 import pyarrow.parquet as pq  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
-from handctl.core.types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.errors import ConfigError, LogError
-from handctl.hand.load import parse_toml
+from handctl.hand.hand_loading import parse_toml
 from handctl.log.export.camera_video import (
     VIDEO_PATH_PATTERN,
     Camera,
@@ -226,7 +226,7 @@ def _tick_indices(log: RunLog, fps: int) -> NDArray[np.intp]:
     Raises:
         LogError: the hand was never active, or the ticks are out of order.
     """
-    active = np.flatnonzero(log.mode == int(Mode.ACTIVE))
+    active = np.flatnonzero(log.mode == int(HandMode.ACTIVE))
     if len(active) < 2:
         raise LogError("the hand was never active in this log", "the log", "a run that moved")
     check_order(log.t_ns, log.header.period_ns)

@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.types import TELEMETRY_AXES, Mode
-from handctl.drives.frame import ERROR, EXTENDED, FDF, REMOTE, Frame
+from handctl.core.tick_types import TELEMETRY_AXES, HandMode
+from handctl.drives.frame import ERROR_FLAG, EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
 from handctl.log.read.reader import RunLog
-from handctl.safety.action import Action
+from handctl.safety.action import SafetyAction
 
 BLOCK_TICKS = 4096
 """Number of ticks that an export holds in memory at a time."""
@@ -90,8 +90,8 @@ def table_blocks(log: RunLog) -> Iterator[TableBlock]:
         data = b"".join(next(rows) for _ in range(part.start, part.stop))
         numbers = np.frombuffer(data, "<f8").reshape(part.stop - part.start, -1)
         phase = [names[i] for i in np.searchsorted(starts, log.k[part], "right") - 1]
-        mode = [Mode(value).name for value in log.mode[part].tolist()]
-        action = [Action(value).name for value in log.action[part].tolist()]
+        mode = [HandMode(value).name for value in log.mode[part].tolist()]
+        action = [SafetyAction(value).name for value in log.action[part].tolist()]
         yield TableBlock(
             log.k[part], log.t_ns[part], log.late_ns[part], mode, phase, action, numbers
         )
@@ -169,13 +169,13 @@ def _candump_line(frame: Frame, t_ns: int, buses: tuple[str, ...], direction: st
     """
     # An extended identifier and an error frame are written with eight hexadecimal digits, a
     # standard identifier with three.
-    long_id = frame.can_id & (EXTENDED | ERROR)
+    long_id = frame.can_id & (EXTENDED_FLAG | ERROR_FLAG)
     can_id = f"{frame.can_id & 0x3FFF_FFFF:08X}" if long_id else f"{frame.can_id & 0x7FF:03X}"
     data = frame.data.hex().upper()
     if frame.flags & FDF:
         body = f"##{frame.flags & 0xF & ~FDF:X}{data}"
     else:
-        body = f"#R{len(frame.data) or ''}" if frame.can_id & REMOTE else f"#{data}"
+        body = f"#R{len(frame.data) or ''}" if frame.can_id & REMOTE_FLAG else f"#{data}"
     bus = buses[frame.bus] if frame.bus < len(buses) else "unknown"
     # The log format of can-utils has microseconds. A negative time of a frame is written as 0.
     return f"({max(t_ns, 0) // 10**9}.{max(t_ns, 0) % 10**9 // 1000:06d}) {bus} {can_id}{body} {direction}\n"

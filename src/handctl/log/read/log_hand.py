@@ -2,7 +2,7 @@
 
 from handctl.errors import LogError
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_from_content, parse_toml
+from handctl.hand.hand_loading import hand_from_content, parse_toml
 from handctl.log.header import RunHeader
 
 

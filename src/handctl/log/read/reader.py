@@ -13,7 +13,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS
+from handctl.core.tick_types import TELEMETRY_AXES, TELEMETRY_FIELDS
 from handctl.errors import LogError
 from handctl.log.batch import FIXED_DTYPE, column_count, columns_of_fields, row_fields
 from handctl.log.header import RunHeader
@@ -262,12 +262,12 @@ class RunLog:
 
     @property
     def mode(self) -> NDArray[np.uint8]:
-        """Return the `core.types.Mode` of each tick (ticks,)."""
+        """Return the `core.tick_types.HandMode` of each tick (ticks,)."""
         return self._fixed["mode"]
 
     @property
     def action(self) -> NDArray[np.uint8]:
-        """Return the `safety.action.Action` of each tick (ticks,)."""
+        """Return the `safety.action.SafetyAction` of each tick (ticks,)."""
         return self._fixed["action"]
 
     @property
@@ -283,7 +283,7 @@ class RunLog:
         NaN.
 
         Args:
-            name: one of `core.types.TELEMETRY_FIELDS`.
+            name: one of `core.tick_types.TELEMETRY_FIELDS`.
 
         Raises:
             LogError: there is no telemetry field of this name, or the log is damaged.

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.types import TickEvent
+from handctl.core.tick_types import TickEvent
 from handctl.errors import LogError
 
 MAX_PERIODS = 1_000_000

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.drives.frame import ERROR, EXTENDED, FDF, REMOTE
+from handctl.drives.frame import ERROR_FLAG, EXTENDED_FLAG, FDF, REMOTE_FLAG
 from handctl.log.batch import FrameBatch, TickBatch
 from handctl.log.cdr import CdrWriter, MessageTemplate, TemplateWriter
 from handctl.log.container import MESSAGE_STRUCT, MessageBlock
@@ -37,7 +37,7 @@ def encode_fd_frame(bus: str, t_ns: int, can_id: int, data: bytes) -> bytes:
     out.put("I", t_ns % 10**9)
     out.text(bus)
     out.count(can_id & _ID_MASK)
-    out.data += bytes((bool(can_id & EXTENDED), bool(can_id & ERROR), len(data)))
+    out.data += bytes((bool(can_id & EXTENDED_FLAG), bool(can_id & ERROR_FLAG), len(data)))
     out.count(len(data))
     out.data += data
     return out.message()
@@ -147,9 +147,9 @@ def _frame_values(frames: NDArray[np.void]) -> dict[str, NDArray[np.generic]]:
     can_id = frames["can_id"]
     small = {
         "id": can_id & _ID_MASK,
-        "is_rtr": (can_id & REMOTE) != 0,
-        "is_extended": (can_id & EXTENDED) != 0,
-        "is_error": (can_id & ERROR) != 0,
+        "is_rtr": (can_id & REMOTE_FLAG) != 0,
+        "is_extended": (can_id & EXTENDED_FLAG) != 0,
+        "is_error": (can_id & ERROR_FLAG) != 0,
         "dlc": frames["length"],
     }
     return {name: value[:, None] for name, value in small.items()} | {"data": frames["data"]}

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.types import GAIN_EVENT, Mode
+from handctl.core.tick_types import GAIN_EVENT, HandMode
 from handctl.log.batch import TickBatch
 from handctl.log.cdr import CdrWriter
 from handctl.log.container import MessageBlock
@@ -14,8 +14,8 @@ from handctl.log.header import RunHeader
 from handctl.log.message_types import OTHER_PHASE_NUMBER, PHASE_NUMBERS
 from handctl.log.record import TickRecord
 from handctl.log.topics.message_streams import MessageStamps, TopicRegistry, variable_length_block
-from handctl.programs.requests import is_routine
-from handctl.safety.action import Action
+from handctl.programs.requests import is_routine_request
+from handctl.safety.action import SafetyAction
 
 LOG_LEVEL_NUMBERS = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
 """Number of each level of a log line in rcl_interfaces/Log."""
@@ -112,8 +112,8 @@ class EventTopics:
 
     def blocks(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
         """Return the messages for the events and changes in a batch of ticks."""
-        modes = [Mode(number) for number in batch.mode.tolist()]
-        actions = [Action(number) for number in batch.action.tolist()]
+        modes = [HandMode(number) for number in batch.mode.tolist()]
+        actions = [SafetyAction(number) for number in batch.action.tolist()]
         lanes: list[tuple[int, list[tuple[int, str]]]] = [
             (
                 self._phase,
@@ -166,7 +166,7 @@ def _log_lines(tick: TickRecord) -> Iterator[tuple[str, str, str]]:
         number = f" ({io_event.number})" if io_event.number != 1 else ""
         yield "warn", "io", " ".join(filter(None, (io_event.kind, io_event.where))) + number
     for request in tick.tick_in.requests:
-        if not is_routine(request):  # Streamed targets have a separate topic.
+        if not is_routine_request(request):  # Streamed targets have a separate topic.
             yield "info", "request", request
     for event in tick.events:
         yield event.level, event.name, f"{event.where}: {event.text}" if event.where else event.text

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.drives.contract import DrivePhase
 from handctl.log.batch import TickBatch, columns_of_fields
 from handctl.log.cdr import CdrWriter, MessageTemplate, TemplateWriter
@@ -18,7 +18,7 @@ from handctl.log.topics.message_streams import (
     variable_length_block,
 )
 from handctl.log.topics.transforms import ROOT_FRAME
-from handctl.safety.action import Action
+from handctl.safety.action import SafetyAction
 
 TEMPERATURE_PERIOD_NS = 200_000_000
 """Interval between the temperature messages of a motor [ns]."""
@@ -161,15 +161,15 @@ class HealthTopics:
 
     def _statuses(self, batch: TickBatch, index: int) -> list[DiagnosticStatus]:
         """Return the status of controller, buses and motors at a tick."""
-        action = Action(int(batch.action[index]))
+        action = SafetyAction(int(batch.action[index]))
         level = (
             OK_LEVEL
-            if action == Action.PASS
+            if action == SafetyAction.PASS
             else WARN_LEVEL
-            if action < Action.RELAX
+            if action < SafetyAction.RELAX
             else ERROR_LEVEL
         )
-        mode = Mode(int(batch.mode[index])).name.lower()
+        mode = HandMode(int(batch.mode[index])).name.lower()
         values = {
             "action": action.name.lower(),
             "phase": batch.phases[index],

@@ -22,7 +22,7 @@ class ControllerSnapshot(NamedTuple):
 
     Attributes:
         k: number of the tick.
-        data: encoded state of the controller, see `controller.snapshot`.
+        data: encoded state of the controller, see `controller.state_snapshot`.
     """
 
     k: int

@@ -5,9 +5,9 @@ import tomllib
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS
+from handctl.core.tick_types import TELEMETRY_AXES, TELEMETRY_FIELDS
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_from_content, parse_toml
+from handctl.hand.hand_loading import hand_from_content, parse_toml
 from handctl.hand.moment_arms import arms_at
 from handctl.log.batch import TickBatch, columns_of_fields
 from handctl.log.cdr import CdrWriter, MessageTemplate, TemplateWriter

@@ -12,7 +12,7 @@ from handctl.log.topics.message_streams import MessageStamps, TopicRegistry, var
 from handctl.programs.requests import (
     OpenStream,
     StreamTarget,
-    is_target,
+    is_stream_target,
     parse_request,
     parse_target,
 )
@@ -48,7 +48,7 @@ class TargetTopic:
         A request that opens a stream names the values of all later targets of this stream.
         """
         for text in requests:
-            if not is_target(text):
+            if not is_stream_target(text):
                 request = parse_request(text)
                 if isinstance(request, OpenStream):
                     self._names[request.stream] = request.names

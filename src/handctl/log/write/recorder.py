@@ -16,7 +16,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Self
 
-from handctl.core.types import IoEvent
+from handctl.core.tick_types import IoEvent
 from handctl.errors import LogError
 from handctl.log.header import RunHeader
 from handctl.log.record import END_RECORD_KIND, FILE_RECORD_KIND, HEADER_RECORD_KIND, record_bytes

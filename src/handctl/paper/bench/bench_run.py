@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.types import TickIn, TickOut, Vector
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import TickIn, TickOut, Vector
 from handctl.errors import DriveError
-from handctl.hand.load import load_hand
-from handctl.programs.grasp import TaskProgram
+from handctl.hand.hand_loading import load_hand
 from handctl.programs.task import Task
+from handctl.programs.task_program import TaskProgram
 from handctl.session.simulate import SimulatorSettings, homed_controller, simulate
 
 RATE_HZ = 500.0
@@ -77,4 +77,4 @@ def _hand_model(hand_file: str) -> HandModel:
 
     The result is cached, because a design takes about a second.
     """
-    return HandModel.of(load_hand(hand_file), Gains(), RATE_HZ)
+    return HandModel.from_hand(load_hand(hand_file), Gains(), RATE_HZ)

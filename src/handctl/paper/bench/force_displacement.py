@@ -14,7 +14,7 @@ from scipy.optimize import curve_fit
 
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array
-from handctl.hand.load import hand_from_content, load_hand
+from handctl.hand.hand_loading import hand_from_content, load_hand
 from handctl.hand.tendons import TendonElasticity
 from handctl.paper import sources as src
 from handctl.paper.bench.bench_run import run_bench_task

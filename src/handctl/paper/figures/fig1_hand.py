@@ -43,7 +43,7 @@ def draw_hand_figure(figure: Any) -> None:
     faces: list[Array] = []
     colours: list[Any] = []
     for name, colour in DIGIT_COLOURS.items():
-        model = DigitModel.of(src.paper_hand(), name)
+        model = DigitModel.from_hand(src.paper_hand(), name)
         nodes = 1000.0 * joint_points(model, np.radians(np.full(model.joint_count, POSE_DEG[name])))
         for start, end in pairwise(nodes):
             capsule = _capsule_faces(start, end, 1000.0 * model.radius)

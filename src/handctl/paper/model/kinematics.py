@@ -21,7 +21,7 @@ SAMPLED_ANGLES_RAD = np.linspace(-1.0, 2.0, 61)
 
 def paper_digit(name: str) -> DigitModel:
     """Return the model of a digit of the paper's hand."""
-    return DigitModel.of(src.paper_hand(), name)
+    return DigitModel.from_hand(src.paper_hand(), name)
 
 
 def points_in_plane(model: DigitModel, q: Array) -> Array:

@@ -16,7 +16,7 @@ import numpy as np
 from handctl.hand import rigid_body
 from handctl.hand.digit import Array, DigitModel
 from handctl.hand.dynamics import inverse_dynamics
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.paper.item import ErrataItem, ErrataVerdict
 from handctl.paper.model import equations
 from handctl.paper.model.equations import EquationTerm
@@ -249,7 +249,7 @@ def _agreement_text(off: float) -> str:
 def paper_finger() -> DigitModel:
     """Return a finger of the packaged hand with the assumptions of Eq. 3 to 12."""
     # In Eq. 3 to 12, joints have no armature, and the weight acts along -y of the finger's plane.
-    digit = DigitModel.of(load_hand("jamia"), "index")
+    digit = DigitModel.from_hand(load_hand("jamia"), "index")
     digit = digit.with_gravity(digit.mount_rotation @ np.array([0.0, -9.81, 0.0]))
     table = digit.table.copy()
     table[rigid_body.ARMATURE_ROW] = 0.0

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handctl.core.law.trajectory import MinimumJerk
+from handctl.core.control_law.trajectory import MinimumJerk
 from handctl.hand import dynamics
 from handctl.hand.digit import Array, DigitModel
 from handctl.hand.tendons import reflected_inertia
@@ -50,7 +50,7 @@ class ClosingTorques:
 
 def upright_digit(name: str) -> DigitModel:
     """Return a digit whose plane is vertical and whose weight opens it, as in Eq. 6."""
-    model = DigitModel.of(src.paper_hand(), name)
+    model = DigitModel.from_hand(src.paper_hand(), name)
     return model.with_gravity(
         model.mount_rotation @ np.array([0.0, -float(src.GRAVITY_M_PER_S2), 0.0])
     )
@@ -71,7 +71,7 @@ def closing_torques(name: str, duration: float) -> ClosingTorques:
     coupling = digit.coupling[:, 0]
     rows = []
     for t in times:
-        theta, dtheta, ddtheta = (float(value[0]) for value in path.at(float(t)))
+        theta, dtheta, ddtheta = (float(value[0]) for value in path.motion_at(float(t)))
         q = coupling * theta
         dq = coupling * dtheta
         ddq = coupling * ddtheta
@@ -91,7 +91,7 @@ def first_torque(duration: float) -> tuple[Array, Array, Array]:
     digit = upright_digit("index")
     times = np.linspace(0.0, duration, SAMPLE_COUNT)
     path = MinimumJerk(np.zeros(1), np.radians([CLOSED_DEG]), duration)
-    moves = np.array([[value[0] for value in path.at(float(t))] for t in times])
+    moves = np.array([[value[0] for value in path.motion_at(float(t))] for t in times])
     states = dict(finger_states(digit))
     for order in range(3):
         # With equal joint angles, the absolute angles are multiples of the first one.

@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.drives.frame import ERROR, FDF, Frame
-from handctl.drives.records import FRAME_RECORD_DTYPE, Frames, RecordArray
+from handctl.drives.frame import ERROR_FLAG, FDF, Frame
+from handctl.drives.frame_records import FRAME_RECORD_DTYPE, Frames, RecordArray
 from handctl.runtime.buses.contract import check_size
 
 CANFD_FRAME_DTYPE = np.dtype(
@@ -67,7 +67,7 @@ def _payload_masks() -> WordArray:
 PAYLOAD_MASKS = _payload_masks()
 _PAYLOAD_LENGTHS = bytes(min(length, MAX_PAYLOAD_BYTES) for length in range(256))
 """Table for ``bytes.translate``: from the length byte of a struct to the payload length, at most MAX_PAYLOAD_BYTES."""
-_ERROR_FRAME_MARKS = bytes((highest << 24 & ERROR) != 0 for highest in range(256))
+_ERROR_FRAME_MARKS = bytes((highest << 24 & ERROR_FLAG) != 0 for highest in range(256))
 """Table for ``bytes.translate``: from the highest byte of an identifier to 1 for an error frame and 0 for others."""
 
 
@@ -248,5 +248,5 @@ class FrameStructs:
 
 def without_errors(records: RecordArray) -> tuple[Frames, list[Frame]]:
     """Split records into data frames and error frames."""
-    errors = (records["can_id"] & ERROR) != 0
+    errors = (records["can_id"] & ERROR_FLAG) != 0
     return Frames(records[~errors]), list(Frames(records[errors]))

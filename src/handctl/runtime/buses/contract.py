@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from handctl.drives.frame import FDF, Frame
-from handctl.drives.records import Frames
+from handctl.drives.frame_records import Frames
 from handctl.runtime.buses.events import BusEvent
 
 TimeConversion = Callable[[int], int]

@@ -14,8 +14,8 @@ import struct
 import time
 from collections.abc import Sequence
 
-from handctl.drives.frame import ERROR, Frame
-from handctl.drives.records import NO_FRAMES, Frames, join_frames
+from handctl.drives.frame import ERROR_FLAG, Frame
+from handctl.drives.frame_records import NO_FRAMES, Frames, join_frames
 from handctl.errors import BusError
 from handctl.runtime.buses.canfd import CANFD_FRAME_BYTES, FrameStructs, without_errors
 from handctl.runtime.buses.contract import TimeConversion, check_size
@@ -189,7 +189,7 @@ class LocalBus:
             return None
         can_id, length, flags, lost, data = FRAME_RECORD_STRUCT.unpack_from(self._buffer)
         self._count_dropped(lost)
-        if can_id & ERROR:
+        if can_id & ERROR_FLAG:
             self._take_control(can_id, data[:length])
             return None
         return Frame(can_id, data[:length], flags, self._index, self._stamp(time.monotonic_ns()))

@@ -11,8 +11,8 @@ from typing import Any
 
 import can
 
-from handctl.drives.frame import BRS, ERROR, ESI, EXTENDED, FDF, REMOTE, Frame
-from handctl.drives.records import Frames, frames_as_records
+from handctl.drives.frame import BRS, ERROR_FLAG, ESI, EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
+from handctl.drives.frame_records import Frames, frames_as_records
 from handctl.errors import BusError
 from handctl.runtime.buses.contract import TimeConversion, check_size
 from handctl.runtime.buses.events import BusEvent, BusEvents
@@ -36,8 +36,8 @@ def frame_of_message(message: can.Message, index: int, t_ns: int) -> Frame:
     """
     can_id = (
         message.arbitration_id
-        | EXTENDED * message.is_extended_id
-        | REMOTE * message.is_remote_frame
+        | EXTENDED_FLAG * message.is_extended_id
+        | REMOTE_FLAG * message.is_remote_frame
     )
     flags = (
         FDF | BRS * message.bitrate_switch | ESI * message.error_state_indicator
@@ -45,7 +45,7 @@ def frame_of_message(message: can.Message, index: int, t_ns: int) -> Frame:
         else 0
     )
     data = bytes(message.dlc) if message.is_remote_frame else bytes(message.data)
-    return Frame(can_id | ERROR * message.is_error_frame, data, flags, index, t_ns)
+    return Frame(can_id | ERROR_FLAG * message.is_error_frame, data, flags, index, t_ns)
 
 
 def message_of_frame(frame: Frame, timestamp: float = 0.0) -> can.Message:
@@ -55,13 +55,13 @@ def message_of_frame(frame: Frame, timestamp: float = 0.0) -> can.Message:
         frame: classical or CAN FD frame, with data or a remote request.
         timestamp: time stamp of the message [s].
     """
-    remote = bool(frame.can_id & REMOTE)
+    remote = bool(frame.can_id & REMOTE_FLAG)
     return can.Message(
         timestamp=timestamp,
         arbitration_id=frame.can_id & IDENTIFIER_MASK,
-        is_extended_id=bool(frame.can_id & EXTENDED),
+        is_extended_id=bool(frame.can_id & EXTENDED_FLAG),
         is_remote_frame=remote,
-        is_error_frame=bool(frame.can_id & ERROR),
+        is_error_frame=bool(frame.can_id & ERROR_FLAG),
         dlc=len(frame.data),
         data=None if remote else frame.data,
         is_fd=bool(frame.flags & FDF),

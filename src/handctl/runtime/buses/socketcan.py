@@ -13,8 +13,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from handctl.drives.frame import ERROR, FDF, Frame
-from handctl.drives.records import Frames, frames_as_records, join_frames
+from handctl.drives.frame import ERROR_FLAG, FDF, Frame
+from handctl.drives.frame_records import Frames, frames_as_records, join_frames
 from handctl.errors import BusError
 from handctl.runtime.buses import mmsg
 from handctl.runtime.buses.canfd import CANFD_FRAME_BYTES, FrameStructs
@@ -166,7 +166,7 @@ class SocketCanBus:
             if dropped != self._dropped and dropped:  # 0 means that the kernel reported no count
                 self._events.add("dropped", (dropped - self._dropped) & 0xFFFFFFFF)
                 self._dropped = dropped
-            if frame.can_id & ERROR:
+            if frame.can_id & ERROR_FLAG:
                 self._events.error_frame(frame.can_id, frame.data)
                 is_data[i] = False
                 continue

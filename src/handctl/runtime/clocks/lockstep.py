@@ -13,14 +13,14 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from handctl.drives.frame import ERROR, Frame
-from handctl.drives.records import Frames, RecordArray, frames_as_records, join_frames
+from handctl.drives.frame import ERROR_FLAG, Frame
+from handctl.drives.frame_records import Frames, RecordArray, frames_as_records, join_frames
 from handctl.errors import ConfigError
 from handctl.extras import missing_extra
 from handctl.runtime.buses.canfd import without_errors
 from handctl.runtime.buses.events import BusEvents
 
-SIMULATED_HAND_ENTRY = "firmware_sim.rig:LockstepHand"
+SIMULATED_HAND_ENTRY = "firmware_sim.lockstep_hand:LockstepHand"
 """Entry ``module:Class`` of the simulator in the handctl repository."""
 
 
@@ -159,7 +159,7 @@ class LockstepBus:
         self.clock.incoming = []
         # One OR over all identifiers shows if there is an error frame. Usually there is none, and
         # no frame has to be examined.
-        if not len(frames) or not int(np.bitwise_or.reduce(frames.records["can_id"])) & ERROR:
+        if not len(frames) or not int(np.bitwise_or.reduce(frames.records["can_id"])) & ERROR_FLAG:
             return frames
         frames, errors = without_errors(frames.records)
         for frame in errors:

@@ -6,7 +6,7 @@ During a suspend, CLOCK_BOOTTIME continues and CLOCK_MONOTONIC stands still.
 import time
 from collections.abc import Callable
 
-from handctl.core.types import IoEvent
+from handctl.core.tick_types import IoEvent
 
 MIN_SUSPEND_NS = 20_000_000
 """Shortest suspend that is reported [ns]."""

@@ -9,7 +9,7 @@ import math
 from typing import NamedTuple
 
 from handctl.drives.contract import DrivePhase, DriveState, DriveTarget
-from handctl.drives.modes import COMMAND_UNITS, DriveMode, MotionLimits
+from handctl.drives.drive_modes import COMMAND_UNITS, DriveMode, MotionLimits
 from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
 
 PERIOD_S = PERIOD_NS * 1e-9

@@ -47,7 +47,7 @@ class DriveRig:
         self.drive = drive
         self._bus = bus
         self._clock = clock
-        self.state: DriveState = drive.initial()
+        self.state: DriveState = drive.initial_state()
         self.k = 0
         self.torque = 0.0
         self.inertia = math.nan
@@ -59,7 +59,7 @@ class DriveRig:
     def take(self, drive: Drive) -> None:
         """Continue with another description of the same drive, and with its initial state."""
         self.drive = drive
-        self.state = drive.initial()
+        self.state = drive.initial_state()
 
     @property
     def t_ns(self) -> int:
@@ -118,7 +118,7 @@ class DriveRig:
 
     def cut(self) -> None:
         """Run a tick that sends only the frames that remove the torque of the drive."""
-        self.tick(DriveTarget.LISTEN, extra=self.drive.cut())
+        self.tick(DriveTarget.LISTEN, extra=self.drive.cut_frames())
 
     def release(self) -> None:
         """Run a tick that sends only the frames for the regular end of a run."""

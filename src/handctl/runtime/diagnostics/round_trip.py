@@ -8,7 +8,7 @@ import time
 from typing import NamedTuple
 
 from handctl.drives.discovery import DiscoveredNode
-from handctl.drives.registry import DISCOVERY_BY_PROTOCOL
+from handctl.drives.protocol_registry import DISCOVERY_BY_PROTOCOL
 from handctl.runtime.buses.contract import Bus
 
 REQUEST_COUNT = 20

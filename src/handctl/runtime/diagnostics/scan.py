@@ -17,7 +17,7 @@ from handctl.drives.discovery import (
     split_probes,
 )
 from handctl.drives.frame import Frame
-from handctl.drives.registry import DISCOVERY_BY_PROTOCOL
+from handctl.drives.protocol_registry import DISCOVERY_BY_PROTOCOL
 from handctl.runtime.buses.contract import Bus
 
 MAX_BURST_FRAMES = 4

@@ -14,7 +14,7 @@ from handctl.drives.cia404.amplifier import AmplifierState
 from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import Frame
 from handctl.drives.sensors.contract import SensorInterface
-from handctl.drives.signals import Quantity, SignalTable
+from handctl.drives.signals import SignalQuantity, SignalTable
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.clocks.real import TickClock
 from handctl.runtime.diagnostics.scan import collect_frames
@@ -76,9 +76,9 @@ class BusWatch:
 
     def __post_init__(self) -> None:
         """Start with the initial state of each drive and without readings."""
-        self.states = [drive.initial() for drive in self.drives]
+        self.states = [drive.initial_state() for drive in self.drives]
         node = self.sensors
-        self.amplifiers = [amplifier.initial() for amplifier in node.amplifiers]
+        self.amplifiers = [amplifier.initial_state() for amplifier in node.amplifiers]
         self._tables = [SignalTable(message) for message in node.messages]
         self._group = {can_id: group for group, can_id in enumerate(node.ids)}
         cells, encoders = node.channels[: node.tension_frames], node.channels[node.tension_frames :]
@@ -166,7 +166,7 @@ class BusWatch:
         values = [
             low if math.isnan(value) else value
             for kind, value in decoded
-            if kind != Quantity.COUNTER
+            if kind != SignalQuantity.COUNTER
         ]
         into = self.tensions if group < self.sensors.tension_frames else self.angles
         for index, value in zip(self.sensors.channels[group], values, strict=True):

@@ -1,6 +1,6 @@
 """Rows B01 to B18 of the fault catalogue: faults of the bus."""
 
-from handctl.safety.action import Action, RelaxMethod
+from handctl.safety.action import RelaxMethod, SafetyAction
 from handctl.safety.faults.fault import (
     CHECKED_BEFORE_ARMING,
     CHECKED_BY_FAULT_TABLE,
@@ -14,7 +14,7 @@ from handctl.safety.faults.fault import (
     declare_fault,
     declare_row,
 )
-from handctl.safety.limits import LOAD_CELLS, MIN_SILENT_TICKS, SILENT_S
+from handctl.safety.safety_limits import LOAD_CELLS, MIN_SILENT_TICKS, SILENT_S
 
 LOSS_WINDOW_TICKS = 100
 MALFORMED_WINDOW_TICKS = 20
@@ -50,7 +50,7 @@ _SILENCE_CONDITION = f"for {SILENT_S * 1e3:g} ms, at least {MIN_SILENT_TICKS} ti
 
 declare_row("B01", "one frame lost", ticks=2, required=2)
 B01 = declare_fault(
-    "B01", "a reply is missing", "The latest feedback of a motor is older than one tick", Action.WARN,
+    "B01", "a reply is missing", "The latest feedback of a motor is older than one tick", SafetyAction.WARN,
     ENDED_BY_ITSELF, MOTOR_INSTANCE,
     cause="A frame was lost, or the motor or this host was late once. The filter bridges single losses.",
     remedy="Ignore single cases. If it repeats, run handctl bus doctor and check cable, termination and bus load.",
@@ -58,8 +58,8 @@ B01 = declare_fault(
 
 declare_row("B02", "several frames in a row lost", ticks=1, ms=30, required=5, why=SILENCE_REASON)
 B02 = declare_fault(
-    "B02", "a motor has gone silent", f"A motor sends no reply {_SILENCE_CONDITION}", Action.RELAX, ENDED_BY_OPERATOR,
-    MOTOR_INSTANCE,
+    "B02", "a motor has gone silent", f"A motor sends no reply {_SILENCE_CONDITION}", SafetyAction.RELAX,
+    ENDED_BY_OPERATOR, MOTOR_INSTANCE,
     cause="The motor has lost power or its cable, or its drive has crashed.",
     remedy="Check supply and CAN cable of the motor, find it with handctl scan, then start a new run.",
 )  # fmt: skip
@@ -68,14 +68,14 @@ declare_row("B03", "intermittent loss", ticks=102, required=102)
 B03A = declare_fault(
     "B03a", "replies are being lost",
     f"More than {HOLD_LOST_FRAMES} of the last {LOSS_WINDOW_TICKS} replies of a node are missing",
-    Action.HOLD, ENDED_BY_ITSELF, NODE_INSTANCE,
+    SafetyAction.HOLD, ENDED_BY_ITSELF, NODE_INSTANCE,
     cause="The bus is disturbed or overloaded, or the host is too slow.",
     remedy="Check termination, shielding and bus load (handctl bus doctor, handctl bus plan), or lower the rate.",
 )  # fmt: skip
 B03B = declare_fault(
     "B03b", "many replies are being lost",
     f"More than {RELAX_LOST_FRAMES} of the last {LOSS_WINDOW_TICKS} replies of a node are missing",
-    Action.RELAX, ENDED_BY_OPERATOR, NODE_INSTANCE,
+    SafetyAction.RELAX, ENDED_BY_OPERATOR, NODE_INSTANCE,
     cause="The bus is disturbed or overloaded, or the host is too slow.",
     remedy="Check termination, shielding and bus load (handctl bus doctor, handctl bus plan) before the next run.",
 )  # fmt: skip
@@ -92,7 +92,7 @@ declare_row(
 )
 B04 = declare_fault(
     "B04", "a delayed frame", "A load-cell frame replies to an older SYNC",
-    Action.WARN, ENDED_BY_ITSELF, HAND_INSTANCE, name=LOAD_CELLS,
+    SafetyAction.WARN, ENDED_BY_ITSELF, HAND_INSTANCE, name=LOAD_CELLS,
     cause="The sensor node or a gateway on the bus holds frames back.",
     remedy="Look for gateways, full queues and a busy sensor node between the load cells and the host.",
 )  # fmt: skip
@@ -100,7 +100,7 @@ B04 = declare_fault(
 declare_row("B05", "duplicate, equal bytes", odrive=_EXCESS_REPLY_VISIBILITY, ticks=2, required=2)
 B05 = declare_fault(
     "B05", "a duplicate frame", "A node sends more replies than requests, and the replies have equal bytes",
-    Action.WARN, ENDED_BY_ITSELF, NODE_INSTANCE,
+    SafetyAction.WARN, ENDED_BY_ITSELF, NODE_INSTANCE,
     cause="An adapter or gateway repeats frames, or two nodes share an identifier.",
     remedy="Check the adapter's driver and settings, and the identifiers of all nodes with handctl scan.",
 )  # fmt: skip
@@ -111,7 +111,7 @@ declare_row(
 B06 = declare_fault(
     "B06", "a conflicting duplicate frame",
     "A node sends more replies than requests, and the replies have different bytes",
-    Action.RELAX, ENDED_BY_OPERATOR, NODE_INSTANCE, relax_method=RelaxMethod.OPEN_LOOP,
+    SafetyAction.RELAX, ENDED_BY_OPERATOR, NODE_INSTANCE, relax_method=RelaxMethod.OPEN_LOOP,
     cause="Two nodes reply with one identifier, or a second program sends on the bus (masquerade).",
     remedy="Disconnect other programs and nodes, check all identifiers with handctl scan, then start a new run.",
 )  # fmt: skip
@@ -128,7 +128,7 @@ declare_row(
 )
 B07 = declare_fault(
     "B07", "frames arrive out of order", "An old load-cell frame arrives after a newer one",
-    Action.WARN, ENDED_BY_ITSELF, HAND_INSTANCE, name=LOAD_CELLS,
+    SafetyAction.WARN, ENDED_BY_ITSELF, HAND_INSTANCE, name=LOAD_CELLS,
     cause="The adapter or a gateway reorders frames.",
     remedy="Use an adapter and driver that keep the order. Remove gateways between host and hand.",
 )  # fmt: skip
@@ -146,7 +146,7 @@ declare_row(
 B08 = declare_fault(
     "B08", "corrupt payloads",
     f"In {MALFORMED_WINDOW_TICKS} ticks, {MALFORMED_FRAMES_LIMIT} frames of a node cannot be decoded",
-    Action.RELAX, ENDED_BY_OPERATOR, NODE_INSTANCE,
+    SafetyAction.RELAX, ENDED_BY_OPERATOR, NODE_INSTANCE,
     cause="The node's firmware, or a gateway, sends wrong bytes. The CAN checksum is correct.",
     remedy="Check protocol option and firmware of the node in the hand file. Replace the node if it continues.",
 )  # fmt: skip
@@ -154,7 +154,7 @@ B08 = declare_fault(
 declare_row("B09", "wrong length, RTR, 29 bit, FD", ticks=2, required=2)
 B09 = declare_fault(
     "B09", "a malformed frame", "A frame has a wrong length, is a remote frame, has 29 bits, or contains no number",
-    Action.WARN, ENDED_BY_ITSELF, NODE_INSTANCE,
+    SafetyAction.WARN, ENDED_BY_ITSELF, NODE_INSTANCE,
     cause="A node sends another protocol or another message length than the hand file says.",
     remedy="Check the motor's protocol and options in the hand file against handctl scan.",
 )  # fmt: skip
@@ -164,7 +164,7 @@ declare_row("B10", "unknown identifiers", ticks=2, ms=51, required=2,
 B10 = declare_fault(
     "B10", "unknown identifiers on the bus",
     f"More than {MAX_UNKNOWN_FRAMES_PER_S:g} frames per second have an unassigned identifier",
-    Action.WARN, ENDED_BY_ITSELF, HAND_INSTANCE, name="bus",
+    SafetyAction.WARN, ENDED_BY_ITSELF, HAND_INSTANCE, name="bus",
     cause="Other devices share the bus, or a motor has another identifier than the hand file says.",
     remedy="Compare handctl scan with the hand file. Move other devices to a bus of their own.",
 )  # fmt: skip
@@ -172,21 +172,21 @@ B10 = declare_fault(
 declare_row("B11", "babbling idiot", ticks=3, required=3)
 B11A = declare_fault(
     "B11a", "the bus is flooded", "In two ticks, more frames arrive than all nodes can send",
-    Action.RELAX, ENDED_BY_OPERATOR, HAND_INSTANCE, debounce=2, name="bus",
+    SafetyAction.RELAX, ENDED_BY_OPERATOR, HAND_INSTANCE, debounce=2, name="bus",
     cause="A node or another program sends without pause (babbling idiot).",
     remedy="Unplug one node after the other until the traffic stops. Replace or reconfigure the last one.",
 )  # fmt: skip
 # B11b has the condition of B11a, but a longer debounce. So it is the second stage of this fault.
 B11B = declare_fault(
     "B11b", "the bus stays flooded", "In ten ticks, more frames arrive than all nodes can send",
-    Action.CUT, ENDED_BY_OPERATOR, HAND_INSTANCE, debounce=10, name="bus",
+    SafetyAction.CUT, ENDED_BY_OPERATOR, HAND_INSTANCE, debounce=10, name="bus",
     cause="A node or another program sends without pause (babbling idiot), so that commands may not arrive.",
     remedy="Remove the power. Unplug one node after the other until the traffic stops, and replace the last one.",
 )  # fmt: skip
 
 declare_row("B12", "bus off", ticks=1, required=1)
 declare_fault(
-    "B12", "bus off", "The interface reports bus-off", Action.CUT, ENDED_BY_OPERATOR, reports=("bus_off",),
+    "B12", "bus off", "The interface reports bus-off", SafetyAction.CUT, ENDED_BY_OPERATOR, reports=("bus_off",),
     cause="A short circuit, a wrong bit rate or the lack of other nodes caused too many errors, and the interface "
     "stopped.",
     remedy="Check cable, termination and bit rate, then bring the interface up again (handctl bus doctor says how).",
@@ -195,13 +195,13 @@ declare_fault(
 declare_row("B13", "error-warning, error-passive", ticks=21, required=21)
 declare_fault(
     "B13a", "errors on the bus", "The interface reports error-warning or error-passive",
-    Action.WARN, ENDED_BY_ITSELF, reports=("error_warning", "error_passive"),
+    SafetyAction.WARN, ENDED_BY_ITSELF, reports=("error_warning", "error_passive"),
     cause="A plug is loose, a termination is missing, or a long cable has no shield.",
     remedy="Check plugs and termination (60 ohm between CANH and CANL), and run handctl bus doctor.",
 )  # fmt: skip
 declare_fault(
     "B13b", "lasting errors on the bus", "The interface is error-passive for 20 ticks",
-    Action.RELAX, ENDED_BY_OPERATOR, debounce=20, reports=("error_passive",),
+    SafetyAction.RELAX, ENDED_BY_OPERATOR, debounce=20, reports=("error_passive",),
     cause="A plug is loose, a termination is missing, a bit rate is wrong, or a node has lost power.",
     remedy="Check plugs, termination (60 ohm) and bit rate of all nodes, and run handctl bus doctor.",
 )  # fmt: skip
@@ -209,7 +209,7 @@ declare_fault(
 declare_row("B14", "interface down", ticks=1, required=1)
 declare_fault(
     "B14", "the CAN interface is down", "The interface is down",
-    Action.CUT, ENDED_BY_OPERATOR, reports=("enetdown",),
+    SafetyAction.CUT, ENDED_BY_OPERATOR, reports=("enetdown",),
     cause="The interface was shut down by a command or by the system.",
     remedy="Bring the interface up again (handctl bus doctor prints the command), then start a new run.",
 )  # fmt: skip
@@ -217,7 +217,7 @@ declare_fault(
 declare_row("B15", "send queue full", ticks=3, required=3)
 declare_fault(
     "B15", "the send queue is full", "The interface refuses frames in two ticks",
-    Action.RELAX, ENDED_BY_OPERATOR, debounce=2, reports=("enobufs",),
+    SafetyAction.RELAX, ENDED_BY_OPERATOR, debounce=2, reports=("enobufs",),
     cause="The bus is overloaded, or no node acknowledges frames.",
     remedy="Check the bus load with handctl bus plan, and power and cable of the nodes.",
 )  # fmt: skip
@@ -225,7 +225,7 @@ declare_fault(
 declare_row("B16", "adapter unplugged", ticks=1, required=1)
 declare_fault(
     "B16", "the CAN adapter is unplugged", "The interface no longer exists",
-    Action.CUT, ENDED_BY_OPERATOR, reports=("enodev", "ebadf"),
+    SafetyAction.CUT, ENDED_BY_OPERATOR, reports=("enodev", "ebadf"),
     cause="The USB plug or its cable is loose, or the adapter has crashed.",
     remedy="Plug the adapter in and secure the cable. Bring the interface up, then start a new run.",
 )  # fmt: skip
@@ -238,7 +238,7 @@ declare_row("B17", "some nodes do not hear", CHECKED_BY_FAULT_TABLE,
 B17 = declare_fault(
     "B17", "some nodes do not hear",
     f"A motor sends no reply in {MIN_SILENT_TICKS} ticks in a row, while other motors reply",
-    Action.RELAX, ENDED_BY_OPERATOR, MOTOR_INSTANCE,
+    SafetyAction.RELAX, ENDED_BY_OPERATOR, MOTOR_INSTANCE,
     cause="One motor's cable, supply or drive has failed, or one branch of the bus is disturbed.",
     remedy="Check plug, cable and supply of this motor, then start a new run.",
 )  # fmt: skip
@@ -248,7 +248,7 @@ declare_row(
 )
 declare_fault(
     "B18", "alone on the bus", "The interface reports error frames, and no node replies before arming",
-    Action.RELAX, ENDED_BY_OPERATOR, debounce=20, reports=("error_frame",),
+    SafetyAction.RELAX, ENDED_BY_OPERATOR, debounce=20, reports=("error_frame",),
     cause="The bit rate is wrong, the hand has no power, or a cable is not connected.",
     remedy="Switch the hand on, check cable and bit rate, and run handctl bus doctor.",
 )  # fmt: skip

@@ -13,7 +13,7 @@ bus, the host, or the recorder.
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from handctl.safety.action import Action, RelaxMethod
+from handctl.safety.action import RelaxMethod, SafetyAction
 
 ENDED_BY_OPERATOR = "by the operator"
 ENDED_BY_ITSELF = "by itself"
@@ -118,7 +118,7 @@ class Fault:
     id: str
     title: str
     detection: str
-    action: Action
+    action: SafetyAction
     clears: str
     cause: str
     remedy: str
@@ -131,7 +131,7 @@ class Fault:
     @property
     def reaction(self) -> str:
         """Return the name of the reaction for tables, including the method of relaxing."""
-        return self.relax_method.value if self.action == Action.RELAX else self.action.name
+        return self.relax_method.value if self.action == SafetyAction.RELAX else self.action.name
 
     @property
     def latched(self) -> bool:
@@ -165,7 +165,7 @@ def declare_fault(
     id_: str,
     title: str,
     detection: str,
-    action: Action,
+    action: SafetyAction,
     clears: str,
     *per: str,
     cause: str,

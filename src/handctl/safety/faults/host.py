@@ -1,6 +1,6 @@
 """Rows H01 to H15 and I01 to I11 of the fault catalogue: faults of the host, and of files and inputs."""
 
-from handctl.safety.action import Action, RelaxMethod
+from handctl.safety.action import RelaxMethod, SafetyAction
 from handctl.safety.faults.fault import (
     CHECKED_BEFORE_ARMING,
     CHECKED_BY_DRIVE,
@@ -13,7 +13,7 @@ from handctl.safety.faults.fault import (
     declare_fault,
     declare_row,
 )
-from handctl.safety.limits import MIN_STALLED_TICKS, STALLED_S
+from handctl.safety.safety_limits import MIN_STALLED_TICKS, STALLED_S
 
 LATE_FRACTION = 0.25
 """Delay of a tick's start above which the tick counts as late, as a fraction of the control period."""
@@ -28,14 +28,15 @@ _DISCONNECTED_VISIBILITY = f"{DETECTED_FAULT}: not connected to the loop"
 declare_row("H01", "one late tick", ticks=1, required=1)
 H01 = declare_fault(
     "H01", "a late tick", "A tick began later than a quarter of a period after its time",
-    Action.PASS, ENDED_BY_ITSELF, HAND_INSTANCE, name="loop",
+    SafetyAction.PASS, ENDED_BY_ITSELF, HAND_INSTANCE, name="loop",
     cause="Another program or the kernel delayed this host for a moment.",
     remedy="Ignore single cases. If it repeats, run handctl doctor.",
 )  # fmt: skip
 
 declare_row("H02", "a missed tick", ticks=1, required=1)
 H02 = declare_fault(
-    "H02", "a missed tick", "At least one tick did not run", Action.WARN, ENDED_BY_ITSELF, HAND_INSTANCE, name="loop",
+    "H02", "a missed tick", "At least one tick did not run", SafetyAction.WARN, ENDED_BY_ITSELF, HAND_INSTANCE,
+    name="loop",
     cause="Another program or the kernel delayed this host for more than a period.",
     remedy="Run handctl doctor (priority, cores), close other programs, or lower the rate.",
 )  # fmt: skip
@@ -43,7 +44,7 @@ H02 = declare_fault(
 declare_row("H03", "three or more ticks missed", ticks=1, required=1)
 H03 = declare_fault(
     "H03", "the host stalled", f"For {STALLED_S * 1e3:g} ms, and for at least {MIN_STALLED_TICKS} ticks, no tick ran",
-    Action.RELAX, ENDED_BY_OPERATOR, HAND_INSTANCE, name="loop",
+    SafetyAction.RELAX, ENDED_BY_OPERATOR, HAND_INSTANCE, name="loop",
     cause="Another program, a debugger or the kernel stopped the controller.",
     remedy="Run handctl doctor (priority, cores), close other programs, then start a new run.",
 )  # fmt: skip
@@ -51,7 +52,7 @@ H03 = declare_fault(
 declare_row("H04", "suspend", ticks=1, required=1)
 declare_fault(
     "H04", "the host was suspended", "CLOCK_BOOTTIME is ahead of CLOCK_MONOTONIC, because the host was asleep",
-    Action.RELAX, ENDED_BY_OPERATOR, reports=("suspended",),
+    SafetyAction.RELAX, ENDED_BY_OPERATOR, reports=("suspended",),
     cause="The computer went to sleep.",
     remedy="Disable sleep and lid actions on this machine, then start a new run.",
 )  # fmt: skip
@@ -73,7 +74,7 @@ declare_row(
 declare_row("H08", "disk full", ticks=1, required=200)
 declare_fault(
     "H08", "the disk is full", "The log could not be written",
-    Action.WARN, ENDED_BY_ITSELF, reports=("recorder:disk_low", "recorder:disk_full"),
+    SafetyAction.WARN, ENDED_BY_ITSELF, reports=("recorder:disk_low", "recorder:disk_full"),
     cause="The disk of the log has no space left.",
     remedy="Free space, or write the log to another disk (--log). The hand continues without a log.",
 )  # fmt: skip
@@ -81,7 +82,7 @@ declare_fault(
 declare_row("H09", "recorder stalls", ticks=1, required=640)
 declare_fault(
     "H09", "log records were dropped", "The recorder is slower than the controller",
-    Action.WARN, ENDED_BY_ITSELF, reports=("recorder:dropped", "recorder:filling"),
+    SafetyAction.WARN, ENDED_BY_ITSELF, reports=("recorder:dropped", "recorder:filling"),
     cause="The disk is too slow, or the recorder gets no processor time.",
     remedy="Write the log to a faster disk, and run handctl doctor.",
 )  # fmt: skip
@@ -89,7 +90,7 @@ declare_fault(
 declare_row("H10", "recorder dies", ticks=1, required=1)
 declare_fault(
     "H10", "the recorder is lost", "The recorder process or its disk no longer exists",
-    Action.WARN, ENDED_BY_ITSELF, reports=("recorder:gone", "recorder:error"),
+    SafetyAction.WARN, ENDED_BY_ITSELF, reports=("recorder:gone", "recorder:error"),
     cause="The recorder was killed, or its disk was removed.",
     remedy="Check disk and memory of this machine. handctl log recover repairs the unfinished log.",
 )  # fmt: skip
@@ -113,7 +114,7 @@ declare_row(
 declare_row("H13", "second controller, same bus", ticks=2, required=2)
 declare_fault(
     "H13", "a second controller", "A frame arrives that only the host may send, or a reply arrives without a request",
-    Action.RELAX, ENDED_BY_OPERATOR, relax_method=RelaxMethod.OPEN_LOOP, reports=(FOREIGN_CONTROLLER_EVENT,),
+    SafetyAction.RELAX, ENDED_BY_OPERATOR, relax_method=RelaxMethod.OPEN_LOOP, reports=(FOREIGN_CONTROLLER_EVENT,),
     cause="Another program or computer commands drives on this bus.",
     remedy="Stop the other program or unplug its adapter, then start a new run.",
 )  # fmt: skip
@@ -153,14 +154,14 @@ declare_row("I06", "bad trajectory", CHECKED_IN_FILES, tested="tests/controller/
 declare_row("I07", "bad live goal", ticks=1, required=2)
 I07A = declare_fault(
     "I07a", "a live goal was refused", "A goal is out of range or not a number, and the previous goal remains",
-    Action.WARN, ENDED_BY_ITSELF, HAND_INSTANCE, name="goal",
+    SafetyAction.WARN, ENDED_BY_ITSELF, HAND_INSTANCE, name="goal",
     cause="The client sent a goal that the hand cannot reach or that is not a number.",
     remedy="Correct the client. The event before this one contains the wrong value and the valid values.",
 )  # fmt: skip
 I07B = declare_fault(
     "I07b", "requests keep being malformed",
     f"In a second, {REFUSED_REQUESTS_LIMIT} requests are not JSON, have unknown keys, or contain no number",
-    Action.RELAX, ENDED_BY_OPERATOR, HAND_INSTANCE, name="goal",
+    SafetyAction.RELAX, ENDED_BY_OPERATOR, HAND_INSTANCE, name="goal",
     cause="The client is broken, or speaks to another version of the controller.",
     remedy="Stop and correct the client. The events before this one contain the wrong values.",
 )  # fmt: skip
@@ -176,14 +177,14 @@ declare_row("I11", "a stream of targets goes stale", ticks=1, ms=100, required=0
 I11A = declare_fault(
     "I11a", "streamed targets are missing",
     "No target has arrived for hold_after_ms of the hand file, by default 100 ms",
-    Action.HOLD, ENDED_BY_ITSELF, HAND_INSTANCE, name="stream",
+    SafetyAction.HOLD, ENDED_BY_ITSELF, HAND_INSTANCE, name="stream",
     cause="The client that streams targets is busy, paused, or has ended without closing its stream.",
     remedy="The hand goes on with the next target. Send targets in time, or close the stream before a pause.",
 )  # fmt: skip
 I11B = declare_fault(
     "I11b", "the stream of targets has ended",
     "No target has arrived for relax_after_ms of the hand file, by default 1000 ms",
-    Action.RELAX, ENDED_BY_OPERATOR, HAND_INSTANCE, name="stream",
+    SafetyAction.RELAX, ENDED_BY_OPERATOR, HAND_INSTANCE, name="stream",
     cause="The client that streams targets has crashed or hangs.",
     remedy="Mend the client, then start a new run. relax_after_ms of the hand file allows longer pauses.",
 )  # fmt: skip

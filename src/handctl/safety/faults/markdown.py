@@ -30,46 +30,45 @@ def fault_sections(table: tuple[Fault, ...] = FAULT_TABLE) -> str:
     )
 
 
-def catalogue_markdown(entries: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> str:
+def catalogue_markdown(rows: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> str:
     """Return the catalogue as Markdown, with the visibility of each row for each protocol."""
     names = [PROTOCOL_TRAITS[protocol].title for protocol in GUARDED_PROTOCOLS]
     columns = ["id", "fault", "judged by", *names, "latest reaction", "tested by"]
     return "\n".join(
-        [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|", *map(_catalogue_row, entries)]
+        [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|", *map(_catalogue_row, rows)]
     )
 
 
-def _catalogue_row(entry: CatalogueRow) -> str:
+def _catalogue_row(row: CatalogueRow) -> str:
     # The faults of a row are its stages. A row that is not checked in ticks has no faults.
     judged = (
-        ", ".join(f"{f.id} {f.action.name}" for f in FAULT_TABLE if f.row == entry.id)
-        or entry.where
+        ", ".join(f"{f.id} {f.action.name}" for f in FAULT_TABLE if f.row == row.id) or row.where
     )
-    latest = f"{entry.latest_ms(RATE_HZ):g} ms, {_ticks_text(entry)} ticks"
-    latest += f", ODrive {entry.odrive_ms:g} ms more" if entry.odrive_ms else ""
+    latest = f"{row.latest_ms(RATE_HZ):g} ms, {_ticks_text(row)} ticks"
+    latest += f", ODrive {row.odrive_ms:g} ms more" if row.odrive_ms else ""
     latest = (
         latest
-        if entry.ticks or entry.ms
+        if row.ticks or row.ms
         else "before torque"
-        if entry.where != CHECKED_BY_FAULT_TABLE
+        if row.where != CHECKED_BY_FAULT_TABLE
         else "1 tick"
     )
     return (
-        f"| {entry.id} | {entry.title} | {judged} | {' | '.join(map(entry.visibility, GUARDED_PROTOCOLS))} | {latest} "
-        f"| {entry.tested} |"
+        f"| {row.id} | {row.title} | {judged} | {' | '.join(map(row.visibility, GUARDED_PROTOCOLS))} | {latest} "
+        f"| {row.tested} |"
     )
 
 
-def _ticks_text(entry: CatalogueRow) -> int:
-    return round(entry.latest_ms(RATE_HZ) * RATE_HZ / 1e3)
+def _ticks_text(row: CatalogueRow) -> int:
+    return round(row.latest_ms(RATE_HZ) * RATE_HZ / 1e3)
 
 
-def is_late(entry: CatalogueRow) -> bool:
+def is_late(row: CatalogueRow) -> bool:
     """Return True if the reaction to a row takes more ticks than the project's fault catalogue allows.
 
     The result is False if the catalogue gives no time.
     """
-    return 0 < entry.required < _ticks_text(entry)
+    return 0 < row.required < _ticks_text(row)
 
 
 def late_rows(entries: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> str:

@@ -3,7 +3,7 @@
 The inventory before arming checks N03 and N12.
 """
 
-from handctl.safety.action import Action, RelaxMethod
+from handctl.safety.action import RelaxMethod, SafetyAction
 from handctl.safety.faults.bus import MALFORMED_WINDOW_TICKS, SILENCE_REASON
 from handctl.safety.faults.fault import (
     CHECKED_BEFORE_ARMING,
@@ -20,7 +20,7 @@ from handctl.safety.faults.fault import (
     declare_fault,
     declare_row,
 )
-from handctl.safety.limits import MIN_SILENT_TICKS, SILENT_S
+from handctl.safety.safety_limits import MIN_SILENT_TICKS, SILENT_S
 
 STUCK_S = 0.1
 STUCK_GOAL_M = 0.5e-3
@@ -85,7 +85,7 @@ declare_row("N01", "reset in motion", odrive=_HEARTBEAT_VISIBILITY, ticks=4, odr
     why="4 ticks if the drive is silent while it restarts (CiA 402), else 2 ticks")  # fmt: skip
 N01 = declare_fault(
     "N01", "a drive dropped out", "A drive reports that it is disabled, or has restarted",
-    Action.RELAX, ENDED_BY_OPERATOR, MOTOR_INSTANCE,
+    SafetyAction.RELAX, ENDED_BY_OPERATOR, MOTOR_INSTANCE,
     cause="The drive has restarted, usually because its supply voltage dropped.",
     remedy="Check supply voltage and wiring of the motor under load, then start a new run.",
 )  # fmt: skip
@@ -95,13 +95,13 @@ declare_row("N02", "silent node", ticks=1, ms=30, required=4,
 )  # fmt: skip
 N02 = declare_fault(
     "N02", "the load cells are silent", f"The sensor node sends no tension frame {_SILENCE_CONDITION}",
-    Action.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE,
+    SafetyAction.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE,
     cause="The sensor node has lost power or its cable, or has crashed.",
     remedy="Check supply and cable of the sensor node, then start a new run.",
 )  # fmt: skip
 N02B = declare_fault(
     "N02b", "the joint encoders are silent", f"The sensor node sends no joint frame {_SILENCE_CONDITION}",
-    Action.RELAX, ENDED_BY_OPERATOR, JOINT_INSTANCE,
+    SafetyAction.RELAX, ENDED_BY_OPERATOR, JOINT_INSTANCE,
     cause="The sensor node, or its joint encoders, have lost power or cable.",
     remedy="Check supply and cable of the sensor node and of the joint encoders, then start a new run.",
 )  # fmt: skip
@@ -114,7 +114,7 @@ declare_row("N04", "encoder stuck", ticks=2, ms=500, required=22,
 N04 = declare_fault(
     "N04", "an encoder is stuck",
     f"A reading is constant for {STUCK_S * 1e3:g} ms, although the goal, the tension or the spool moves",
-    Action.RELAX, ENDED_BY_OPERATOR, MOTOR_INSTANCE, JOINT_INSTANCE, relax_method=RelaxMethod.OPEN_LOOP,
+    SafetyAction.RELAX, ENDED_BY_OPERATOR, MOTOR_INSTANCE, JOINT_INSTANCE, relax_method=RelaxMethod.OPEN_LOOP,
     cause="The encoder or its magnet has failed, the drive repeats old values, or a tendon without load cell has torn.",
     remedy="Turn motor and joint by hand in handctl bus watch. "
     "Replace an encoder that does not follow. Else check the tendon.",
@@ -124,13 +124,13 @@ declare_row("N05", "encoder jump", ticks=3, required=3)
 N05A = declare_fault(
     "N05a", "an encoder jumped",
     "A position changes more than a rotor can move, and the controller rejects the reading",
-    Action.WARN, ENDED_BY_ITSELF, MOTOR_INSTANCE, JOINT_INSTANCE,
+    SafetyAction.WARN, ENDED_BY_ITSELF, MOTOR_INSTANCE, JOINT_INSTANCE,
     cause="Noise on the encoder's cable, or a loose magnet, disturbed a reading.",
     remedy="Ignore single cases. If it repeats, check cable and magnet of the encoder.",
 )  # fmt: skip
 N05B = declare_fault(
     "N05b", "an encoder jumps", "Two readings in a row change more than a rotor can move",
-    Action.RELAX, ENDED_BY_OPERATOR, MOTOR_INSTANCE, JOINT_INSTANCE, relax_method=RelaxMethod.OPEN_LOOP,
+    SafetyAction.RELAX, ENDED_BY_OPERATOR, MOTOR_INSTANCE, JOINT_INSTANCE, relax_method=RelaxMethod.OPEN_LOOP,
     cause="The encoder or its magnet is loose, or the drive has lost its reference.",
     remedy="Check magnet and cable of the encoder with handctl bus watch, then commission again (handctl commission).",
 )  # fmt: skip
@@ -141,14 +141,14 @@ declare_row("N06", "encoder drift or slip", CHECKED_BY_FAULT_TABLE, _JOINT_ENCOD
 N06A = declare_fault(
     "N06a", "joint and spool disagree",
     f"The filtered difference of joint encoder and spool is above {SLIP_WARN_DEG:g} degrees",
-    Action.WARN, ENDED_BY_ITSELF, TENDON_INSTANCE,
+    SafetyAction.WARN, ENDED_BY_ITSELF, TENDON_INSTANCE,
     cause="A tendon stretches or slips on its spool, or an encoder drifts.",
     remedy="Check the tendon's clamp and the encoder's magnet. Commission the hand again (handctl commission).",
 )  # fmt: skip
 N06B = declare_fault(
     "N06b", "an encoder or a tendon slips",
     f"The filtered difference of joint encoder and spool is above {SLIP_TRIP_DEG:g} degrees",
-    Action.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE, relax_method=RelaxMethod.OPEN_LOOP,
+    SafetyAction.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE, relax_method=RelaxMethod.OPEN_LOOP,
     cause="The tendon slips on its spool, has left a pulley, or an encoder has come loose.",
     remedy="Check clamp and path of the tendon and the encoder's magnet, then commission again (handctl commission).",
 )  # fmt: skip
@@ -157,7 +157,7 @@ declare_row("N07", "encoder noise", ticks=4, ms=60, required=52)
 N07 = declare_fault(
     "N07", "a noisy encoder",
     f"Over 100 ms, the noise of the position has {NOISE_FACTOR:g} times the expected variance",
-    Action.HOLD, ENDED_BY_ITSELF, MOTOR_INSTANCE,
+    SafetyAction.HOLD, ENDED_BY_ITSELF, MOTOR_INSTANCE,
     cause="The encoder's cable picks up noise, or its magnet is too far away.",
     remedy="Check shield and cable of the encoder, and the distance of its magnet.",
 )  # fmt: skip
@@ -165,8 +165,8 @@ N07 = declare_fault(
 declare_row("N08", "the drive's watchdog fired", odrive=_HEARTBEAT_VISIBILITY, ticks=2, odrive_ms=100, required=2,
     robstride=f"{WEAKER_SIGN}: by N01, because the drive reports only that it is disabled")  # fmt: skip
 N08 = declare_fault(
-    "N08", "a drive's watchdog fired", "The drive reports that its watchdog fired", Action.RELAX, ENDED_BY_OPERATOR,
-    MOTOR_INSTANCE,
+    "N08", "a drive's watchdog fired", "The drive reports that its watchdog fired", SafetyAction.RELAX,
+    ENDED_BY_OPERATOR, MOTOR_INSTANCE,
     cause="The drive received no command in time: this host was too slow, or commands were lost.",
     remedy="Run handctl doctor (priority, cores), close other programs, or lower the rate.",
 )  # fmt: skip
@@ -177,13 +177,13 @@ declare_row("N09", "over-temperature", odrive=f"{DETECTED_FAULT}: requested five
 N09A = declare_fault(
     "N09a", "a drive is warm",
     "The temperature is above the soft limit, and the controller lowers the limit of the tension",
-    Action.WARN, ENDED_BY_ITSELF, MOTOR_INSTANCE, debounce=WARM_TICKS,
+    SafetyAction.WARN, ENDED_BY_ITSELF, MOTOR_INSTANCE, debounce=WARM_TICKS,
     cause="The hand holds a high tension for a long time, or the drive has too little cooling.",
     remedy="Let the hand rest, hold with less tension, or improve the cooling.",
 )  # fmt: skip
 N09B = declare_fault(
     "N09b", "a drive is too hot", "The temperature is above the hard limit",
-    Action.RELAX, ENDED_BY_OPERATOR, MOTOR_INSTANCE, debounce=WARM_TICKS,
+    SafetyAction.RELAX, ENDED_BY_OPERATOR, MOTOR_INSTANCE, debounce=WARM_TICKS,
     cause="The hand holds a high tension for a long time, or the drive has too little cooling.",
     remedy="Let the drive cool down. Hold with less tension, or improve the cooling.",
 )  # fmt: skip
@@ -198,7 +198,7 @@ declare_row(
 )
 N10 = declare_fault(
     "N10", "wrong supply voltage", "The drive reports that the voltage is too low or too high",
-    Action.RELAX, ENDED_BY_OPERATOR, MOTOR_INSTANCE,
+    SafetyAction.RELAX, ENDED_BY_OPERATOR, MOTOR_INSTANCE,
     cause="The supply is too weak, or braking motors raise the voltage.",
     remedy="Measure the supply under load. Use a stronger supply, or a brake resistor.",
 )  # fmt: skip
@@ -208,13 +208,13 @@ declare_row(
 )
 N11 = declare_fault(
     "N11", "a drive reports an error",
-    "The feedback of the drive contains an error code", Action.RELAX, ENDED_BY_OPERATOR, MOTOR_INSTANCE,
+    "The feedback of the drive contains an error code", SafetyAction.RELAX, ENDED_BY_OPERATOR, MOTOR_INSTANCE,
     cause="The drive has detected an error of its own, for example over-current or a failed encoder.",
     remedy="Look the code up in the drive's manual, remove its cause, and start the next run with --clear.",
 )  # fmt: skip
 N11B = declare_fault(
     "N11b", "a drive reports an unknown error", "The feedback contains an error code that handctl does not know",
-    Action.CUT, ENDED_BY_OPERATOR, MOTOR_INSTANCE,
+    SafetyAction.CUT, ENDED_BY_OPERATOR, MOTOR_INSTANCE,
     cause="The drive has another firmware than handctl knows.",
     remedy="Look the code up in the drive's manual, and check the firmware version in the hand file.",
 )  # fmt: skip
@@ -228,7 +228,7 @@ declare_row("N12", "wrong firmware or settings", CHECKED_BY_FAULT_TABLE,
 N12 = declare_fault(
     "N12", "a drive is not as configured",
     "A setting that was read back is wrong, or another host has enabled the drive",
-    Action.CUT, ENDED_BY_OPERATOR, MOTOR_INSTANCE, relax_method=RelaxMethod.OPEN_LOOP,
+    SafetyAction.CUT, ENDED_BY_OPERATOR, MOTOR_INSTANCE, relax_method=RelaxMethod.OPEN_LOOP,
     cause="The drive was replaced, has lost its settings, or another program writes to it.",
     remedy="Close other programs, compare the drive with the hand file, and restart the drive.",
 )  # fmt: skip
@@ -237,7 +237,7 @@ declare_row("N13", "two nodes with one id", odrive=_EXCESS_REPLY_VISIBILITY, tic
     why="2 ticks if the second reply has different bytes, else two replies in three ticks in a row")  # fmt: skip
 N13 = declare_fault(
     "N13", "two nodes with one identifier", "A node sends two replies to one request, in three ticks in a row",
-    Action.RELAX, ENDED_BY_OPERATOR, NODE_INSTANCE, debounce=3, relax_method=RelaxMethod.OPEN_LOOP,
+    SafetyAction.RELAX, ENDED_BY_OPERATOR, NODE_INSTANCE, debounce=3, relax_method=RelaxMethod.OPEN_LOOP,
     cause="Two nodes on the bus have the same identifier.",
     remedy="Connect the nodes one at a time, run handctl scan, and give each its own identifier.",
 )  # fmt: skip
@@ -249,14 +249,14 @@ declare_row("N14", "command not obeyed", odrive=f"{WEAKER_SIGN}: by tension (T04
 N14 = declare_fault(
     "N14", "a command is not obeyed",
     f"The filtered difference of commanded and reported torque is above {NOT_OBEYED_N:g} N at the tendon",
-    Action.RELAX, ENDED_BY_OPERATOR, MOTOR_INSTANCE, relax_method=RelaxMethod.OPEN_LOOP,
+    SafetyAction.RELAX, ENDED_BY_OPERATOR, MOTOR_INSTANCE, relax_method=RelaxMethod.OPEN_LOOP,
     cause="The drive limits its torque, is in another mode, or its torque constant is wrong.",
     remedy="Check torque limit and torque constant of the drive, and run handctl conformance on it.",
 )  # fmt: skip
 N14B = declare_fault(
     "N14b", "the tension oscillates",
     f"For {SWING_S * 1e3:g} ms, the tension oscillates about the command with {SWING_N:g} N RMS, above {SWING_HZ:g} Hz",
-    Action.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE, relax_method=RelaxMethod.OPEN_LOOP,
+    SafetyAction.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE, relax_method=RelaxMethod.OPEN_LOOP,
     cause="The torque of the motor has a ripple, or the gains are too high for this hand.",
     remedy="Lower the gains (handctl gains, handctl tune), and calibrate the drive against cogging.",
 )  # fmt: skip
@@ -265,7 +265,7 @@ declare_row("N15", "slow node", odrive=_SINGLE_LOSS_VISIBILITY, ticks=22, requir
 N15 = declare_fault(
     "N15", "a slow node",
     f"{HALF_RATE_MISSES} of {MALFORMED_WINDOW_TICKS} replies of a node are missing, and rarely two in a row",
-    Action.WARN, ENDED_BY_ITSELF, NODE_INSTANCE,
+    SafetyAction.WARN, ENDED_BY_ITSELF, NODE_INSTANCE,
     cause="The node replies to every second request only, because its control rate is lower than that of the hand.",
     remedy="Raise the node's rate, or lower the control rate of the hand.",
 )  # fmt: skip
@@ -275,7 +275,7 @@ declare_row("N16", "node refuses to release", ticks=2, ms=100, required=21,
 N16 = declare_fault(
     "N16", "a drive does not release",
     f"The tension does not fall within {STILL_PULLING_S * 1e3:g} ms after the torque was cut",
-    Action.CUT, ENDED_BY_OPERATOR, TENDON_INSTANCE,
+    SafetyAction.CUT, ENDED_BY_OPERATOR, TENDON_INSTANCE,
     cause="The drive does not obey the cut, or something else pulls the tendon.",
     remedy="Remove the motor power now. Then check the drive before the hand is powered again.",
 )  # fmt: skip
@@ -286,7 +286,7 @@ declare_row("N17", "drives exchanged, or obeying late",
 N17 = declare_fault(
     "N17", "torque reports of another motor",
     f"Over {REPORTED_S * 1e3:g} ms, less than {REPORTED_FRACTION:g} of the small changes of the command are reported",
-    Action.RELAX, ENDED_BY_OPERATOR, MOTOR_INSTANCE, relax_method=RelaxMethod.OPEN_LOOP,
+    SafetyAction.RELAX, ENDED_BY_OPERATOR, MOTOR_INSTANCE, relax_method=RelaxMethod.OPEN_LOOP,
     cause="Cables or identifiers of two motors are exchanged, or the drive obeys late.",
     remedy="Check the identifiers of all motors with handctl scan, and commission again (handctl commission).",
 )  # fmt: skip

@@ -17,7 +17,7 @@ DETECTOR_ROWS: tuple[tuple[Fault, str], ...] = tuple(declared.DETECTOR_ROWS)
 DEBOUNCE_TICKS = np.array([fault.debounce for fault, _ in DETECTOR_ROWS], dtype=np.int64)
 """(rows,) number of consecutive ticks after which a fault becomes active."""
 ACTION_NUMBERS = np.array([int(fault.action) for fault, _ in DETECTOR_ROWS], dtype=np.int64)
-"""(rows,) reaction to the fault, a number of ``Action``."""
+"""(rows,) reaction to the fault, a number of ``SafetyAction``."""
 
 FAULTS_BY_EVENT_KIND: dict[str, tuple[Fault, ...]] = {
     kind: tuple(fault for fault in FAULT_TABLE if kind in fault.reports)

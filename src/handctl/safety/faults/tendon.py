@@ -3,7 +3,7 @@
 Commissioning checks T07.
 """
 
-from handctl.safety.action import Action, RelaxMethod
+from handctl.safety.action import RelaxMethod, SafetyAction
 from handctl.safety.faults.fault import (
     CHECKED_BEFORE_ARMING,
     CHECKED_BY_FAULT_TABLE,
@@ -64,7 +64,7 @@ declare_row("T01", "snap", ticks=10, required=3,
 )  # fmt: skip
 T01 = declare_fault(
     "T01", "a tendon snapped", "The tension of a tendon has disappeared, and its spool winds fast",
-    Action.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE, debounce=2,
+    SafetyAction.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE, debounce=2,
     cause="The tendon has torn, or its clamp has opened.",
     remedy="Inspect the tendon and its clamp, replace them, then commission the hand (handctl commission).",
 )  # fmt: skip
@@ -74,14 +74,14 @@ declare_row("T02", "slack", ticks=4, ms=110, required=12,
 T02A = declare_fault(
     "T02a", "a tendon is slack",
     f"The tension is below {SLACK_N:g} N for {SLACK_WARN_S * 1e3:g} ms, although a tension is commanded",
-    Action.WARN, ENDED_BY_ITSELF, TENDON_INSTANCE,
+    SafetyAction.WARN, ENDED_BY_ITSELF, TENDON_INSTANCE,
     cause="The digit moves faster than the motor winds, or the tendon has left its spool.",
     remedy="Ignore single cases in fast motion. If it repeats, inspect the tendon.",
 )  # fmt: skip
 T02B = declare_fault(
     "T02b", "a tendon stays slack",
     f"The tension is below {SLACK_N:g} N for {SLACK_TRIP_S * 1e3:g} ms, although a tension is commanded",
-    Action.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE,
+    SafetyAction.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE,
     cause="The tendon has torn, left its spool, or its load cell reads too little.",
     remedy="Inspect tendon, clamp and load cell, then commission the hand (handctl commission).",
 )  # fmt: skip
@@ -90,20 +90,20 @@ declare_row("T03", "over-tension", ticks=10, required=2,
     why="2 ticks from the first sample above the limit, 10 ticks from the start of a drive's failure")  # fmt: skip
 T03 = declare_fault(
     "T03", "over-tension", "A load-cell reading is above tension_trip_N",
-    Action.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE, relax_method=RelaxMethod.FAST_LOOP,
+    SafetyAction.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE, relax_method=RelaxMethod.FAST_LOOP,
     cause="The digit is blocked or pulled from outside, or the tension command is too high.",
     remedy="Free the digit, check the task's tensions, then start a new run.",
 )  # fmt: skip
 T03B = declare_fault(
     "T03b", "tension above the drive's limit", "A load-cell reading is above drive_limit_N",
-    Action.CUT, ENDED_BY_OPERATOR, TENDON_INSTANCE,
+    SafetyAction.CUT, ENDED_BY_OPERATOR, TENDON_INSTANCE,
     cause="The drive makes more torque than its limit allows, or something else pulls the tendon.",
     remedy="Check the torque limit in the drive's own settings before the hand is powered again.",
 )  # fmt: skip
 T03C = declare_fault(
     "T03c", "over-tension remains after relaxing",
     f"{RELAXED_S * 1e3:g} ms after relaxing began, the tension is above tension_trip_N or the load cell is saturated",
-    Action.CUT, ENDED_BY_OPERATOR, TENDON_INSTANCE,
+    SafetyAction.CUT, ENDED_BY_OPERATOR, TENDON_INSTANCE,
     cause="The drive does not obey, or the digit is pulled from outside.",
     remedy="Remove the motor power, free the digit, and check the drive before the next run.",
 )  # fmt: skip
@@ -112,13 +112,13 @@ declare_row("T04", "load cell drifts", odrive=_ODRIVE_VISIBILITY, ticks=2, ms=50
     why="sooner than the required 1000 ms, for a drift of 60 N/s from its first newton")  # fmt: skip
 T04A = declare_fault(
     "T04a", "a load cell drifts", f"Torque, inertia and friction do not explain {RESIDUAL_WARN_N:g} N of the tension",
-    Action.WARN, ENDED_BY_ITSELF, TENDON_INSTANCE,
+    SafetyAction.WARN, ENDED_BY_ITSELF, TENDON_INSTANCE,
     cause="The load cell drifts, or the friction or the torque constant differs from the hand file.",
     remedy="Commission the hand again (handctl commission). If it repeats, identify the hand (handctl identify).",
 )  # fmt: skip
 T04B = declare_fault(
     "T04b", "a load cell is wrong", f"Torque, inertia and friction do not explain {RESIDUAL_TRIP_N:g} N of the tension",
-    Action.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE, relax_method=RelaxMethod.OPEN_LOOP,
+    SafetyAction.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE, relax_method=RelaxMethod.OPEN_LOOP,
     cause="The load cell or its amplifier has failed, or the motor's torque constant is wrong.",
     remedy="Check the load cell with a known weight with handctl bus watch, then commission (handctl commission).",
 )  # fmt: skip
@@ -129,14 +129,14 @@ declare_row("T05", "load cell stuck", ticks=42, ms=300, required=42,
 T05 = declare_fault(
     "T05", "a load cell is stuck",
     f"{CELL_TICKS} readings of a load cell are equal, although the torque of the motor changes",
-    Action.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE,
+    SafetyAction.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE,
     cause="The load cell's amplifier or the sensor node repeats one value.",
     remedy="Restart the sensor node, and check the amplifier of this load cell.",
 )  # fmt: skip
 T05B = declare_fault(
     "T05b", "load-cell readings are old",
     f"{MIN_REPEATS} to {REPEAT_WINDOW} readings in a row repeat readings from some ticks before",
-    Action.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE, relax_method=RelaxMethod.OPEN_LOOP,
+    SafetyAction.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE, relax_method=RelaxMethod.OPEN_LOOP,
     cause="The sensor node or a gateway sends stored readings under new counters.",
     remedy="Restart the sensor node, and check its firmware for a queue of readings.",
 )  # fmt: skip
@@ -145,7 +145,8 @@ declare_row("T06", "load cell saturated", ticks=4, required=4)
 T06 = declare_fault(
     "T06", "a load cell is saturated",
     f"For {SATURATED_TICKS} ticks, the reading is at the end of the range, or shows a broken wire",
-    Action.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE, debounce=SATURATED_TICKS, relax_method=RelaxMethod.FAST_LOOP,
+    SafetyAction.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE, debounce=SATURATED_TICKS,
+    relax_method=RelaxMethod.FAST_LOOP,
     cause="A wire is broken, the load cell is unplugged, or the tension is beyond its range.",
     remedy="Check wire and plug of the load cell with handctl bus watch, then commission (handctl commission).",
 )  # fmt: skip
@@ -164,7 +165,7 @@ declare_row("T08", "derailed or crossed", CHECKED_BY_FAULT_TABLE, _SLACK_VISIBIL
 T08 = declare_fault(
     "T08", "a tendon left its pulley",
     f"In {DERAILED_READINGS} readings, joint and spool differ by more than a tendon can stretch",
-    Action.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE,
+    SafetyAction.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE,
     cause="The tendon has derailed or crossed another one.",
     remedy="Put the tendon back on its pulleys, then commission the hand (handctl commission).",
 )  # fmt: skip
@@ -180,7 +181,7 @@ declare_row(
 T09 = declare_fault(
     "T09", "friction has grown",
     f"Over 5 s of motion, the mean friction is {FRICTION_WARN_N:g} N above that of the hand file",
-    Action.WARN, ENDED_BY_ITSELF, TENDON_INSTANCE,
+    SafetyAction.WARN, ENDED_BY_ITSELF, TENDON_INSTANCE,
     cause="The tendon sheath or the pulleys are worn or dirty.",
     remedy="Clean or replace sheath and pulleys, or identify the hand again (handctl identify).",
 )  # fmt: skip

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.controller.setup import SETUP_ATTACHMENT
-from handctl.core.types import Mode
+from handctl.controller.run_setup import SETUP_ATTACHMENT
+from handctl.core.tick_types import HandMode
 from handctl.hand.description import Hand
 from handctl.log.read.logfile import LogErrorContext
 from handctl.log.read.reader import RunLog
@@ -92,7 +92,7 @@ def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
     settle = round(SETTLE_S / period)
     transient = round(TRANSIENT_S / period)
     # No measurement follows the last tick. Therefore every array ends one tick early.
-    active = (log.mode == Mode.ACTIVE)[:-1]
+    active = (log.mode == HandMode.ACTIVE)[:-1]
     # The equation between a command and the next measurement does not hold over a missed tick.
     consecutive = np.append(np.diff(log.k) == 1, True)[:-1]
     contact = log.field("contact")[:-1]

@@ -8,7 +8,7 @@ import math
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
-from handctl.programs.excite import ExciteStep
+from handctl.programs.excitation import ExciteStep
 from handctl.tune.identify.excitation_antagonists import antagonist_steps
 
 SWEEP_MARGIN_DEG = 6.0
@@ -179,7 +179,7 @@ def _sweep_range(hand: Hand, digit: str) -> tuple[float, float]:
 def lift_off_tension(hand: Hand, digit: str) -> float:
     """Return the tension at which the first joint leaves its open stop, without friction and weight [N]."""
     digit_file = hand.digit_named(digit)
-    model = DigitModel.of(hand, digit)
+    model = DigitModel.from_hand(hand, digit)
     arms = abs(model.arms_at(model.joint_min)).sum(axis=0)
     preload = zip(
         digit_file.spring_stiffness_N_m_per_rad,

@@ -9,11 +9,11 @@ import math
 
 import numpy as np
 
-from handctl.core.law.redundancy import redundancy_of_hand
+from handctl.core.control_law.tendon_redundancy import redundancy_of_hand
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array, DigitModel
-from handctl.hand.tree import HandTree
-from handctl.programs.excite import ExciteStep
+from handctl.hand.hand_tree import HandTree
+from handctl.programs.excitation import ExciteStep
 
 LOWEST_DEG = 0.0
 """Smallest joint angle of the sweeps [deg]. At smaller angles, a thumb may touch the palm."""
@@ -97,7 +97,7 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
         hand: description of the hand.
         name: name of the digit.
     """
-    digit = DigitModel.of(hand, name)
+    digit = DigitModel.from_hand(hand, name)
     low, high = sweep_range(digit)
     middle = 0.5 * (low + high)
     half = 0.5 * (high - low)
@@ -196,7 +196,7 @@ def _sign_patterns(count: int) -> list[Array]:
 
 def _swing_amplitudes(hand: Hand, digit: DigitModel, middle: Array, half: Array) -> Array:
     """Return amplitudes (n_c,) of the swing for which the motors are strong enough [rad]."""
-    tree = HandTree.of(hand)
+    tree = HandTree.from_hand(hand)
     q = np.clip(np.zeros(len(hand.joints)), hand.joint_limits[0], hand.joint_limits[1])
     q[digit.joints] = digit.coupling @ middle
     moved = tree.mass_matrix(q)[digit.joints, digit.joints]

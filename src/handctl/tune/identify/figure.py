@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from handctl.core.identified import PARAMETER_UNITS
+from handctl.core.identified_parameters import PARAMETER_UNITS
 from handctl.output import save_figure
 from handctl.tune.identify.fit import LOAD_PARAMETERS, PARAMETER_NAMES, stop_stiffness
 from handctl.tune.identify.fit_load import LoadParameters

@@ -112,7 +112,7 @@ class TendonFitProblem:
             LogError: The tendon does not move enough in the log.
         """
         motor = hand.motor_of(data.tendon)
-        digit = DigitModel.of(hand, data.digit)
+        digit = DigitModel.from_hand(hand, data.digit)
         spool = motor.spool_radius_m
         if not data.acting.any() or len(data.t) < 2:
             raise LogError(f"{data.tendon} is never driven", "the log", "a run with the hand armed")

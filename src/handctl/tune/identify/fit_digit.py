@@ -190,7 +190,7 @@ def _joint_rates(
     if not digit.has_varying_arm:
         to_joints = digit.excursion_to_joints.T
         return speed @ to_joints, acceleration @ to_joints
-    to_rates = np.array([digit.at(row).excursion_to_joints for row in q])
+    to_rates = np.array([digit.at_angles(row).excursion_to_joints for row in q])
     dq = np.einsum("mjn,mn->mj", to_rates, speed)
     bend = np.einsum(
         "mnj,mj->mn",

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from handctl.errors import LogError
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array, DigitModel
-from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
-from handctl.hand.tree import HandTree
+from handctl.hand.hand_tree import HandTree
+from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED_M_S
 from handctl.tune.identify.data import TendonData
 from handctl.tune.identify.fit import (
     DEFAULT_PRIOR_DEVIATION,
@@ -151,7 +151,7 @@ class PairWindows:
         if len(windows.t) < 20:
             raise LogError(f"{own.tendon} hardly moves", "the log", "a run in which it moves")
         q, dq, ddq = _joint_motion(digit, means[:, :, clear], data, rest[digit.joints])
-        tree = HandTree.of(hand)
+        tree = HandTree.from_hand(hand)
         rigid = np.array(
             [_torque_of_digit(tree, digit, rest, *row) for row in zip(q, dq, ddq, strict=True)]
         )
@@ -165,7 +165,7 @@ class PairWindows:
             inertial=rigid @ to_tension,
             damping=(dq * np.array(digit.joint_damping)) @ to_tension,
             angle=digit.wrap[tendon] + q[:, passed].sum(axis=1),
-            developed=np.tanh(quick / CAPSTAN_FRICTION_SPEED) @ weights.mean,
+            developed=np.tanh(quick / CAPSTAN_FRICTION_SPEED_M_S) @ weights.mean,
             travel=travel,
             excursion=excursion,
             readings=readings,

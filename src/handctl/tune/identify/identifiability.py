@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import coherence
 
-from handctl.core.identified import PARAMETER_UNITS
+from handctl.core.identified_parameters import PARAMETER_UNITS
 from handctl.hand.description import Hand
 from handctl.tune.identify.data import Array, TendonData
 from handctl.tune.identify.fit import MAX_HALF_WIDTH, PARAMETER_NAMES, SCALE_DELAY_S, TendonFit

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from handctl.core.identified import DIGIT_KEYS, PARAMETER_UNITS, IdentifiedParameters
+from handctl.core.identified_parameters import DIGIT_KEYS, PARAMETER_UNITS, IdentifiedParameters
 from handctl.errors import LogError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
@@ -190,7 +190,7 @@ def _fit_alone(hand: Hand, data: TendonData, digit_data: list[TendonData]) -> Te
     Raises:
         LogError: The tendon hardly moves.
     """
-    digit = DigitModel.of(hand, data.digit)
+    digit = DigitModel.from_hand(hand, data.digit)
     place = digit.tendon_names.index(data.tendon)
     if hand.is_pair[digit.tendons].any():
         return fit_pair(hand, digit, place, digit_data)
@@ -288,7 +288,7 @@ def _of_digit(
     digit. The first value is the data of this fit, or None.
     """
     fits = [fit for _, fit in fitted]
-    digit = DigitModel.of(hand, name)
+    digit = DigitModel.from_hand(hand, name)
     if (
         hand.is_pair[digit.tendons].any()
         or len(fitted) < 2

@@ -24,10 +24,10 @@ from dataclasses import dataclass, replace
 from functools import reduce
 from typing import Any
 
-from handctl.core.gains.bounds import TENDON_SECTION, with_values
+from handctl.core.gains.gain_bounds import TENDON_SECTION, with_values
 from handctl.core.gains.gains import Gains
 from handctl.core.gains.motion_design import design_motion, largest_force_weight
-from handctl.core.model import HandModel
+from handctl.core.hand_model import HandModel
 from handctl.document import validate_content
 from handctl.errors import ConfigError
 from handctl.tune.loops.linear import (

@@ -24,19 +24,19 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag, expm
 from scipy.optimize import linprog
 
-from handctl.controller.state import layout_of_state
-from handctl.core import block as s
-from handctl.core import stages
+from handctl.controller.controller_state import layout_of_state
+from handctl.core import state_block as s
+from handctl.core import tick_stages
+from handctl.core.block_schema import BlockArray, BlockLayout
+from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
+from handctl.core.control_law.goal_writer import sample_trajectories, write_goals
+from handctl.core.control_law.required_tensions import write_tension_goals
+from handctl.core.control_law.trajectory import SampledTrajectory
+from handctl.core.estimation.filter_prediction import predict_filter_states
 from handctl.core.estimation.filter_stack import TendonRegime
-from handctl.core.estimation.prediction import predict_filter_states
 from handctl.core.hand_constants import HandConstants
-from handctl.core.law.goal import DigitGoal, GoalKind
-from handctl.core.law.goals import sample_trajectories, write_goals
-from handctl.core.law.loads import write_tension_goals
-from handctl.core.law.trajectory import SampledTrajectory
-from handctl.core.model import HandModel
-from handctl.core.schema import BlockArray, BlockLayout
-from handctl.core.types import Mode
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode
 from handctl.hand.digit import DigitModel
 
 Matrix = NDArray[np.float64]
@@ -324,16 +324,18 @@ class _LinearizationBench:
 
         No contact is detected, because no torque acts yet.
         """
-        self.layout.view(block, "mode")[...] = Mode.ARMING
-        stages.correct_estimate(block, self.layout.places, *self._constant_args)
+        self.layout.view(block, "mode")[...] = HandMode.ARMING
+        tick_stages.correct_estimate(block, self.layout.places, *self._constant_args)
         predict_filter_states(self.model, self.layout, block)
-        stages.conclude_estimate(block, self.layout.places, *self._constant_args)
+        tick_stages.conclude_estimate(block, self.layout.places, *self._constant_args)
 
     def act(self, block: BlockArray) -> None:
         """Calculate the torque commands from the goals and the estimates."""
-        self.layout.view(block, "mode")[...] = Mode.ACTIVE
+        self.layout.view(block, "mode")[...] = HandMode.ACTIVE
         write_tension_goals(self.model, self.layout, self._constants, block)
-        stages.compute_motor_torques(block, self.layout.places, *self._constant_args, 0.0, 0, 1)
+        tick_stages.compute_motor_torques(
+            block, self.layout.places, *self._constant_args, 0.0, 0, 1
+        )
 
 
 def _operating_point(
@@ -388,7 +390,7 @@ def _operating_block(bench: _LinearizationBench, tendon: int, kind: LoopKind) ->
     )
     block = layout.initial.copy()
     table = layout.table(block, "tendon")
-    digits = [digit.at(q[digit.joints]) for digit in model.digits]
+    digits = [digit.at_angles(q[digit.joints]) for digit in model.digits]
     table[s.EXCURSION] = np.concatenate([digit.excursion_at(q[digit.joints]) for digit in digits])
     table[s.TRAVEL] = table[s.EXCURSION] + OPERATING_TENSION_N / model.space.stiffness
     table[s.SPEED] = table[s.EXCURSION_RATE] = (
@@ -455,7 +457,7 @@ def _winding_rates(model: HandModel, d: int, tendon: int, speed: float) -> Matri
     If the tendon belongs to another digit, all tendons of this digit wind at this speed.
     """
     digit = model.digits[d]
-    arms = digit.at(digit.coupling @ _half_closed(digit)).reduced_moment_arms
+    arms = digit.at_angles(digit.coupling @ _half_closed(digit)).reduced_moment_arms
     i = tendon - digit.tendons.start
     if 0 <= i < len(arms):
         return np.asarray(arms[i] * speed / (arms[i] @ arms[i]))
@@ -484,7 +486,7 @@ def _move_goal(
 ) -> DigitGoal:
     """Return a motion goal that equals the estimated excursion [m] and speed [m/s] of tendon i of a digit."""
     q = digit.coupling @ position
-    arms = digit.at(q).reduced_moment_arms
+    arms = digit.at_angles(q).reduced_moment_arms
     if 0 <= i < len(arms):
         direction = arms[i] / (arms[i] @ arms[i])
         position = position + direction * (reached[i] - digit.excursion_at(q)[i])

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.model import HandModel
+from handctl.core.hand_model import HandModel
 from handctl.tune.loops.linear import (
     NOMINAL_FACTORS,
     LinearSystem,

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode
 from handctl.hand.description import Hand
 from handctl.programs.exercise import HOME_ANGLE_RAD, ExerciseProgram, ExerciseStage
 from handctl.report.truth import TruthRecord
@@ -126,7 +126,7 @@ def simulate_swing(
         seed: seed of the simulated noise.
     """
     ticks, truth, failure = simulate_program(hand, model, StepExercise(), factors, seed)
-    active = [(entry.t_ns, out.phase) for entry, out in ticks if out.mode == Mode.ACTIVE]
+    active = [(entry.t_ns, out.phase) for entry, out in ticks if out.mode == HandMode.ACTIVE]
     ends = {
         name: max((t for t, phase in active if phase == name), default=None)
         for name in ("move", "hold")
@@ -284,7 +284,7 @@ class RestTest:
         In a failed run, the oscillations count as zero.
         """
         if name not in self._chatter:
-            still = HandModel.of(
+            still = HandModel.from_hand(
                 model.hand, Gains.model_validate(WITHOUT_FEEDBACK), 1.0 / model.period
             )
             runs = [

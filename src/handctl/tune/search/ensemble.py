@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.stats import qmc
 
-from handctl.core.identified import IdentifiedParameters
+from handctl.core.identified_parameters import IdentifiedParameters
 
 MIN_FACTOR_SPREAD = {
     "stiffness": 0.2,

@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from handctl.core.gains.bounds import with_values
+from handctl.core.gains.gain_bounds import with_values
 from handctl.core.gains.gains import Gains
 from handctl.errors import ConfigError
 from handctl.tune.scoring import GainScore

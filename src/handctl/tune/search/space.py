@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from handctl.core.gains.bounds import values_by_key
+from handctl.core.gains.gain_bounds import values_by_key
 from handctl.core.gains.gains import Gains
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pyarrow as pa  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
-from handctl.drives.frame import EXTENDED, FDF
+from handctl.drives.frame import EXTENDED_FLAG, FDF
 from handctl.drives.frame_time import frame_time_s
 from handctl.view.scene.arrow import FloatArray
 from handctl.view.scene.run_info import RunInfo
@@ -84,7 +84,7 @@ class FrameLoad:
         bus = bus[valid]
         flags = flags[valid]
         size = size[valid]
-        extended = (can_id[valid] & EXTENDED) // EXTENDED
+        extended = (can_id[valid] & EXTENDED_FLAG) // EXTENDED_FLAG
         spent = np.zeros((len(frames), len(self._times)), np.int64)
         np.add.at(spent, (tick, bus), self._times[bus, (flags & FDF) // FDF, extended, size])
         return spent

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.types import TELEMETRY_AXES
+from handctl.core.tick_types import TELEMETRY_AXES
 from handctl.hand.description import Hand
 from handctl.hand.file.error_text import shortened_list
 from handctl.log.attached_meshes import AttachedMesh, attached_meshes

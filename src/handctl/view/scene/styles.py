@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 import rerun as rr
 from rerun.chunk import Chunk
 
-from handctl.core.types import TELEMETRY_AXES
+from handctl.core.tick_types import TELEMETRY_AXES
 from handctl.digit_colours import colour_numbers
 from handctl.view.scene import palette
 from handctl.view.scene.arrow import static_chunk

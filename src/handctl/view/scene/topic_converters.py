@@ -11,7 +11,7 @@ import numpy as np
 import rerun as rr
 from rerun.chunk import Chunk
 
-from handctl.core.types import TELEMETRY_AXES
+from handctl.core.tick_types import TELEMETRY_AXES
 from handctl.view.scene.arrow import (
     FloatArray,
     chunk_on_run_time,

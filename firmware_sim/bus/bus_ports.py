@@ -1,0 +1,136 @@
+"""Ports: connections of the simulator to its buses.
+
+Each bus has a port, and ports of all bus types work alike.
+"""
+
+import socket
+from collections.abc import Callable, Collection
+from pathlib import Path
+from typing import Protocol
+
+from firmware_sim.bus.frame import Frame
+from firmware_sim.bus.local_ports import HubPort, JoinedPort
+from firmware_sim.bus.socketcan import SocketCanPort
+from firmware_sim.hand_description import SimulatorError
+
+VIRTUAL_INTERFACES = Path("/sys/devices/virtual/net")
+"""Folder in which Linux lists the network interfaces without hardware, such as vcan0.
+
+Source: Linux sysfs.
+"""
+
+
+class BusPort(Protocol):
+    """A connection to one bus of the hand. No method blocks.
+
+    Attributes:
+        lost: frames that could not be sent or read.
+        due_ns: time at which the port must be served even if no socket is ready [ns].
+            ``medium.NEVER_NS`` if only sockets matter.
+    """
+
+    @property
+    def lost(self) -> int:
+        """Return the number of frames that could not be sent or read."""
+        ...
+
+    @property
+    def due_ns(self) -> int:
+        """Return the time at which the port must be served even if no socket is ready [ns]."""
+        ...
+
+    def read_sockets(self) -> list[socket.socket]:
+        """Return the sockets to poll for reading."""
+        ...
+
+    def write_sockets(self) -> list[socket.socket]:
+        """Return the sockets to poll for writing."""
+        ...
+
+    def receive(self, ready_sockets: Collection[socket.socket]) -> list[Frame]:
+        """Receive frames from the sockets that are ready.
+
+        The caller repeats the call until no frame is returned.
+        """
+        ...
+
+    def send(self, frames: list[Frame]) -> None:
+        """Send frames in the given order.
+
+        Frames for which the bus has no room are lost and counted.
+        """
+        ...
+
+    def close(self) -> None:
+        """Leave the bus."""
+        ...
+
+
+def open_port(
+    spec: str, bus: int, timed_port: Callable[[str, int], BusPort] | None = None
+) -> BusPort:
+    """Open the port of one bus.
+
+    Args:
+        spec: ``local:NAME`` (this process serves the bus), ``join:NAME`` (another process serves
+            the bus) or ``socketcan:INTERFACE``.
+        bus: index of the bus in the hand's list.
+        timed_port: function that opens the port of a local bus with simulated wire times. If it is
+            None, frames take no time.
+
+    Raises:
+        SimulatorError: the type of the bus is unknown, or the bus cannot be opened.
+    """
+    kind, _, name = spec.partition(":")
+    if timed_port and kind != "local":
+        raise SimulatorError(
+            f"bus {spec!r}: --wire needs a bus that this process serves, local:NAME"
+        )
+    if kind == "local":
+        return timed_port(name, bus) if timed_port else HubPort(name, bus)
+    if kind == "join":
+        return JoinedPort(name, bus)
+    if kind == "socketcan" and name:
+        return SocketCanPort(name, bus)
+    raise SimulatorError(f"bus {spec!r}: expected local:NAME, join:NAME or socketcan:INTERFACE")
+
+
+def is_on_this_machine(spec: str) -> bool:
+    """Return True if all frames of a bus stay on this machine.
+
+    On such a bus the clock may pause, because no frame comes from another machine or goes to one.
+    """
+    kind, _, name = spec.partition(":")
+    return kind == "local" or (kind == "socketcan" and (VIRTUAL_INTERFACES / name).exists())
+
+
+def assign_buses(specs: list[str], buses: list[str]) -> list[str]:
+    """Assign a bus specification to each bus of a hand.
+
+    Args:
+        specs: one ``BUS=SPEC`` for each bus, or only ``SPEC`` for a hand with one bus.
+        buses: names of the hand's buses.
+
+    Returns:
+        The specifications in the order of the hand's buses.
+
+    Raises:
+        SimulatorError: a bus is missing, unknown or given twice.
+    """
+    specs_by_bus: dict[str, str] = {}
+    for text in specs:
+        name, equals, spec = text.partition("=")
+        if not equals:
+            if len(buses) > 1:
+                raise SimulatorError(
+                    f"bus {text}: this hand has {len(buses)} buses; expected {buses[0]}={text}"
+                )
+            name = buses[0]
+            spec = text
+        if name not in buses or name in specs_by_bus:
+            problem = "given twice" if name in specs_by_bus else "unknown"
+            raise SimulatorError(f"bus {name}: {problem}; this hand has {', '.join(buses)}")
+        specs_by_bus[name] = spec
+    if missing := [name for name in buses if name not in specs_by_bus]:
+        raise SimulatorError(f"no --bus for {', '.join(missing)}")
+    return [specs_by_bus[name] for name in buses]

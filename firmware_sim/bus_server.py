@@ -1,0 +1,265 @@
+"""The simulator in real time.
+
+One thread reads frames, advances the plant to the clock, and answers at once.
+"""
+
+import select
+import socket
+import time
+from collections.abc import Collection
+from typing import Protocol
+
+from firmware_sim.bus.bus_ports import BusPort
+from firmware_sim.bus.frame import Frame
+from firmware_sim.bus.timed_port import TimedPort
+from firmware_sim.faults.fault_socket import FaultSocket
+from firmware_sim.realtime_priority import RealTimePriority
+from firmware_sim.simulation_pace import PaceCounter
+
+MAX_TURN_NS = 1_000_000
+"""Maximum time from one advance of the plant to the next, as plant time [ns]."""
+OVERRUN_NS = 5 * MAX_TURN_NS
+"""Delay of the plant behind the clock that counts as an overrun, as plant time [ns]."""
+MAX_DELAY_NS = 150_000_000
+"""Largest delay of the plant, as plant time [ns].
+
+Above, the clock slips: the lost time is given up.
+"""
+MAX_READS_PER_TURN = 64
+"""Maximum number of reads of the ports in one turn.
+
+The limit keeps a busy bus from stopping the plant.
+"""
+SLIP_PAUSE_S = 0.005
+"""Pause after a slip of the clock [s], for other processes on the processor core."""
+MAX_CATCH_UP_NS = 4_000_000
+"""Maximum plant time by which one turn advances the plant [ns].
+
+Computing this plant time takes half a millisecond. In a longer turn, an answer could come later
+than the next SYNC.
+"""
+
+
+class ServerClock(Protocol):
+    """The clock that a server follows."""
+
+    @property
+    def scale(self) -> float:
+        """Return the plant time per wall time."""
+        ...
+
+    def now_ns(self) -> int:
+        """Return the target time of the plant [ns]."""
+        ...
+
+    def ticks_sent(self) -> int:
+        """Return the number of ticks for which a controller on the same clock has sent all frames."""
+        ...
+
+    def note_answered(self, ticks: int) -> None:
+        """Report the number of ticks whose frames have all been answered."""
+        ...
+
+    def note_reached(self, t_ns: int) -> None:
+        """Report the time that the plant has reached [ns]."""
+        ...
+
+
+class ServedNodes(Protocol):
+    """The nodes that a server serves: those of a hand, or drives on a bench.
+
+    Attributes:
+        t_ns: present time of the nodes [ns].
+        slip_ns: time by which the simulation is behind the wall clock for good [ns].
+        foreign: number of frames that no node handled.
+    """
+
+    slip_ns: int
+    foreign: int
+
+    @property
+    def t_ns(self) -> int:
+        """Return the present time of the nodes [ns]."""
+        ...
+
+    @property
+    def malformed(self) -> int:
+        """Return the number of frames the nodes could not decode."""
+        ...
+
+    def receive(self, frame: Frame) -> list[Frame]:
+        """Pass a frame to the nodes of its bus and return the answers."""
+        ...
+
+    def advance(self, t_ns: int) -> None:
+        """Advance the nodes towards ``t_ns`` in whole steps."""
+        ...
+
+    def reach(self, t_ns: int) -> None:
+        """Advance the nodes to exactly ``t_ns``."""
+        ...
+
+    def take_unsolicited(self) -> list[Frame]:
+        """Return the unsolicited frames since the last call."""
+        ...
+
+
+class BusServer:
+    """The loop that advances a world by a clock, and exchanges frames through the ports of the buses.
+
+    Attributes:
+        pace: measured pace of the simulation.
+        overruns: number of turns in which the plant was late.
+        slips: number of slips of the plant's clock.
+        running: True while ``run`` serves. A signal handler sets it to False to end ``run``.
+    """
+
+    def __init__(
+        self,
+        world: ServedNodes,
+        ports: list[BusPort],
+        clock: ServerClock,
+        faults: FaultSocket | None = None,
+        priority: RealTimePriority | None = None,
+    ) -> None:
+        """Set up the server.
+
+        Args:
+            world: nodes to serve, whose time is the present time of the clock.
+            ports: ports in the order of the hand's buses.
+            clock: clock that the world follows.
+            faults: socket for faults and other requests, None without such a socket.
+            priority: real-time priority, None for an ordinary process.
+        """
+        self._faults = faults
+        self._priority = priority
+        self.pace = PaceCounter(world.t_ns, time_scale=clock.scale)
+        self._world = world
+        self._ports = ports
+        self._clock = clock
+        self.overruns = self.slips = 0
+        self.running = True
+        self._served = False
+
+    def run(self) -> None:
+        """Serve until ``running`` is False."""
+        while self.running:
+            self.turn()
+
+    def turn(self) -> None:
+        """Wait for frames or for the next millisecond.
+
+        Then advance the plant, and answer the frames.
+        """
+        ready = self._wait_for_sockets()
+        frames = self._receive_frames(ready)
+        if frames:
+            self._note_host()
+        self._catch_up(sampled=bool(frames))
+        self._send_answers(frames)
+        if self._faults and self._faults.read_sockets()[0] in ready:
+            self._faults.serve(self.pace)
+        for _ in range(MAX_READS_PER_TURN):
+            if not (frames := self._receive_frames(())):
+                break
+            self._send_answers(frames)
+        self._note_progress()
+
+    def _note_progress(self) -> None:
+        """Report the answered ticks and the time of the plant to a controller on the same clock."""
+        self._clock.note_reached(self._world.t_ns + self._world.slip_ns)
+        # The number of ticks is read before the sockets are checked. Frames that arrive in between
+        # belong to a later tick.
+        ticks = self._clock.ticks_sent()
+        if ticks and not self._ready_links(0.0):
+            self._clock.note_answered(ticks)
+
+    def _note_host(self) -> None:
+        """Take the real-time priority.
+
+        At the first frame of a host, restart the measurement of the pace.
+        """
+        if not self._served:
+            self._served = True
+            self.pace.restart(self._world.t_ns)
+        if self._priority:
+            self._priority.note_host_frames()
+
+    def _receive_frames(self, ready_sockets: Collection[socket.socket]) -> list[Frame]:
+        """Receive the frames of all ports."""
+        return [frame for port in self._ports for frame in port.receive(ready_sockets)]
+
+    def _wait_for_sockets(self) -> list[socket.socket]:
+        """Wait until a socket is ready or the plant must advance.
+
+        Returns:
+            The sockets that are ready for reading.
+        """
+        # The time of the world is behind the wall clock by the time that slips have lost.
+        due_ns = self._world.t_ns + self._world.slip_ns + MAX_TURN_NS
+        due_ns = min(due_ns, *(port.due_ns for port in self._ports))
+        return self._ready_links(
+            max(0.0, (due_ns - self._clock.now_ns()) / self._clock.scale * 1e-9)
+        )
+
+    def _ready_links(self, timeout_s: float) -> list[socket.socket]:
+        """Wait for at most ``timeout_s``, and return the sockets that are ready for reading."""
+        readers = [link for port in self._ports for link in port.read_sockets()]
+        readers += self._faults.read_sockets() if self._faults else []
+        writers = [link for port in self._ports for link in port.write_sockets()]
+        readable, _, _ = select.select(readers, writers, [], timeout_s)
+        return readable
+
+    def _catch_up(self, sampled: bool) -> None:
+        """Advance the plant to the time of the clock.
+
+        Args:
+            sampled: True to reach the time exactly, because the answers to frames sample the plant.
+        """
+        world = self._world
+        target_ns = self._clock.now_ns() - world.slip_ns
+        behind_ns = target_ns - world.t_ns
+        if behind_ns > MAX_DELAY_NS:
+            self._give_up_lost_time(behind_ns)
+            return
+        self.overruns += behind_ns > OVERRUN_NS
+        follow = world.reach if sampled else world.advance
+        follow(min(target_ns, world.t_ns + MAX_CATCH_UP_NS))
+
+    def _give_up_lost_time(self, behind_ns: int) -> None:
+        """Give up the time lost while this process did not run.
+
+        Plant and watchdogs stood still meanwhile.
+        """
+        self._world.slip_ns += behind_ns
+        self.slips += 1
+        if self._priority:
+            self._priority.note_slip()
+        if self._served:
+            self.pace.slipped(behind_ns, self._world.t_ns)
+        time.sleep(SLIP_PAUSE_S)
+
+    def _send_answers(self, frames: list[Frame]) -> None:
+        """Send the answers to frames, and all unsolicited frames."""
+        answers: list[list[Frame]] = [[] for _ in self._ports]
+        for frame in frames:
+            answers[frame.bus] += self._world.receive(frame)
+        for frame in self._world.take_unsolicited():
+            answers[frame.bus].append(frame)
+        for port, batch in zip(self._ports, answers, strict=True):
+            if batch:
+                port.send(batch)
+
+    def summary(self) -> dict[str, object]:
+        """Return the counts of a run, for the truth file and the last printed line."""
+        return {
+            "overruns": self.overruns,
+            "slips": self.slips,
+            "slipped_ns": self._world.slip_ns,
+            "foreign_frames": self._world.foreign,
+            "malformed_frames": self._world.malformed,
+            "lost_frames": sum(port.lost for port in self._ports),
+            "wire_load": [
+                round(port.load, 4) for port in self._ports if isinstance(port, TimedPort)
+            ],
+        }

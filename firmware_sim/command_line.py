@@ -1,0 +1,45 @@
+"""Common parts of the command-line programs: one-line errors, checks of arguments, and an end on SIGTERM or SIGINT."""
+
+import argparse
+import re
+import signal
+from collections.abc import Callable
+from types import FrameType
+from typing import NoReturn
+
+from firmware_sim.hand_description import SimulatorError
+
+
+class CommandParser(argparse.ArgumentParser):
+    """A parser of command lines with error messages of a single line."""
+
+    def error(self, message: str) -> NoReturn:
+        """Raise a usage error as SimulatorError, instead of ending the program."""
+        raise SimulatorError(f"{message}; --help shows how")
+
+
+def check_words(words: list[str]) -> None:
+    """Refuse arguments that no program can use: those with NUL or a line end, and options with the value ``--``."""
+    for word in words:
+        if "\0" in word:
+            raise SimulatorError("an argument with a NUL character; expected valid file names")
+        if "\n" in word:
+            raise SimulatorError(f"an argument with a line end: {word}; expected one line")
+        if match := re.fullmatch(r"(--?[^=]+)=--", word):
+            raise SimulatorError(f"{match[1]}: -- is not a value")
+
+
+def check_time_scale(value: float) -> None:
+    """Check that the factor between simulated time and clock time lies between 0.001 and 100."""
+    if not 0.001 <= value <= 100.0:
+        raise SimulatorError(f"--time-scale {value:g}: expected 0.001 to 100")
+
+
+def until_signal(stop_program: Callable[[], None]) -> None:
+    """Install ``stop_program`` as the handler of the signals SIGTERM and SIGINT."""
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        stop_program()
+
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, handle)

@@ -1,0 +1,246 @@
+"""The faults of a simulated hand, whether waiting, acting or over, each with a count of effects."""
+
+import random
+from typing import Any
+
+from firmware_sim.bus.frame import Frame
+from firmware_sim.faults import plant_faults, wire_faults
+from firmware_sim.faults.fault_text import (
+    BUS_TARGET,
+    DIGIT_TARGET,
+    FAULT_KINDS,
+    FOREVER_NS,
+    NODE_TARGET,
+    SENSOR_NODE_NAME,
+    TENDON_TARGET,
+    Fault,
+    instances_of_component,
+    parse_fault,
+)
+from firmware_sim.faults.wire_faults import ActiveFault
+
+GENERATION_PERIOD_NS = 1_000_000
+"""Period of the frames that a flood or an unknown identifier generates [ns]."""
+SECOND_HOST_PERIOD_NS = 10_000_000
+"""Period at which a simulated second host sends commands [ns]."""
+FLOOD_ID = 0x000
+"""Identifier of the frames of a flood: the one with the highest priority."""
+UNKNOWN_ID = 0x7E5
+"""Identifier that belongs to no node."""
+GENERATING_KINDS = ("flood", "unknown", "foreign")
+"""Kinds of fault that send frames of their own periodically."""
+
+
+class ActiveFaults:
+    """The faults of a simulated world, timed by its clock.
+
+    Their effects are deterministic, in lockstep and in real time.
+
+    Attributes:
+        on: True once a fault has been injected.
+        wire_faults_of: faults that act on the frames of a node, by the ``id()`` of the node.
+        injected: all faults injected so far, in the order of injection.
+        in_frames: True if a fault acts on frames, in a node or in a sensor, and may therefore
+            change frames.
+    """
+
+    def __init__(self, world: Any) -> None:
+        """Create the collection without any fault.
+
+        Args:
+            world: world in which the faults act.
+        """
+        self._world = world
+        self.on = self.in_frames = False
+        self._waiting: list[ActiveFault] = []
+        self._acting: list[tuple[ActiveFault, plant_faults.UndoFunction]] = []
+        self.wire_faults_of: dict[int, list[ActiveFault]] = {}
+        self._all_wire: list[tuple[int, ActiveFault]] = []
+        self._turn_ns = self._foreign_ns = 0
+        self.injected: list[ActiveFault] = []
+
+    @property
+    def t_ns(self) -> int:
+        """Return the present time as in the truth file [ns]: the world's time plus the time lost by slips."""
+        return int(self._world.t_ns + self._world.slip_ns)
+
+    @property
+    def slip_ns(self) -> int:
+        """Return the time lost by slips while this process did not run [ns]."""
+        return int(self._world.slip_ns)
+
+    def inject(self, text: str) -> Fault:
+        """Start a fault now, or at the later time in the text.
+
+        Args:
+            text: fault as text, see ``parse_fault``.
+
+        Returns:
+            The fault.
+
+        Raises:
+            SimulatorError: this hand cannot have the fault in the text.
+        """
+        fault = parse_fault(text, self._world.hand, self._world.t_ns)
+        active = ActiveFault(fault, random.Random(f"fault {fault.seed} {fault.text}"))
+        self.injected.append(active)
+        self._waiting.append(active)
+        self.on = True
+        self._world.queue_frames(self.advance(self._world.t_ns))
+        return fault
+
+    def kinds(self) -> list[dict[str, object]]:
+        """List each kind of fault with the possible targets in this hand, the default size and the effect."""
+        hand = self._world.hand
+        return [
+            {
+                "kind": name,
+                "on": {
+                    component: instances_of_component(component, hand, name)
+                    for component in kind.components
+                },
+                "size": kind.size,
+                "text": kind.text,
+            }
+            for name, kind in FAULT_KINDS.items()
+        ]
+
+    def states(self) -> list[dict[str, object]]:
+        """List each fault injected so far, with state and number of effects."""
+        acting = [active for active, _ in self._acting]
+        return [
+            {
+                "fault": active.fault.text,
+                "state": "waiting"
+                if active in self._waiting
+                else "acting"
+                if active in acting
+                else "over",
+                "start_ns": active.fault.start_ns,
+                "felt": active.effects,
+                "first_ns": active.first_ns,
+            }
+            for active in self.injected
+        ]
+
+    def advance(self, t_ns: int) -> list[Frame]:
+        """Start the faults whose start is due, and end those whose end is due.
+
+        Args:
+            t_ns: present time [ns].
+
+        Returns:
+            Frames that the faults send or have delayed.
+        """
+        for active in [active for active in self._waiting if active.fault.start_ns <= t_ns]:
+            self._waiting.remove(active)
+            self._acting.append((active, plant_faults.start_plant_fault(self._world, active)))
+            self._index_faults_by_node()
+        for active, undo in [
+            (a, u) for a, u in self._acting if a.fault.start_ns + a.fault.duration_ns <= t_ns
+        ]:
+            undo()
+            self._acting.remove((active, undo))
+            self._index_faults_by_node()
+        frames = [
+            frame
+            for bus, active in self._all_wire
+            for frame in wire_faults.due_frames([active], t_ns)
+        ]
+        if not self._turn_ns or (
+            t_ns >= self._turn_ns and (t_ns - self._turn_ns) % GENERATION_PERIOD_NS == 0
+        ):
+            # Generated frames are sent at the ends of whole steps of the plant. A fault can start
+            # within a step, so the completed part of this step is subtracted.
+            self._turn_ns = t_ns - self._world.plant.part_ns + GENERATION_PERIOD_NS
+            frames += self._generated_frames(t_ns)
+        return frames
+
+    def due_ns(self) -> int:
+        """Return the time of the next event [ns]: start or end of a fault, a delayed frame, or a generated frame."""
+        due = [active.fault.start_ns for active in self._waiting]
+        for active, _ in self._acting:
+            due += [
+                active.fault.start_ns + active.fault.duration_ns,
+                *(at_ns for at_ns, _ in active.delayed),
+            ]
+            if active.fault.kind in GENERATING_KINDS:
+                due.append(self._turn_ns)
+        return min(due, default=FOREVER_NS)
+
+    def _index_faults_by_node(self) -> None:
+        """Update the index of faults by node. A node may have another identifier after a reset."""
+        self._world.refresh_identifiers()
+        self.wire_faults_of = {}
+        self._all_wire = []
+        self.in_frames = any(
+            active.fault.component not in (TENDON_TARGET, DIGIT_TARGET)
+            for active, _ in self._acting
+        )
+        for active, _ in self._acting:
+            if active.fault.component not in (NODE_TARGET, BUS_TARGET):
+                continue
+            for node, bus in self._nodes_of(active.fault):
+                self.wire_faults_of.setdefault(id(node), []).append(active)
+                self._all_wire.append((bus, active))
+
+    def _nodes_of(self, fault: Fault) -> list[tuple[Any, int]]:
+        """List the target nodes of a fault, each with the index of the node's bus."""
+        world = self._world
+        if fault.component == BUS_TARGET:
+            bus = world.hand.buses.index(fault.instance)
+            return [(node, bus) for node in world.nodes[bus]]
+        nodes = (
+            world.sensor_nodes
+            if fault.instance == SENSOR_NODE_NAME
+            else [world.node_of(fault.instance)]
+        )
+        return [
+            (node, next(bus for bus, on_bus in enumerate(world.nodes) if node in on_bus))
+            for node in nodes
+        ]
+
+    def exchange(self, node: Any, frame: Frame, t_ns: int) -> list[Frame] | None:
+        """Return the answers of a node to a frame, after faults have acted on the request and on the answers.
+
+        Args:
+            node: the node.
+            frame: request to the node.
+            t_ns: present time [ns].
+
+        Returns:
+            The answers that reach the host. None if the node does not receive or does not handle
+            the frame.
+        """
+        actives = self.wire_faults_of.get(id(node))
+        if not actives:
+            answers: list[Frame] | None = node.receive(frame, t_ns)
+            return answers
+        if wire_faults.loses_request(actives, t_ns):
+            return None
+        answers = node.receive(frame, t_ns)
+        if not answers:
+            return answers
+        stamped = [answer._replace(bus=frame.bus, t_ns=t_ns) for answer in answers]
+        return wire_faults.transmitted_frames(actives, stamped, t_ns)
+
+    def unsolicited(self, node: Any, frames: list[Frame], t_ns: int) -> list[Frame]:
+        """Apply faults of the wire to unsolicited frames of a node."""
+        actives = self.wire_faults_of.get(id(node))
+        return wire_faults.transmitted_frames(actives, frames, t_ns) if actives else frames
+
+    def _generated_frames(self, t_ns: int) -> list[Frame]:
+        """Generate the frames of the acting faults: floods, unknown identifiers and commands of a second host."""
+        frames = []
+        for active, _ in self._acting:
+            fault = active.fault
+            if fault.kind in ("flood", "unknown"):
+                bus = self._world.hand.buses.index(fault.instance)
+                can_id = FLOOD_ID if fault.kind == "flood" else UNKNOWN_ID
+                frames += [Frame(can_id, bytes(8), 0, bus, t_ns)] * int(fault.size)
+                active.note_effect(t_ns)
+            elif fault.kind == "foreign" and t_ns >= self._foreign_ns:
+                self._foreign_ns = t_ns + SECOND_HOST_PERIOD_NS
+                frames.append(self._world.host_frame(fault.instance)._replace(t_ns=t_ns))
+                active.note_effect(t_ns)
+        return frames

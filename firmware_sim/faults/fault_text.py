@@ -1,0 +1,296 @@
+"""Faults as data and as a line of text, such as ``drop node=3 p=0.05 at=3s for=2s``."""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from firmware_sim.hand_description import Hand, SimulatorError
+
+NODE_TARGET = "node"
+"""Target of a fault: a drive or the sensor node."""
+BUS_TARGET = "bus"
+"""Target of a fault: all nodes of a bus."""
+ENCODER_TARGET = "encoder"
+"""Target of a fault: the encoder of a motor."""
+JOINT_TARGET = "joint"
+"""Target of a fault: a joint encoder."""
+CELL_TARGET = "cell"
+"""Target of a fault: a load cell."""
+TENDON_TARGET = "tendon"
+"""Target of a fault: a tendon."""
+DIGIT_TARGET = "digit"
+"""Target of a fault: a digit."""
+SENSOR_NODE_NAME = "sensors"
+"""Name of the sensor node in the text of a fault."""
+FOREVER_NS = 1 << 62
+"""Duration of a fault without end [ns]."""
+_TIME_UNITS_NS = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
+
+
+class FaultKind(NamedTuple):
+    """A kind of fault.
+
+    Attributes:
+        components: types of component, the possible targets of this kind.
+        size: default size of a fault of this kind.
+        text: effect of a fault of this kind.
+    """
+
+    components: tuple[str, ...]
+    size: float
+    text: str
+
+
+FAULT_KINDS = {
+    "drop": FaultKind((NODE_TARGET, BUS_TARGET), 0, "frames from a node are lost"),
+    "deaf": FaultKind((NODE_TARGET, BUS_TARGET), 0, "frames to a node are lost"),
+    "delay": FaultKind((NODE_TARGET, BUS_TARGET), 4, "frames from a node are late by size [ms]"),
+    "duplicate": FaultKind((NODE_TARGET, BUS_TARGET), 0, "frames from a node are duplicated"),
+    "twin": FaultKind((NODE_TARGET,), 0, "a second node with the same identifier answers with other values"),
+    "reorder": FaultKind((NODE_TARGET, BUS_TARGET), 0, "a frame from a node comes after the next frame"),
+    "corrupt": FaultKind((NODE_TARGET, BUS_TARGET), 1, "size bits of the payload are flipped"),
+    "shorten": FaultKind((NODE_TARGET, BUS_TARGET), 1, "the payload is shortened by size bytes"),
+    "extend": FaultKind((NODE_TARGET, BUS_TARGET), 0, "the identifier is marked as extended (29 bits)"),
+    "slow": FaultKind((NODE_TARGET,), 2, "a node answers only every size-th frame"),
+    "off": FaultKind((NODE_TARGET,), 0, "a node loses power: no torque, no answers"),
+    "reset": FaultKind((NODE_TARGET,), 0, "a node restarts, once"),
+    "error": FaultKind((NODE_TARGET,), 0, "a node enters fault with code size, once (0: over-temperature)"),
+    "watchdog": FaultKind((NODE_TARGET,), 0, "a node's watchdog fires, once"),
+    "voltage": FaultKind((NODE_TARGET,), 0, "a node reports under-voltage, once"),
+    "hot": FaultKind((NODE_TARGET,), 90, "a node's winding is at size [degC]"),
+    "disobey": FaultKind((NODE_TARGET,), 0, "a node makes size times the commanded torque"),
+    "runaway": FaultKind((NODE_TARGET,), 1, "a node makes size times its maximum torque, whatever the command"),
+    "hold_on": FaultKind((NODE_TARGET,), 0, "a node reports that it is disabled but keeps its torque"),
+    "forget": FaultKind((NODE_TARGET,), 0,
+        "a node loses its settings once and stays enabled (size > 0: TMAX is size [N m])"),
+    "ripple": FaultKind((NODE_TARGET,), 0.1, "a motor's torque has a ripple of amplitude size [N m] at hz"),
+    "late": FaultKind((NODE_TARGET,), 50, "a node executes each command late by size [ms]"),
+    "swap": FaultKind((NODE_TARGET,), 0, "two drives report each other's encoder and current"),
+    "cross": FaultKind((NODE_TARGET,), 0, "two drives make each other's torque and report their own commands"),
+    "flood": FaultKind((BUS_TARGET,), 100, "size frames of identifier 0x000 every millisecond"),
+    "unknown": FaultKind((BUS_TARGET,), 1, "size frames of an unknown identifier every millisecond"),
+    "foreign": FaultKind((NODE_TARGET,), 0, "a second host sends commands to a node every 10 ms"),
+    "mute": FaultKind((JOINT_TARGET, CELL_TARGET), 0, "the frame with a reading is not sent"),
+    "stuck": FaultKind((ENCODER_TARGET, JOINT_TARGET, CELL_TARGET), 0, "a reading is stuck"),
+    "offset": FaultKind((ENCODER_TARGET, JOINT_TARGET, CELL_TARGET), 1, "a reading jumps by size [rad, N]"),
+    "drift": FaultKind((ENCODER_TARGET, JOINT_TARGET, CELL_TARGET), 1,
+        "a reading drifts by size per second [rad/s, N/s]"),
+    "scale": FaultKind((ENCODER_TARGET,), 1.5, "a reading changes by size times the true change"),
+    "old": FaultKind((CELL_TARGET,), 16, "a reading is stale by size samples with a fresh counter"),
+    "replay": FaultKind((NODE_TARGET,), 16, "a node sends the frames of size answers ago"),
+    "noise": FaultKind((ENCODER_TARGET, JOINT_TARGET, CELL_TARGET), 1,
+        "a reading has noise of standard deviation size [rad, N]"),
+    "saturate": FaultKind((CELL_TARGET,), 1, "a load cell is saturated at its upper (size > 0) or lower limit"),
+    "snap": FaultKind((TENDON_TARGET,), 0, "a tendon breaks"),
+    "slack": FaultKind((TENDON_TARGET,), 2, "a tendon is longer by size [mm]"),
+    "friction": FaultKind((TENDON_TARGET,), 3, "a motor has additional Coulomb friction of size [N] at its tendon"),
+    "block": FaultKind((DIGIT_TARGET,), 0, "a digit is blocked"),
+}  # fmt: skip
+"""All kinds of fault by name."""
+SIZE_RANGES = {
+    "delay": (0.0, 1e5), "corrupt": (1.0, 512.0), "shorten": (1.0, 64.0), "slow": (2.0, 1e6),
+    "error": (0.0, 2.0**32 - 1), "hot": (-40.0, 1000.0), "disobey": (-10.0, 10.0), "runaway": (-4.0, 4.0),
+    "forget": (0.0, 50.0), "ripple": (0.0, 50.0), "late": (0.0, 1e3),
+    "scale": (-10.0, 10.0), "old": (1.0, 1000.0), "replay": (1.0, 1000.0),
+    "flood": (1.0, 1000.0), "unknown": (1.0, 1000.0), "noise": (0.0, 1e6), "slack": (0.0, 1000.0),
+    "friction": (0.0, 1e4),
+}  # fmt: skip
+"""Allowed sizes of faults by kind. Kinds without an entry have ``DEFAULT_SIZE_RANGE``."""
+TWO_MOTOR_KINDS = ("swap", "cross")
+"""Kinds of fault that act on two motors. Their text names the second motor, ``with=NAME``."""
+DEFAULT_SIZE_RANGE = (-1e6, 1e6)
+"""Allowed sizes of a fault whose kind has no entry in ``SIZE_RANGES``."""
+DRIVE_KINDS = ("reset", "error", "watchdog", "voltage", "hot", "disobey", "runaway", "hold_on", "foreign", "forget",
+             "ripple", "late", "swap", "cross")  # fmt: skip
+"""Kinds of fault that only drives can have.
+
+The sensor node has no power stage and receives only SYNC from the host.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """The data of a fault, as parsed from the text.
+
+    Attributes:
+        kind: key of ``FAULT_KINDS``.
+        component: type of the target component.
+        instance: name of the target component.
+        start_ns: start of the fault [ns].
+        duration_ns: duration of the fault [ns].
+        size: size of the fault, with the meaning and unit defined by the kind.
+        p: probability with which the fault hits a frame.
+        seed: seed of the random numbers of the fault.
+        hz: frequency of the torque in a fault of kind ``ripple`` [Hz].
+        text: text from which the fault was parsed.
+        other: second motor of a fault that acts on two motors, otherwise empty.
+    """
+
+    kind: str
+    component: str
+    instance: str
+    start_ns: int
+    duration_ns: int
+    size: float
+    p: float
+    seed: int
+    hz: float
+    text: str
+    other: str = ""
+
+
+def parse_fault(text: str, hand: Hand, now_ns: int = 0) -> Fault:
+    """Parse the text of a fault.
+
+    Args:
+        text: ``KIND COMPONENT=INSTANCE [with=NAME] [size=X] [p=X] [hz=X] [at=TIME] [for=TIME]
+            [seed=N]``.
+        hand: hand in which the fault will act.
+        now_ns: time from which the time after ``at`` counts [ns].
+
+    Raises:
+        SimulatorError: the text cannot be parsed, or this hand cannot have the fault.
+    """
+    kind, *pairs = text.split() or [""]
+    if kind not in FAULT_KINDS:
+        raise SimulatorError(
+            f"fault {text!r}: no such kind {kind!r}; expected one of {', '.join(FAULT_KINDS)}"
+        )
+    given = {}
+    for pair in pairs:
+        key, equals, value = pair.partition("=")
+        if not equals or not value or key in given:
+            raise SimulatorError(f"fault {text!r}: {pair!r} is not a new KEY=VALUE")
+        given[key] = value
+    component = _target_component(text, kind, given)
+    instance = _target_instance(
+        text, instances_of_component(component, hand, kind), component, given.pop(component), hand
+    )
+    fault = Fault(
+        kind=kind,
+        component=component,
+        instance=instance,
+        size=_number_from_text(
+            text,
+            "size",
+            given.pop("size", str(FAULT_KINDS[kind].size)),
+            *SIZE_RANGES.get(kind, DEFAULT_SIZE_RANGE),
+        ),
+        p=_number_from_text(text, "p", given.pop("p", "1"), 0.0, 1.0),
+        start_ns=now_ns + _time_from_text(text, "at", given.pop("at", "0s")),
+        duration_ns=_time_from_text(text, "for", given.pop("for"))
+        if "for" in given
+        else FOREVER_NS,
+        seed=int(_number_from_text(text, "seed", given.pop("seed", "0"), 0, 1e9)),
+        hz=_number_from_text(text, "hz", given.pop("hz", "25"), 0.0, 1e4),
+        text=text,
+        other=_second_motor(text, kind, instance, given, hand),
+    )
+    if given:
+        raise SimulatorError(
+            f"fault {text!r}: unknown {next(iter(given))!r}; expected size, p, hz, at, for or seed"
+        )
+    return fault
+
+
+def _target_component(text: str, kind: str, options: dict[str, str]) -> str:
+    """Return the type of the fault's target component."""
+    components = [
+        key
+        for key in options
+        if key
+        in (
+            NODE_TARGET,
+            BUS_TARGET,
+            ENCODER_TARGET,
+            JOINT_TARGET,
+            CELL_TARGET,
+            TENDON_TARGET,
+            DIGIT_TARGET,
+        )
+    ]
+    allowed = FAULT_KINDS[kind].components
+    if len(components) != 1 or components[0] not in allowed:
+        raise SimulatorError(
+            f"fault {text!r}: {kind} needs {' or '.join(f'{name}=NAME' for name in allowed)}"
+        )
+    return components[0]
+
+
+def _second_motor(
+    text: str, kind: str, first_motor: str, options: dict[str, str], hand: Hand
+) -> str:
+    """Return the second motor of a fault that acts on two motors, otherwise an empty string."""
+    if kind not in TWO_MOTOR_KINDS:
+        return ""
+    if "with" not in options:
+        raise SimulatorError(f"fault {text!r}: {kind} needs with=NAME, the other motor")
+    other = _target_instance(
+        text,
+        instances_of_component(NODE_TARGET, hand, kind),
+        NODE_TARGET,
+        options.pop("with"),
+        hand,
+    )
+    if other == first_motor:
+        raise SimulatorError(f"fault {text!r}: {kind} needs two motors, not {first_motor!r} twice")
+    return other
+
+
+def instances_of_component(component: str, hand: Hand, kind: str = "") -> list[str]:
+    """List the names of all components of one type in a hand.
+
+    Args:
+        component: NODE, BUS, ENCODER, JOINT, CELL, TENDON or DIGIT.
+        hand: hand whose components are listed.
+        kind: kind of fault possible for the components, empty for any kind.
+    """
+    motors = [motor.name for motor in hand.motors]
+    return {
+        NODE_TARGET: [*motors, SENSOR_NODE_NAME]
+        if hand.sensors and kind not in DRIVE_KINDS
+        else motors,
+        BUS_TARGET: hand.buses,
+        ENCODER_TARGET: motors,
+        JOINT_TARGET: hand.sensors.joints if hand.sensors else [],
+        CELL_TARGET: hand.sensors.tendons if hand.sensors else [],
+        TENDON_TARGET: [tendon.name for tendon in hand.every_tendon],
+        DIGIT_TARGET: [digit.name for digit in hand.digits],
+    }[component]
+
+
+def _target_instance(text: str, names: list[str], component: str, name: str, hand: Hand) -> str:
+    """Return the name of a component. A motor may also be given by its node number."""
+    if component in (NODE_TARGET, ENCODER_TARGET):
+        numbers = {str(motor.node_id): motor.name for motor in hand.motors}
+        name = numbers.get(name, name)
+    if name not in names:
+        raise SimulatorError(
+            f"fault {text!r}: no {component} {name!r}; expected one of {', '.join(names) or 'none'}"
+        )
+    return name
+
+
+def _number_from_text(text: str, key: str, value_text: str, low: float, high: float) -> float:
+    """Parse a number that must lie in a range."""
+    try:
+        value = float(int(value_text, 0)) if value_text.startswith("0x") else float(value_text)
+    except ValueError:
+        value = math.nan
+    if not low <= value <= high:
+        raise SimulatorError(
+            f"fault {text!r}: {key}={value_text}: expected a number from {low:g} to {high:g}"
+        )
+    return value
+
+
+def _time_from_text(text: str, key: str, value_text: str) -> int:
+    """Parse a time with a unit, and return the time [ns]."""
+    unit = next((unit for unit in _TIME_UNITS_NS if value_text.endswith(unit)), "")
+    if not unit:
+        raise SimulatorError(
+            f"fault {text!r}: {key}={value_text}: expected a time with its unit, as in 3s or 200ms"
+        )
+    return round(
+        _number_from_text(text, key, value_text.removesuffix(unit), 0.0, 1e9) * _TIME_UNITS_NS[unit]
+    )

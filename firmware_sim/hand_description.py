@@ -1,0 +1,626 @@
+"""The simulator's description of a hand, read from the hand file.
+
+Reading needs only Python's standard library.
+"""
+
+import importlib.util
+import math
+import re
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+PER_LINK_KEYS = (
+    "link_com_m",
+    "link_mass_kg",
+    "link_inertia_kg_m2",
+    "joint_min_deg",
+    "joint_max_deg",
+    "joint_damping_N_m_s_per_rad",
+    "joint_armature_kg_m2",
+    "spring_stiffness_N_m_per_rad",
+    "spring_preload_rad",
+)
+"""Keys of a digit whose value is a list with one value for each link.
+
+In hand files of schema 2, a single number stands for equal values of all links.
+"""
+
+
+POWER_COUNT = 6
+"""Number of polynomial coefficients of a moment arm that depends on the joint angle."""
+TABLE_POWERS = 4
+"""Maximum number of polynomial coefficients that are fitted to a table of moment arms."""
+
+
+class SimulatorError(ValueError):
+    """An error that the user of the simulator can correct. The message has a single line."""
+
+
+@dataclass(frozen=True, slots=True)
+class Digit:
+    """One finger or thumb. Tuples have one entry for each joint.
+
+    Attributes:
+        name: name of the digit.
+        carrier: name of the digit whose last link carries this digit, empty for a digit on the
+            palm.
+        position: position of the first hinge in the palm frame, or in the frame of the carrier's
+            last link [m].
+        rpy_deg: extrinsic roll, pitch and yaw of the digit's mount in the same frame [deg].
+        length: length of each link [m], 0 where the axes of two joints meet.
+        axis: axis of each joint in the link's frame.
+        joint_rpy_deg: extrinsic roll, pitch and yaw of each link's frame at joint angle zero, in
+            the frame of the previous link [deg]. The first link is turned in the frame of the
+            mount.
+        com: centre of mass of each link: x, y, z in the link's frame [m].
+        mass: mass of each link [kg].
+        inertia: inertia of each link about its centre of mass: xx, yy, zz, xy, xz, yz in the link's
+            frame [kg m2].
+        radius: radius of the links of this digit [m].
+        joint_min_deg: angle of the lower stop of each joint [deg].
+        joint_max_deg: angle of the upper stop of each joint [deg].
+        damping: viscous damping of each joint [N m s/rad].
+        armature: inertia that is added at each joint axis [kg m2].
+        spring: stiffness of the return spring of each joint [N m/rad].
+        preload: preload angle of the return spring of each joint [rad].
+    """
+
+    name: str
+    carrier: str
+    position: tuple[float, float, float]
+    rpy_deg: tuple[float, float, float]
+    length: tuple[float, ...]
+    axis: tuple[tuple[float, ...], ...]
+    joint_rpy_deg: tuple[tuple[float, ...], ...]
+    com: tuple[tuple[float, ...], ...]
+    mass: tuple[float, ...]
+    inertia: tuple[tuple[float, ...], ...]
+    radius: float
+    joint_min_deg: tuple[float, ...]
+    joint_max_deg: tuple[float, ...]
+    damping: tuple[float, ...]
+    armature: tuple[float, ...]
+    spring: tuple[float, ...]
+    preload: tuple[float, ...]
+
+    @property
+    def joints(self) -> list[str]:
+        """Return the names of the digit's joints, from the palm outwards."""
+        return [f"{self.name}_j{i + 1}" for i in range(len(self.length))]
+
+
+@dataclass(frozen=True, slots=True)
+class LinkMesh:
+    """A mesh that stands for a link or for the palm in pictures of the hand.
+
+    Attributes:
+        link: name of the link, ``palm`` for the palm.
+        file: path of the mesh file.
+        scale: factors from the unit of the mesh file to metres, for x, y, z.
+        position: position of the mesh in the link's frame [m].
+        rpy_deg: extrinsic roll, pitch and yaw of the mesh in the link's frame [deg].
+    """
+
+    link: str
+    file: str
+    scale: tuple[float, ...]
+    position: tuple[float, ...]
+    rpy_deg: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ArmCurve:
+    """Moment arm of a tendon at a joint, as a function of the joint angle.
+
+    At angles beyond the limits of the joint, the moment arm is constant.
+
+    Attributes:
+        low: smallest joint angle [rad].
+        high: largest joint angle [rad].
+        powers: ``POWER_COUNT`` coefficients of the polynomial that gives the arm [m] from the angle
+            [rad]. The constant comes first.
+    """
+
+    low: float
+    high: float
+    powers: tuple[float, ...]
+
+    @property
+    def opposite(self) -> "ArmCurve":
+        """Return the moment arm of a tendon on the other side of the joint: the same arm with the other sign."""
+        return replace(self, powers=tuple(-power for power in self.powers))
+
+    @property
+    def mean(self) -> float:
+        """Return the mean moment arm over the range of the joint [m]."""
+        area = 0.0
+        for i, power in enumerate(self.powers, 1):
+            area += power * (self.high**i - self.low**i) / i
+        return area / (self.high - self.low)
+
+
+@dataclass(frozen=True, slots=True)
+class TendonSpec:
+    """One tendon of a hand: routing, elasticity and friction.
+
+    Attributes:
+        name: name of the tendon.
+        motor: name of the motor that winds the tendon.
+        arms: moment arm of the tendon by joint name [m]. If the arm depends on the joint angle,
+            this is the mean.
+        curves: moment arms of the tendon that depend on the joint angle, by joint name.
+        stiffness: stiffness of the tendon at tensions below the knee [N/m].
+        damping: viscous damping of the tendon [N s/m].
+        knee: highest tension at which the tendon is linear [N].
+        after_knee_ratio: stiffness at tensions far above the knee, divided by ``stiffness``.
+        knee_width: width of the transition at the knee, as an elongation of the tendon [m].
+        friction: friction coefficient of the tendon in its guides, for the capstan equation.
+        wrap: wrap angle of the tendon before the first joint [rad].
+        pretension: tension at rest in both tendons of a spool pair [N], 0 for a single tendon.
+        winding: 1 if a positive spool angle winds the tendon, -1 if it pays the tendon out.
+    """
+
+    name: str
+    motor: str
+    arms: dict[str, float]
+    stiffness: float
+    damping: float
+    knee: float
+    after_knee_ratio: float
+    knee_width: float
+    friction: float
+    wrap: float
+    pretension: float = 0.0
+    winding: int = 1
+    curves: dict[str, ArmCurve] = field(default_factory=dict)
+
+    @property
+    def antagonist(self) -> "TendonSpec":
+        """Return the second tendon of a spool pair: a tendon with opposite winding and opposite moment arms."""
+        arms = {joint: -arm for joint, arm in self.arms.items()}
+        curves = {joint: curve.opposite for joint, curve in self.curves.items()}
+        name = f"{self.name}_antagonist"
+        return replace(self, name=name, arms=arms, curves=curves, winding=-self.winding)
+
+
+@dataclass(frozen=True, slots=True)
+class MotorSpec:
+    """One motor of a hand. All quantities are given at the spool.
+
+    Attributes:
+        name: name of the motor.
+        protocol: CAN protocol of the motor's drive.
+        bus: name of the bus of the drive.
+        node_id: node number of the drive on the bus.
+        spool_radius: radius of the spool [m].
+        inertia: moment of inertia of the rotor [kg m2].
+        viscous: viscous friction of the motor [N m s/rad].
+        coulomb: Coulomb friction of the motor [N m].
+        torque_constant: torque of the motor per current [N m/A].
+        torque_max: torque limit of the motor in continuous operation [N m].
+        torque_peak: torque limit of the motor for a short time [N m].
+        position_range: largest position in frames of the drive [rad].
+        velocity_range: largest velocity in frames of the drive [rad/s].
+        direction: +1 or -1, the sign of the motor angle when the spool angle is positive.
+        zero: encoder angle of the homed hand at which the spool angle theta is 0 [rad].
+        options: options of the drive's protocol.
+        serial: serial number of the drive. If it is None, the drive has the default number of the
+            protocol.
+        torque_gain: true torque divided by the torque that the drive derives from its current. 1
+            unless the plant is perturbed.
+        top_speed: speed of the motor without load at the supply voltage [rad/s], 0 for a motor
+            without a speed limit.
+        stall_torque: torque of the motor at standstill if only the supply voltage limited the
+            current [N m].
+    """
+
+    name: str
+    protocol: str
+    bus: str
+    node_id: int
+    spool_radius: float
+    inertia: float
+    viscous: float
+    coulomb: float
+    torque_constant: float
+    torque_max: float
+    torque_peak: float
+    position_range: float
+    velocity_range: float
+    direction: int
+    zero: float
+    options: dict[str, Any]
+    serial: int | None = None
+    torque_gain: float = 1.0
+    top_speed: float = 0.0
+    stall_torque: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class SensorSpec:
+    """The sensor node of a hand, which sends tensions and joint angles.
+
+    Attributes:
+        bus: name of the bus of the sensor node.
+        sync_id: identifier of the SYNC frame to which the node answers.
+        base_id: identifier of the first frame with tensions.
+        tendons: name of the tendon of each load cell.
+        joints: name of the joint of each joint encoder.
+        joint_decimation: number of SYNC frames for each frame with joint angles.
+        tension_noise: standard deviation of the noise of a measured tension [N].
+        bias_drift: standard deviation of the random drift of a load cell after 100 s [N].
+        joint_noise: standard deviation of the noise of a measured joint angle [rad].
+        tension_bias: constant error of every load cell [N], 0 unless the plant is perturbed.
+        node_ids: node number of each CiA 404 amplifier, empty for the sensor node of handctl.
+        channels_per_node: number of channels of each CiA 404 amplifier.
+        full_range: rated load of the load cells that are connected to CiA 404 amplifiers [N].
+    """
+
+    bus: str
+    sync_id: int
+    base_id: int
+    tendons: list[str]
+    joints: list[str]
+    joint_decimation: int
+    tension_noise: float
+    bias_drift: float
+    joint_noise: float
+    tension_bias: float = 0.0
+    node_ids: tuple[int, ...] = ()
+    channels_per_node: int = 1
+    full_range: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Hand:
+    """The description of a whole hand.
+
+    Attributes:
+        name: name of the hand.
+        gravity: acceleration of gravity in the palm frame [m/s2].
+        buses: names of the CAN buses of the hand.
+        bitrates: nominal bit rate and data bit rate of each bus [bit/s]. The data bit rate is 0
+            without CAN FD.
+        digits: all digits of the hand.
+        tendons: all tendons of the hand, but of each spool pair only the first tendon.
+        motors: all motors of the hand.
+        sensors: sensor node of the hand, None for a hand without one.
+        meshes: meshes of the links and of the palm, for pictures. The plant does not use the
+            meshes, and the comparison of hands ignores them.
+    """
+
+    name: str
+    gravity: tuple[float, float, float]
+    buses: list[str]
+    bitrates: list[tuple[int, int]]
+    digits: list[Digit]
+    tendons: list[TendonSpec]
+    motors: list[MotorSpec]
+    sensors: SensorSpec | None
+    meshes: tuple[LinkMesh, ...] = field(default=(), compare=False)
+
+    def carried_by(self, carrier: str) -> list[Digit]:
+        """Return the digits mounted on the last link of the digit ``carrier``.
+
+        An empty name stands for the palm.
+        """
+        return [digit for digit in self.digits if digit.carrier == carrier]
+
+    @property
+    def pairs(self) -> list[TendonSpec]:
+        """Return the first tendon of each spool pair."""
+        return [tendon for tendon in self.tendons if tendon.pretension]
+
+    @property
+    def every_tendon(self) -> list[TendonSpec]:
+        """Return all tendons: first those of ``tendons``, then the second tendon of each spool pair."""
+        return [*self.tendons, *(tendon.antagonist for tendon in self.pairs)]
+
+    @property
+    def closing(self) -> list[Digit]:
+        """Return the digits that close on an object: those that carry no other digit."""
+        return [digit for digit in self.digits if not self.carried_by(digit.name)]
+
+    @property
+    def joints(self) -> list[str]:
+        """Return the names of all joints of the hand, digit by digit."""
+        return [joint for digit in self.digits for joint in digit.joints]
+
+
+def find_hand(name_or_path: str) -> Path:
+    """Find the file of a hand.
+
+    Args:
+        name_or_path: name of a packaged hand, or path of a .toml file.
+
+    Raises:
+        SimulatorError: the file does not exist.
+    """
+    path = Path(name_or_path)
+    if path.suffix != ".toml":
+        spec = importlib.util.find_spec("handctl")
+        roots = list(spec.submodule_search_locations or []) if spec else []
+        candidates = [Path(root) / "hand" / "hands" / f"{name_or_path}.toml" for root in roots]
+        path = next((candidate for candidate in candidates if candidate.is_file()), path)
+    if not path.is_file():
+        raise SimulatorError(
+            f"no such hand: {name_or_path}; expected a packaged name such as jamia or a .toml file"
+        )
+    return path
+
+
+def load_hand(name_or_path: str) -> Hand:
+    """Load a hand file.
+
+    Raises:
+        SimulatorError: the hand file is missing, is not TOML, or lacks a key.
+    """
+    path = find_hand(name_or_path)
+    try:
+        return _parse_hand(_resolved_file(tomllib.loads(path.read_text("utf-8"))), path.parent)
+    except OSError as error:
+        raise SimulatorError(f"{path}: cannot be read: {error.strerror}") from error
+    except (ValueError, RecursionError) as error:  # A number is too long, or the file is not UTF-8.
+        raise SimulatorError(f"{path}: not TOML: {error}") from error
+    except (KeyError, TypeError, AttributeError) as error:
+        raise SimulatorError(
+            f"{path}: not a complete hand: missing or wrong key {error}"
+        ) from error
+
+
+def _resolved_file(content: dict[str, Any]) -> dict[str, Any]:
+    """Return the content of a hand file of schema 2, in which values replace the defaults and templates."""
+    if content.get("schema") != 2:
+        return content
+    sections: dict[str, list[dict[str, Any]]] = {"digit": [], "tendon": [], "motor": []}
+    for given in content["digit"]:
+        digit = _with_template(content, "digit", given)
+        name, links = digit["name"], len(digit["link_length_m"])
+        motors = digit.pop("motor", {})
+        for short, motor in motors.items():
+            sections["motor"].append(
+                _with_template(content, "motor", motor) | {"name": f"{name}_{short}"}
+            )
+        for short, entry in digit.pop("tendon", {}).items():
+            tendon = _with_template(content, "tendon", entry) | {"name": f"{name}_{short}"}
+            if tendon["motor"] in motors:
+                tendon["motor"] = f"{name}_{tendon['motor']}"
+            arms = tendon["moment_arm_m"].items()
+            tendon["moment_arm_m"] = {
+                f"{name}_{j}" if re.fullmatch("j[0-9]+", j) else j: arm for j, arm in arms
+            }
+            sections["tendon"].append(tendon)
+        listed = {
+            key: [digit[key]] * links
+            for key in (*PER_LINK_KEYS, "link_mesh_scale")
+            if isinstance(digit.get(key), int | float)
+        }
+        sections["digit"].append(digit | listed)
+    for kind in ("tendon", "motor"):
+        sections[kind] += [_with_template(content, kind, entry) for entry in content.get(kind, [])]
+    node = dict(content["sensor_node"]) if "sensor_node" in content else {}
+    if node.get("tendons") == "all":
+        node["tendons"] = [tendon["name"] for tendon in sections["tendon"]]
+    if node.get("joints") == "all":
+        digits = sections["digit"]
+        node["joints"] = [
+            f"{one['name']}_j{i + 1}" for one in digits for i in range(len(one["link_length_m"]))
+        ]
+    return content | sections | {"sensor_node": node}
+
+
+def _with_template(content: dict[str, Any], kind: str, section: dict[str, Any]) -> dict[str, Any]:
+    """Return an entry with missing keys filled from the template, then from the defaults of the entry's kind."""
+    default = content.get("default", {}).get(kind, {})
+    template = content[f"{kind}_template"][section["template"]] if "template" in section else {}
+    return _merged_tables(_merged_tables(default, template), section)
+
+
+def _merged_tables(base: dict[str, Any], override: dict[str, Any]) -> dict[str, Any]:
+    """Return two tables merged key by key. Where both have a value, ``override`` decides."""
+    tables = {key: _merged_tables(base[key], value) for key, value in override.items()
+              if isinstance(value, dict) and isinstance(base.get(key), dict)}  # fmt: skip
+    return base | override | tables
+
+
+def _parse_hand(content: dict[str, Any], folder: Path) -> Hand:
+    sensors = content.get("sensor_node")
+    return Hand(
+        name=content["name"],
+        gravity=tuple(content["mount"]["gravity_m_s2"]),
+        buses=[bus["name"] for bus in content["bus"]],
+        bitrates=[(bus["bitrate"], bus.get("data_bitrate") or 0) for bus in content["bus"]],
+        digits=[_parse_digit(digit) for digit in content["digit"]],
+        tendons=[_parse_tendon(tendon, _joint_ranges(content)) for tendon in content["tendon"]],
+        motors=[_parse_motor(motor) for motor in content["motor"]],
+        sensors=_parse_sensors(sensors)
+        if sensors and (sensors["tendons"] or sensors.get("joints"))
+        else None,
+        meshes=tuple(_parse_meshes(content, folder)),
+    )
+
+
+def _parse_meshes(content: dict[str, Any], folder: Path) -> Iterator[LinkMesh]:
+    """Yield the meshes of a hand.
+
+    Relative paths of mesh files start at the folder of the hand file.
+    """
+    mount = content["mount"]
+    pose_keys = ("scale", "position_m", "rpy_deg")
+    if mount.get("palm_mesh"):
+        pose = [mount.get(f"palm_mesh_{key}") for key in pose_keys]
+        yield _make_mesh("palm", folder / mount["palm_mesh"], *pose)
+    for digit in content["digit"]:
+        count = len(digit["link_length_m"])
+        poses = [digit.get(f"link_mesh_{key}") or [None] * count for key in pose_keys]
+        for i, file in enumerate(digit.get("link_mesh") or ()):
+            if file:
+                pose = [values[i] for values in poses]
+                yield _make_mesh(f"{digit['name']}_link{i + 1}", folder / file, *pose)
+
+
+def _make_mesh(link: str, file: Path, scale: Any, position: Any, rpy_deg: Any) -> LinkMesh:
+    """Return a mesh. An argument of None stands for no scaling, no shift or no rotation."""
+    factors = scale if isinstance(scale, list) else [1.0 if scale is None else scale] * 3
+    return LinkMesh(
+        link=link,
+        file=str(file.absolute()),
+        scale=tuple(factors),
+        position=tuple(position or (0.0, 0.0, 0.0)),
+        rpy_deg=tuple(rpy_deg or (0.0, 0.0, 0.0)),
+    )
+
+
+def _parse_digit(section: dict[str, Any]) -> Digit:
+    count = len(section["link_length_m"])
+    no_springs = [0.0] * count
+    for key in (*PER_LINK_KEYS, "joint_axis", "joint_rpy_deg"):
+        if key in section and len(section[key]) != count:
+            what = f"digit {section['name']}: {key} has {len(section[key])} values"
+            raise SimulatorError(f"{what}; expected {count}, one per link")
+    return Digit(
+        name=section["name"],
+        carrier=section.get("mount_on", ""),
+        position=tuple(section["mount_position_m"]),
+        rpy_deg=tuple(section["mount_rpy_deg"]),
+        length=tuple(section["link_length_m"]),
+        axis=tuple(map(tuple, section.get("joint_axis", [(0.0, 0.0, 1.0)] * count))),
+        joint_rpy_deg=tuple(map(tuple, section.get("joint_rpy_deg", [(0.0, 0.0, 0.0)] * count))),
+        com=tuple(
+            (com, 0.0, 0.0) if isinstance(com, int | float) else tuple(com)
+            for com in section["link_com_m"]
+        ),
+        mass=tuple(section["link_mass_kg"]),
+        inertia=tuple(_link_inertia(section, i) for i in range(count)),
+        radius=section["link_radius_m"],
+        joint_min_deg=tuple(section["joint_min_deg"]),
+        joint_max_deg=tuple(section["joint_max_deg"]),
+        damping=tuple(section["joint_damping_N_m_s_per_rad"]),
+        armature=tuple(section["joint_armature_kg_m2"]),
+        spring=tuple(section.get("spring_stiffness_N_m_per_rad", no_springs)),
+        preload=tuple(section.get("spring_preload_rad", no_springs)),
+    )
+
+
+def _link_inertia(section: dict[str, Any], i: int) -> tuple[float, ...]:
+    """Return the six inertia values of link ``i`` of a digit.
+
+    If the file has a single number, it is the moment of inertia of a round bar about y and z.
+    """
+    value = section["link_inertia_kg_m2"][i]
+    if isinstance(value, int | float):
+        # No principal moment of inertia of a body exceeds the sum of the other two.
+        along = min(section["link_mass_kg"][i] * section["link_radius_m"] ** 2 / 2, 2 * value)
+        return (along, value, value, 0.0, 0.0, 0.0)
+    return tuple(value) if len(value) == 6 else (*value, 0.0, 0.0, 0.0)
+
+
+def _joint_ranges(section: dict[str, Any]) -> dict[str, tuple[float, float]]:
+    """Return the lower and upper limit of each joint by joint name [rad]."""
+    return {
+        f"{digit['name']}_j{i + 1}": (math.radians(low), math.radians(high))
+        for digit in section["digit"]
+        for i, low in enumerate(digit["joint_min_deg"])
+        for high in digit["joint_max_deg"][i : i + 1]
+    }
+
+
+def _parse_arm_curve(section: dict[str, list[float]], limits: tuple[float, float]) -> ArmCurve:
+    """Return a moment arm that depends on the joint angle.
+
+    A table of arms is replaced by a least-squares polynomial.
+
+    Args:
+        section: entry of the hand file with ``polynomial_m``, or with ``angle_deg`` and ``arm_m``.
+        limits: limits of the joint [rad].
+    """
+    powers = section.get("polynomial_m")
+    if powers is None:
+        powers = _fit_polynomial(
+            [math.radians(angle) for angle in section["angle_deg"]], section["arm_m"]
+        )
+    return ArmCurve(*limits, (*powers, *(0.0,) * (POWER_COUNT - len(powers))))
+
+
+def _fit_polynomial(angles: list[float], arms: list[float]) -> list[float]:
+    """Fit a polynomial to a table of moment arms by least squares (normal equations), and return its coefficients."""
+    count = min(TABLE_POWERS, len(angles))
+    rows = [
+        [math.fsum(angle ** (i + j) for angle in angles) for j in range(count)]
+        + [math.fsum(arm * angle**i for angle, arm in zip(angles, arms, strict=True))]
+        for i in range(count)
+    ]
+    for k in range(count):
+        # The matrix is symmetric and positive definite, so elimination needs no exchange of rows.
+        rows[k] = [value / rows[k][k] for value in rows[k]]
+        for i in range(count):
+            if i != k:
+                factor = rows[i][k]
+                rows[i] = [
+                    value - factor * above for value, above in zip(rows[i], rows[k], strict=True)
+                ]
+    return [row[count] for row in rows]
+
+
+def _parse_tendon(section: dict[str, Any], ranges: dict[str, tuple[float, float]]) -> TendonSpec:
+    given = section["moment_arm_m"]
+    curves = {
+        joint: _parse_arm_curve(arm, ranges.get(joint, (0.0, 1.0)))
+        for joint, arm in given.items()
+        if isinstance(arm, dict)
+    }
+    return TendonSpec(
+        name=section["name"],
+        motor=section["motor"],
+        arms=given | {joint: curve.mean for joint, curve in curves.items()},
+        curves=curves,
+        stiffness=section["stiffness_N_per_m"],
+        damping=section["damping_N_s_per_m"],
+        knee=section["knee_N"],
+        after_knee_ratio=section["stiffness_beyond_ratio"],
+        knee_width=section["knee_width_m"],
+        friction=section["friction_coefficient"],
+        wrap=section["wrap_angle_rad"],
+        pretension=section.get("pretension_N", 0.0),
+    )
+
+
+def _parse_motor(section: dict[str, Any]) -> MotorSpec:
+    return MotorSpec(
+        name=section["name"],
+        protocol=section["protocol"],
+        bus=section["bus"],
+        node_id=section["node_id"],
+        spool_radius=section["spool_radius_m"],
+        inertia=section["inertia_kg_m2"],
+        viscous=section["viscous_N_m_s_per_rad"],
+        coulomb=section["coulomb_N_m"],
+        torque_constant=section["torque_constant_N_m_per_A"],
+        torque_max=section["torque_max_N_m"],
+        torque_peak=section["torque_peak_N_m"],
+        position_range=section["position_range_rad"],
+        velocity_range=section["velocity_range_rad_s"],
+        direction=section["direction"],
+        zero=section["zero_rad"],
+        options=dict(section.get("options", {})),
+    )
+
+
+def _parse_sensors(section: dict[str, Any]) -> SensorSpec:
+    return SensorSpec(
+        bus=section["bus"],
+        sync_id=section.get("sync_id", 0x080),
+        base_id=section.get("base_id", 0x1A0),
+        tendons=list(section["tendons"]),
+        joints=list(section.get("joints", ())),
+        joint_decimation=section.get("joint_decimation", 1),
+        tension_noise=section["tension_noise_N"],
+        bias_drift=section["tension_bias_drift_N"],
+        joint_noise=section.get("joint_noise_rad", 1e-3),
+        node_ids=tuple(section["node_ids"]) if section.get("protocol") == "cia404" else (),
+        channels_per_node=section.get("channels_per_node", 1),
+        full_range=section["range_N"] if section.get("protocol") == "cia404" else 0.0,
+    )

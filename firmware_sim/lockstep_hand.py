@@ -1,0 +1,146 @@
+"""The simulator in lockstep: its clock advances only by the ticks of the caller."""
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from firmware_sim.bus.frame import Frame
+from firmware_sim.bus.frame_records import to_frames, to_records
+from firmware_sim.bus.timed_lockstep import TimedLockstep
+from firmware_sim.hand_description import load_hand
+from firmware_sim.plant.plant_perturbation import perturbed_hand
+from firmware_sim.scene.scene import load_scene
+from firmware_sim.serial_numbers import with_serial_numbers
+from firmware_sim.simulated_world import make_world
+from firmware_sim.truth_file import TruthWriter
+from firmware_sim.wire.wire_options import parse_wire_options
+
+
+class LockstepHand:
+    """A simulated hand in lockstep with a caller.
+
+    If the seeds and the frames are equal, the answers and the truth file are equal, byte for byte.
+
+    Attributes:
+        world: plant and nodes of the hand, for tests that need the true state.
+        wired: simulated wires of the buses, None without them.
+    """
+
+    def __init__(  # noqa: PLR0913 - a keyword for each thing that a test varies
+        self,
+        hand_path: str,
+        *,
+        scene: str | None = None,
+        seed: int = 0,
+        truth_path: str | None = None,
+        perturb: dict[str, float] | None = None,
+        period_ns: int = 2_000_000,
+        homed: bool = False,
+        wire: Sequence[str] | None = None,
+        serials: Sequence[str] = (),
+    ) -> None:
+        """Build the simulated hand.
+
+        Args:
+            hand_path: path of a hand file, or name of a packaged hand.
+            scene: packaged name, file or short form of a scene, such as ``cylinder:35``. None for a
+                hand without an object.
+            seed: seed of all random numbers: noise, initial slack and encoder offsets.
+            truth_path: path of the truth file, None to write no truth file.
+            perturb: factors that multiply plant parameters, see ``plant_perturbation.PERTURBATION_KEYS``.
+            period_ns: length of a tick [ns].
+            homed: True to start with taut tendons and with the encoders at ``zero_rad`` of the hand
+                file.
+            wire: KEY=VALUE words of a simulated wire, see ``wire.wire_options``. None for answers that
+                all arrive within their tick.
+            serials: serial numbers of the drives, see ``serial_numbers.with_serial_numbers``.
+
+        Raises:
+            SimulatorError: the hand, the scene, a factor or a word of the wire is wrong.
+        """
+        hand = with_serial_numbers(perturbed_hand(load_hand(hand_path), perturb or {}), serials)
+        self.world = make_world(hand, load_scene(scene), seed, homed)
+        assert self.world.exchange
+        self._exchange = self.world.exchange
+        self._period_ns = period_ns
+        self.wired = None if wire is None else TimedLockstep(self.world, parse_wire_options(wire))
+        self._exchange.sends_unsolicited = self.wired is None
+        self._truth: TruthWriter | None = None
+        if truth_path is not None:
+            header = {**self.world.header("virtual"), "perturb": perturb or {}}
+            self._truth = TruthWriter(Path(truth_path), self.world.plant, header)
+            self.world.record(self._truth)
+
+    def exchange(self, t_ns: int, frames: Any) -> Any:
+        """Answer the host's frames of one tick, then advance the simulation to the next tick.
+
+        Args:
+            t_ns: start of the tick [ns], not before the previous tick.
+            frames: frames of the host as a contiguous array of ``frame_records.FRAME_DTYPE``. Their times are
+                ignored.
+
+        Returns:
+            The answers as an array of ``frame_records.FRAME_DTYPE``. On each bus, the times form a sequence
+            within the tick. With simulated wires, the array has the frames that have arrived by the
+            end of the tick, and error frames of the host's controllers.
+        """
+        end_ns = t_ns + self._period_ns
+        if self.wired:
+            return to_records(self.wired.step(t_ns, to_frames(frames), end_ns))
+        world = self.world
+        world.reach(t_ns)
+        answers, in_order = self._exchange.answer(frames, t_ns, self._period_ns - 1)
+        world.advance(end_ns, self._exchange.wake_ns)
+        unsolicited = world.take_unsolicited_records()
+        return (
+            answers
+            if in_order and not len(unsolicited)
+            else self._exchange.merged(answers, unsolicited)
+        )
+
+    def step(self, t_ns: int, frames: Iterable[tuple[Any, ...]]) -> list[Frame]:
+        """Answer the host's frames of one tick, given and returned as objects. See ``exchange``.
+
+        Args:
+            t_ns: start of the tick [ns], not before the previous tick.
+            frames: frames of the host as tuples of can_id, data, flags, bus and t_ns.
+        """
+        return to_frames(self.exchange(t_ns, to_records(frames)))
+
+    def inject(self, text: str) -> None:
+        """Start a fault, now or at a later time.
+
+        Args:
+            text: fault as text, see ``faults.fault_text``.
+
+        Raises:
+            SimulatorError: this hand cannot have the fault in the text.
+        """
+        self.world.faults.inject(text)
+
+    def fault_states(self) -> list[dict[str, object]]:
+        """List each fault injected so far, with state and number of effects."""
+        return self.world.faults.states()
+
+    def truth(self) -> dict[str, list[float]]:
+        """Return parts of the present true state, for tests: tensions [N] and commanded motor torques [N m]."""
+        motors = self.world.plant.motors.values()
+        return {
+            "tension": self.world.plant.tensions(),
+            "torque": [motor.servo.torque for motor in motors],
+        }
+
+    def close(self) -> None:
+        """Complete and close the truth file, if any."""
+        if self._truth is not None:
+            counts = {
+                "foreign_frames": self.world.foreign,
+                "malformed_frames": self.world.malformed,
+            }
+            self._truth.close(counts | ({"wire_load": self._loads()} if self.wired else {}))
+            self._truth = None
+
+    def _loads(self) -> list[float]:
+        """Return the occupied fraction of the elapsed time for each wire."""
+        assert self.wired
+        return [round(wire.load(0, max(1, self.world.t_ns)), 4) for wire in self.wired.wires]

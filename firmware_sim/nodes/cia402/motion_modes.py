@@ -1,0 +1,362 @@
+"""Position, velocity and homing modes of a CiA 402 drive.
+
+Source: fact sheet cia402 and CiA 402-2 (IEC 61800-7-201).
+
+    mode               targets                             control word            status word
+    1  profile position  0x607A, 0x6081, 0x6083, 0x6084    4 new set-point         10 target reached
+                                                           5 change immediately    12 set-point acknowledged
+                                                           6 relative, 8 halt      13 following error
+    6  homing            0x6098, 0x6099:2, 0x609A          4 start, 8 halt         10 target reached
+                                                                                   12 homing attained
+    8  cyclic position   0x607A + 0x60B0, 0x60B1, 0x60B2   -                       12 follows, 13 following error
+    9  cyclic velocity   0x60FF + 0x60B1, 0x60B2           -                       12 follows
+
+The units are count, 1/min, 1/min/s and thousandths of the rated torque, as in 0x6064, 0x606C and
+0x6071. Bit 11 of the status word is set while a position limit (0x607D) or the speed limit (0x6080)
+acts. A following error above 0x6065 for longer than 0x6066 causes fault 0x8611. With 0xFFFFFFFF in
+0x6065, no following error causes a fault.
+
+Choices of this simulation:
+
+- When the drive is enabled or changes its mode, 0x607A and the demand become the present position.
+  0x60FF is kept.
+- Cyclic positions are interpolated over the period in 0x60C2.
+- Profile position stores one set-point in addition to the active one.
+- After homing, the home position has the value of 0x607C. The methods 33 and 34 move to the next
+  index pulse. With 35 and 37 the present position is the home position.
+- The gains of the position and velocity controllers are assumed.
+"""
+
+import math
+from typing import Any
+
+from firmware_sim.nodes.cia402.kernels import TURN_RAD
+from firmware_sim.nodes.cia402.object_dictionary import OUT_OF_RANGE, SdoAbort
+from firmware_sim.nodes.motion_control import (
+    PERIOD_NS,
+    CascadeController,
+    MotionSetpoint,
+    assumed_gains,
+)
+
+PROFILE_POSITION = 1
+HOMING_MODE = 6
+CYCLIC_POSITION = 8
+CYCLIC_VELOCITY = 9
+"""Numbers of the modes of operation, as in object 0x6060."""
+MOTION_MODES = (PROFILE_POSITION, HOMING_MODE, CYCLIC_POSITION, CYCLIC_VELOCITY)
+FOLLOWING_ERROR = 0x8611
+"""Emergency code: following error."""
+TARGET_REACHED_BIT = 1 << 10
+INTERNAL_LIMIT_BIT = 1 << 11
+DRIVE_FOLLOWS_BIT = 1 << 12
+FOLLOWING_ERROR_BIT = 1 << 13
+"""Bits of the status word.
+
+FOLLOWS also stands for *set-point acknowledged* and *homing attained*.
+"""
+NEW_SETPOINT_BIT = 1 << 4
+CHANGE_IMMEDIATELY_BIT = 1 << 5
+RELATIVE_BIT = 1 << 6
+HALT_BIT = 1 << 8
+"""Bits of the control word. In homing mode, NEW_SETPOINT starts homing."""
+INDEX_NEGATIVE, INDEX_POSITIVE = 33, 34
+"""Homing methods that move to the next index pulse, in negative or positive direction."""
+HOMING_METHODS = (INDEX_NEGATIVE, INDEX_POSITIVE, 35, 37)
+"""All homing methods of the drive."""
+NO_WINDOW = 0xFFFFFFFF
+"""Value of the following error window that switches the supervision off."""
+POSITION_GAIN = 20.0
+"""Gain of the position controller [1/s]. An assumption."""
+
+
+def check_write(object_index: int, value: int) -> None:
+    """Check a value before it is written to an object.
+
+    Raises:
+        Abort: the value is a homing method that the drive does not have.
+    """
+    if object_index == 0x6098 and value not in HOMING_METHODS:
+        raise SdoAbort(OUT_OF_RANGE)
+
+
+class MotionModes:
+    """The motion modes of a drive: demand and controllers.
+
+    The demand is the shaft position in frames [count].
+    """
+
+    def __init__(self, node: Any) -> None:
+        """Use the objects and the rotor of a drive (``node.Cia402Node``)."""
+        self._node = node
+        self._demand = MotionSetpoint()
+        self._at_spool = MotionSetpoint()
+        self._cascade = CascadeController(node.motor)
+        self._mode = 0
+        self._updated_ns = self._late_ns = 0
+        self._target = 0.0
+        self._rest_s = 0.0
+        self._next: float | None = None
+        self._control = 0
+        self._bits = 0
+        self._attained = False
+        self._homing = False
+        self._acknowledged = False
+
+    @property
+    def running(self) -> bool:
+        """Return True if the drive is enabled in a motion mode."""
+        return self._mode != 0
+
+    def start(self, mode: int, t_ns: int) -> None:
+        """Enter a motion mode at the present position. A mode that is already active continues."""
+        if mode == self._mode:
+            return
+        node = self._node
+        self._mode = mode
+        self._updated_ns = self._late_ns = t_ns
+        self._control = node.objects[0x6040, 0]
+        self._cascade.integral = 0.0
+        self._next = None
+        self._attained = self._homing = self._acknowledged = False
+        self._rest_s = 0.0
+        self._bits = 0
+        self._demand.jump(self._position(), self._velocity() if mode == CYCLIC_VELOCITY else 0.0)
+        self._target = self._demand.position
+        node.objects[0x607A, 0] = round(self._target)
+        node.motion_due_ns = max(1, t_ns)
+        self.advance(t_ns)
+
+    def end(self) -> None:
+        """Leave the active motion mode, and clear the status bits of the mode."""
+        self._mode = 0
+        self._node.motion_due_ns = 0
+        self._node.mode_bits = -1
+
+    def take(self, object_index: int) -> None:
+        """Apply the new value of an object that a host has written."""
+        if object_index == 0x6040:
+            self._take_control(self._node.objects[0x6040, 0])
+        elif object_index == 0x607A and self._mode == CYCLIC_POSITION:
+            self._rest_s = self._node.objects[0x60C2, 1] * 10.0 ** self._node.objects[0x60C2, 2]
+
+    def _take_control(self, word: int) -> None:
+        """Apply the mode's bits of a control word.
+
+        Bit 4 starts a motion only on its rising edge.
+        """
+        edge = word & ~self._control & NEW_SETPOINT_BIT
+        self._control = word
+        if self._mode == HOMING_MODE:
+            if edge:
+                self._start_homing()
+            elif not word & NEW_SETPOINT_BIT:
+                self._homing = False
+            return
+        if self._mode != PROFILE_POSITION:
+            return
+        if not edge:
+            return
+        objects = self._node.objects
+        target = float(objects[0x607A, 0])
+        if word & RELATIVE_BIT:
+            target += self._target
+        if word & CHANGE_IMMEDIATELY_BIT or self._bits & TARGET_REACHED_BIT:
+            self._target = self._within_position_limits(target)
+            self._next = None
+        elif self._next is None:
+            self._next = target
+        self._acknowledged = True
+        # The bit *target reached* still belongs to the previous target.
+        self._bits &= ~TARGET_REACHED_BIT
+
+    def _start_homing(self) -> None:
+        """Start homing with the method in object 0x6098."""
+        node = self._node
+        self._homing = True
+        self._attained = False
+        self._bits &= ~(TARGET_REACHED_BIT | DRIVE_FOLLOWS_BIT)
+        method = node.objects[0x6098, 0]
+        self._target = self._position()
+        if method in (INDEX_NEGATIVE, INDEX_POSITIVE):
+            # The index pulse occurs at whole turns of the encoder, wherever the zero of the
+            # position is.
+            turn = node.counts
+            raw = self._position() - node.offset / TURN_RAD * turn
+            edge = math.floor(raw / turn) if method == INDEX_NEGATIVE else math.ceil(raw / turn)
+            self._target += edge * turn - raw
+        self._demand.jump(self._position())
+
+    def _finish_homing(self) -> None:
+        """Finish homing: shift the zero until the present position has the value of 0x607C."""
+        node = self._node
+        home = node.objects[0x607C, 0]
+        node.offset += (home - self._position()) / node.counts * TURN_RAD
+        self._demand.jump(home)
+        self._target = float(home)
+        self._attained = True
+
+    def advance(self, t_ns: int) -> None:
+        """Update the demand, the status bits and the servo if the update is due at the present time [ns]."""
+        node = self._node
+        if not self._mode or t_ns < node.motion_due_ns:
+            return
+        step_s = (t_ns - self._updated_ns) * 1e-9
+        self._updated_ns = t_ns
+        node.motion_due_ns = t_ns + PERIOD_NS
+        self._bits &= ~INTERNAL_LIMIT_BIT
+        if step_s:
+            self._generate_demand(step_s)
+        if self._check_following_error(t_ns):
+            return
+        self._regulate_servo(step_s)
+        node.mode_bits = self._status_bits()
+        node.objects[0x6062, 0] = round(self._demand.position)
+
+    def _generate_demand(self, step_s: float) -> None:
+        """Compute the next demand of the active mode."""
+        if self._mode == CYCLIC_VELOCITY:
+            self._demand.jump(self._position(), self._rate_of(0x60FF) + self._rate_of(0x60B1))
+        elif self._mode == CYCLIC_POSITION:
+            self._interpolate(step_s)
+        elif self._mode == HOMING_MODE:
+            self._approach_target(step_s, 0x6099, 2, 0x609A, 0x609A)
+            if self._homing and not self._attained and self._is_target_reached():
+                self._finish_homing()
+        else:
+            if self._approach_target(step_s, 0x6081, 0, 0x6083, 0x6084) and self._next is not None:
+                self._target = self._within_position_limits(self._next)
+                self._next = None
+
+    def _approach_target(
+        self,
+        step_s: float,
+        speed: int,
+        subindex: int,
+        acceleration_index: int,
+        deceleration_index: int,
+    ) -> bool:
+        """Move the demand towards the target with the speed and ramps in objects.
+
+        Return True at the target.
+        """
+        slope = max(1.0, self._counts_per_s(self._node.objects[deceleration_index, 0]))
+        if self._control & HALT_BIT:
+            self._demand.ramp(0.0, slope, slope, step_s)
+            return False
+        fastest = self._counts_per_s(
+            min(self._node.objects[speed, subindex], self._node.objects[0x6080, 0])
+        )
+        return self._demand.trapezoid(
+            self._target,
+            fastest,
+            max(1.0, self._counts_per_s(self._node.objects[acceleration_index, 0])),
+            slope,
+            step_s,
+        )
+
+    def _interpolate(self, step_s: float) -> None:
+        """Move the demand linearly, to reach the cyclic target at the end of the interpolation period."""
+        objects = self._node.objects
+        self._target = self._within_position_limits(float(objects[0x607A, 0] + objects[0x60B0, 0]))
+        part = step_s / self._rest_s if self._rest_s > step_s else 1.0
+        self._rest_s = max(0.0, self._rest_s - step_s)
+        change = part * (self._target - self._demand.position)
+        self._demand.jump(self._demand.position + change, change / step_s + self._rate_of(0x60B1))
+
+    def _within_position_limits(self, target: float) -> float:
+        """Return the target, clamped to the software position limits (object 0x607D)."""
+        objects = self._node.objects
+        inside = min(float(objects[0x607D, 2]), max(float(objects[0x607D, 1]), target))
+        if inside != target:
+            self._bits |= INTERNAL_LIMIT_BIT
+        return inside
+
+    def _check_following_error(self, t_ns: int) -> bool:
+        """Check the following error. Return True if the error has caused a fault."""
+        node = self._node
+        error = self._demand.position - self._position()
+        node.objects[0x60F4, 0] = round(error)
+        window = node.objects[0x6065, 0]
+        if self._mode == CYCLIC_VELOCITY or window == NO_WINDOW or abs(error) <= window:
+            self._late_ns = t_ns
+            self._bits &= ~FOLLOWING_ERROR_BIT
+        else:
+            self._bits |= FOLLOWING_ERROR_BIT
+        if t_ns - self._late_ns < node.objects[0x6066, 0] * 1_000_000 or t_ns == self._late_ns:
+            return False
+        node.trip(FOLLOWING_ERROR)
+        return True
+
+    def _is_target_reached(self) -> bool:
+        """Return True if both the demand and the measured position have reached the target."""
+        window = self._node.objects[0x6067, 0]
+        arrived = self._demand.position == self._target and self._next is None
+        return arrived and abs(self._position() - self._target) <= window
+
+    def _status_bits(self) -> int:
+        """Return the bits that the active mode sets in the status word."""
+        if self._mode in (CYCLIC_POSITION, CYCLIC_VELOCITY):
+            return self._bits | DRIVE_FOLLOWS_BIT
+        if self._control & HALT_BIT:
+            stopped = self._demand.velocity == 0.0
+            self._bits = (
+                self._bits | TARGET_REACHED_BIT if stopped else self._bits & ~TARGET_REACHED_BIT
+            )
+            return self._bits
+        reached = self._attained if self._mode == HOMING_MODE else self._is_target_reached()
+        self._bits = (
+            self._bits | TARGET_REACHED_BIT if reached else self._bits & ~TARGET_REACHED_BIT
+        )
+        # In profile position, the set-point is acknowledged until the host clears the bit and the
+        # buffer is free.
+        self._acknowledged = self._next is not None or (
+            self._acknowledged and bool(self._control & NEW_SETPOINT_BIT)
+        )
+        follows = self._attained if self._mode == HOMING_MODE else self._acknowledged
+        self._bits = self._bits | DRIVE_FOLLOWS_BIT if follows else self._bits & ~DRIVE_FOLLOWS_BIT
+        return self._bits
+
+    def _regulate_servo(self, step_s: float) -> None:
+        """Set the servo to the demand, converted from counts at the shaft to radians at the spool."""
+        node = self._node
+        objects = node.objects
+        scale = node.direction * TURN_RAD / node.counts / node.gear
+        angle = (
+            node.direction
+            * (self._demand.position / node.counts * TURN_RAD - node.offset)
+            / node.gear
+        )
+        self._at_spool.jump(angle, self._demand.velocity * scale)
+        speed = objects[0x6080, 0] * TURN_RAD / 60.0 / node.gear
+        if abs(self._at_spool.velocity) > speed:
+            self._bits |= INTERNAL_LIMIT_BIT
+        thousandth = node.gear * node.rated / 1000.0
+        limit = min(node.peak, objects[0x6072, 0] * thousandth)
+        gains = assumed_gains(
+            node.motor.inertia, 0.0 if self._mode == CYCLIC_VELOCITY else POSITION_GAIN
+        )
+        torque = node.direction * objects[0x60B2, 0] * thousandth
+        self._cascade.regulate(self._at_spool, gains, speed, limit, step_s, torque)
+
+    def _position(self) -> float:
+        """Return the measured position at the shaft [count]."""
+        node = self._node
+        return float(
+            (node.direction * node.gear * node.motor.encoder() + node.offset)
+            / TURN_RAD
+            * node.counts
+        )
+
+    def _velocity(self) -> float:
+        """Return the measured velocity at the shaft [count/s]."""
+        node = self._node
+        return float(node.direction * node.gear * node.motor.velocity / TURN_RAD * node.counts)
+
+    def _counts_per_s(self, per_minute: float) -> float:
+        """Convert a speed from 1/min to count/s, or an acceleration from 1/min/s to count/s2."""
+        return float(per_minute / 60.0 * self._node.counts)
+
+    def _rate_of(self, object_index: int) -> float:
+        """Return the value of a velocity object in count/s."""
+        return self._counts_per_s(self._node.objects[object_index, 0])

@@ -1,0 +1,187 @@
+"""The object dictionary of the simulated CiA 402 drive, as described by its EDS file."""
+
+import configparser
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from firmware_sim.nodes.cia402.kernels import CYCLIC_OBJECTS, VALUE_CAPACITY
+
+EDS_PATH = Path(__file__).with_name("cia402.eds")
+"""Path of the EDS file of the simulated drive."""
+_SIZE_BY_DATA_TYPE = {0x02: 1, 0x03: 2, 0x04: 4, 0x05: 1, 0x06: 2, 0x07: 4}
+"""Size of each data type [bytes]. Source: CiA 301, data types INTEGER8 to UNSIGNED32."""
+_SIGNED_DATA_TYPES = {0x02, 0x03, 0x04}
+"""Numbers of the data types with a sign."""
+NO_OBJECT = 0x06020000
+"""SDO abort code: the object does not exist. Source: CiA 301."""
+NO_SUB = 0x06090011
+"""SDO abort code: the sub-index does not exist. Source: CiA 301."""
+READ_ONLY = 0x06010002
+"""SDO abort code: the object is read-only. Source: CiA 301."""
+WRONG_TYPE = 0x06070010
+"""SDO abort code: the data type does not match. Source: CiA 301."""
+OUT_OF_RANGE = 0x06090030
+"""SDO abort code: the value is out of range. Source: CiA 301."""
+WRONG_STATE = 0x08000022
+"""SDO abort code: the request is not possible in the present state of the device.
+
+Source: CiA 301.
+"""
+UNKNOWN_COMMAND = 0x05040001
+"""SDO abort code: the command specifier is unknown. Source: CiA 301."""
+CLIENT_ABORTS = 0x80
+"""First byte of a request with which the client aborts a transfer.
+
+The drive does not answer this request.
+"""
+
+COMMAND_OBJECTS = {
+    (0x6040, 0), (0x6060, 0), (0x6071, 0), (0x607A, 0), (0x60B0, 0), (0x60B1, 0), (0x60B2, 0), (0x60FF, 0),
+    (0x1010, 1),
+}  # fmt: skip
+"""Writable objects that are commands and not settings."""
+VISIBLE_STRING_TYPE = 0x0009
+"""Data type of a text in an EDS file (VISIBLE_STRING). Source: CiA 306."""
+
+ObjectKey = tuple[int, int]
+"""Index and sub-index of an object in the dictionary."""
+
+
+class SdoAbort(Exception):  # noqa: N818 - the standard's word
+    """An error that refuses an SDO request.
+
+    Attributes:
+        code: SDO abort code for the client.
+    """
+
+    def __init__(self, code: int) -> None:
+        """Create the error with an SDO abort code."""
+        super().__init__(f"{code:#010x}")
+        self.code = code
+
+
+def sdo_reply(data: bytes, access: Callable[[bytes, ObjectKey], bytes]) -> bytes:
+    """Return the payload with which an SDO server replies to a request.
+
+    Args:
+        data: payload of the SDO request, 8 bytes.
+        access: function that executes the request for an object. It returns the payload of the
+            reply, or raises ``SdoAbort``.
+    """
+    try:
+        return access(data, (int.from_bytes(data[1:3], "little"), data[3]))
+    except SdoAbort as abort:
+        return b"\x80" + data[1:4] + abort.code.to_bytes(4, "little")
+
+
+class ObjectDictionary:
+    """The object dictionary of one drive: the values of all objects.
+
+    Attributes:
+        texts: texts by object, such as the name of the device.
+        values: values of all other objects. Those of ``kernels.CYCLIC_OBJECTS`` come first.
+    """
+
+    def __init__(self, node_id: int, memory: Any = None) -> None:
+        """Read the EDS file and set all objects to their defaults.
+
+        Args:
+            node_id: node number, on which default identifiers depend.
+            memory: memory for ``kernels.VALUE_CAPACITY`` values. If it is None, a list is
+                allocated.
+        """
+        parser = configparser.ConfigParser(interpolation=None)
+        parser.read(EDS_PATH, encoding="ascii")
+        self.texts: dict[ObjectKey, bytes] = {}
+        self._sizes: dict[ObjectKey, int] = {}
+        self._signed: set[ObjectKey] = set()
+        self._writable: set[ObjectKey] = set()
+        self._mappable: set[ObjectKey] = set()
+        self._indices_of: dict[ObjectKey, int] = {
+            key: place for place, key in enumerate(CYCLIC_OBJECTS)
+        }
+        self.values: Any = [0] * VALUE_CAPACITY if memory is None else memory
+        for name in parser.sections():
+            if not parser.has_option(name, "DataType"):
+                continue
+            if int(parser[name]["DataType"], 16) == VISIBLE_STRING_TYPE:
+                self.texts[int(name, 16), 0] = parser[name]["DefaultValue"].encode("ascii")
+            else:
+                self._add_object(name, parser[name], node_id)
+        self._indices = {index for index, _ in self._sizes}
+
+    def _add_object(self, name: str, section: configparser.SectionProxy, node_id: int) -> None:
+        """Add the object described by a section of the EDS file."""
+        index, _, sub = name.partition("sub")
+        key = (int(index, 16), int(sub or "0", 16))
+        data_type = int(section["DataType"], 16)
+        self._sizes[key] = _SIZE_BY_DATA_TYPE[data_type]
+        self._indices_of.setdefault(key, len(self._indices_of))
+        self.values[self._indices_of[key]] = sum(
+            node_id if term == "$NODEID" else int(term, 0)
+            for term in section["DefaultValue"].split("+")
+        )
+        if data_type in _SIGNED_DATA_TYPES:
+            self._signed.add(key)
+        if section["AccessType"] != "ro":
+            self._writable.add(key)
+        if section["PDOMapping"] == "1":
+            self._mappable.add(key)
+
+    def __getitem__(self, key: ObjectKey) -> int:
+        """Return the value of an object of the dictionary."""
+        value: int = self.values[self._indices_of[key]]
+        return value
+
+    def __setitem__(self, key: ObjectKey, value: int) -> None:
+        """Set an object from inside the drive.
+
+        The value is saturated at the range of the object's data type.
+        """
+        bits = 8 * self._sizes[key]
+        low, high = (
+            (-(1 << bits - 1), (1 << bits - 1) - 1) if key in self._signed else (0, (1 << bits) - 1)
+        )
+        self.values[self._indices_of[key]] = min(high, max(low, value))
+
+    def settings(self) -> dict[ObjectKey, int]:
+        """Return the values of the objects that a drive can store: all writable objects except commands."""
+        return {key: self[key] for key in self._writable if key not in COMMAND_OBJECTS}
+
+    def size(self, key: ObjectKey) -> int:
+        """Return the size of an object [bytes].
+
+        Raises:
+            Abort: the object does not exist.
+        """
+        if key not in self._sizes:
+            raise SdoAbort(NO_SUB if key[0] in self._indices else NO_OBJECT)
+        return self._sizes[key]
+
+    def mappable(self, key: ObjectKey) -> bool:
+        """Return True if an object may be mapped into a PDO."""
+        return key in self._mappable
+
+    def read(self, key: ObjectKey) -> bytes:
+        """Return the value of an object as bytes.
+
+        Raises:
+            Abort: the object does not exist.
+        """
+        size = self.size(key)
+        return self[key].to_bytes(size, "little", signed=key in self._signed)
+
+    def write(self, key: ObjectKey, value_bytes: bytes) -> None:
+        """Write the bytes of a received frame to an object.
+
+        Raises:
+            Abort: the object does not exist, is read-only, or has another length.
+        """
+        if len(value_bytes) != self.size(key):
+            raise SdoAbort(WRONG_TYPE)
+        if key not in self._writable:
+            raise SdoAbort(READ_ONLY)
+        self.values[self._indices_of[key]] = int.from_bytes(
+            value_bytes, "little", signed=key in self._signed
+        )

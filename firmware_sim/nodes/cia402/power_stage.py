@@ -1,0 +1,79 @@
+"""The state machine of a CiA 402 drive's power stage.
+
+Control words are its input. Source: fact sheet cia402.
+
+Bits of the control word: 0 switch on, 1 enable voltage, 2 quick stop (the value 0 stops), 3 enable
+operation, 7 fault reset (on its rising edge).
+
+Choices: control word 0x0F in *ready to switch on* executes transitions 3 and 4 together. After a
+quick stop, the state becomes *switch on disabled* without a further command. The state *fault
+reaction active* is passed within one step.
+"""
+
+import ctypes
+from typing import Any
+
+from firmware_sim.compiled import kernel_helper
+
+OFF_STATE, READY_STATE, ON_STATE, ENABLED_STATE, FAULT_STATE = range(5)
+"""States of the power stage: switch on disabled, ready to switch on, switched on, operation enabled, fault."""
+_STATUS_WORD_BITS = (0x40, 0x21, 0x23, 0x27, 0x08)
+"""Bits of the status word that tell the state, by state."""
+
+
+@kernel_helper
+def status_word(power: Any) -> int:
+    """Return the status word of a drive.
+
+    Bit 4 is *voltage enabled*, bit 9 *remote*, and bit 12 *drive follows the target torque*. The
+    other bits tell the state.
+    """
+    return (
+        _STATUS_WORD_BITS[power.state]
+        | 1 << 4
+        | 1 << 9
+        | (1 << 12 if power.state == ENABLED_STATE else 0)
+    )
+
+
+class PowerStage:
+    """The state machine of a drive's power stage.
+
+    Attributes:
+        state: OFF, READY, ON, ENABLED or FAULT.
+        reset_bit: True if the bit fault reset was set in the last control word.
+    """
+
+    def __init__(self) -> None:
+        """Start in the state *switch on disabled*, with the power stage off."""
+        self.state = OFF_STATE
+        self.reset_bit = False
+
+    def command(self, word: int) -> None:
+        """Apply a control word.
+
+        Fault reset acts on its rising edge, all other bits act by their level.
+        """
+        edge = bool(word & 0x80) and not self.reset_bit
+        self.reset_bit = bool(word & 0x80)
+        if self.state == FAULT_STATE:
+            self.state = OFF_STATE if edge else FAULT_STATE
+            return
+        if not word & 0x02 or not word & 0x04:
+            self.state = OFF_STATE  # The control word commands *disable voltage* or *quick stop*.
+        elif word & 0x07 == 0x06:
+            self.state = READY_STATE
+        elif self.state != OFF_STATE and word & 0x0F == 0x0F:
+            self.state = ENABLED_STATE
+        elif self.state != OFF_STATE and word & 0x0F == 0x07:
+            self.state = ON_STATE
+
+    def fail(self) -> None:
+        """Enter the fault state."""
+        self.state = FAULT_STATE
+
+
+class PowerStruct(ctypes.Structure, PowerStage):
+    """The state machine of the power stage, stored in the row of a drive."""
+
+    _fields_ = [(name, ctypes.c_int64) for name in ("state", "reset_bit")]

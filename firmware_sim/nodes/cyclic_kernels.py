@@ -1,0 +1,746 @@
+"""Compiled kernel that answers the cyclic frames of a tick. Frames and answers are records.
+
+A table gives the first receiver of each identifier. Each receiver gives the next receiver of the
+same identifier. The kernel stops at a frame that Python must process: a special command, a register
+request, a frame of wrong length, or any frame if a watchdog is due. The node then processes this
+frame in Python, and the kernel continues with the next frame. The bit layouts are in ``mit.codec``,
+``odrive.node``, ``cia402.kernels`` and ``sensor_node``.
+"""
+
+import ctypes
+import math
+from typing import Any
+
+import numpy as np
+
+from firmware_sim.bus.frame import FDF, REMOTE_FLAG
+from firmware_sim.bus.frame_records import FRAME_DTYPE
+from firmware_sim.compiled import compiled, kernel_helper, rows_at
+from firmware_sim.nodes import sensor_node
+from firmware_sim.nodes.cia402.kernels import (
+    CONTROL_WORD,
+    OPERATIONAL_STATE,
+    POSITION,
+    STATUS_WORD,
+    TARGET_TORQUE,
+    TORQUE,
+    Cia402Struct,
+    apply_torque,
+    follows_torque,
+    heartbeat_due,
+    update_measured_objects,
+)
+from firmware_sim.nodes.cia402.kernels import THERMAL_PERIOD_NS as CIA402_THERMAL_PERIOD_NS
+from firmware_sim.nodes.cia402.kernels import schedule_wake as schedule_cia402
+from firmware_sim.nodes.cia402.kernels import watchdog_expired as cia402_watchdog_expired
+from firmware_sim.nodes.mit.codec import (
+    ENABLED_STATE,
+    MitStruct,
+    apply_command,
+    feedback_word,
+    schedule_wake,
+)
+from firmware_sim.nodes.mit.registers import MODE_MIT
+from firmware_sim.nodes.odrive.kernels import (
+    THERMAL_PERIOD_NS,
+    OdriveStruct,
+    next_due,
+    position_in_turns,
+    set_torque,
+    velocity_in_turns_per_s,
+    watchdog_expired,
+)
+from firmware_sim.nodes.odrive.kernels import schedule_wake as schedule_odrive
+from firmware_sim.nodes.protocol_spec import MIT_KIND, ODRIVE_KIND, SENSOR_NODE_KIND
+from firmware_sim.nodes.sensor_node import (
+    CHANNELS_PER_FRAME,
+    JOINT_OFFSET,
+    SensorStruct,
+    drift_since,
+    encode,
+    has_joints,
+    payload_size,
+    read_cells,
+)
+from firmware_sim.plant.drivetrain import encoder_angle, tensions
+from firmware_sim.plant.plant_structs import RotorStruct, TendonStruct
+
+FRAME_DURATION_NS = 135_000
+"""Maximum duration of a classical frame of 8 bytes at 1 Mbit/s [ns].
+
+Answers have this spacing. Source: VCAN.
+"""
+FD_FRAME_DURATION_NS = 57_000
+"""Maximum duration of an FD frame of 8 bytes at 1/5 Mbit/s [ns]. Source: VCAN."""
+NEXT_FRAME, ANSWERS, IN_ORDER, SENT, WAKE_NS = range(5)
+"""Indices into the array ``progress``.
+
+The array holds the index of the next frame, the number of answers, 1 if the times of the answers
+rise, the number of unsolicited frames, and the earliest wake time of all drives [ns].
+"""
+NEVER_NS = 1 << 62
+"""Wake time if no drive needs to be woken [ns]."""
+_STANDARD_ID_COUNT = 0x800
+"""Number of standard identifiers.
+
+The table of receivers has two blocks of this size for each bus, for data frames and for remote
+frames.
+"""
+_TENSION_LOW, _TENSION_STEP, _TENSION_OFFSET = sensor_node.TENSION_CODE
+_JOINT_LOW, _JOINT_STEP, _JOINT_OFFSET = sensor_node.JOINT_CODE
+_SPECIAL_COMMAND_BITS = 0xFFFFFFFFFFFFFF
+"""Seven bytes of FF as an integer. Special commands of MIT motors start with these bytes."""
+
+
+class ReceiverStruct(ctypes.Structure):
+    """A node that receives an identifier.
+
+    The fields are the kind of the node, the row in the array for the kind, and the index of the
+    next receiver or -1.
+    """
+
+    _fields_ = [(name, ctypes.c_int64) for name in ("kind", "number", "next")]
+
+
+def empty_table(buses: int) -> Any:
+    """Make a table of receivers without any receiver, shape (2 * 2048 * buses,)."""
+    return np.full(buses * 2 * _STANDARD_ID_COUNT, -1, np.int64)
+
+
+@kernel_helper
+def table_index(bus: int, can_id: int) -> int:
+    """Return the index of an identifier in the table of receivers, -1 for an identifier of more than 11 bits."""
+    if can_id & ~REMOTE_FLAG >= _STANDARD_ID_COUNT:
+        return -1
+    # The index selects the blocks of the bus, and then the block of data frames or remote frames.
+    return (2 * bus + (1 if can_id & REMOTE_FLAG else 0)) * _STANDARD_ID_COUNT + (
+        can_id & (_STANDARD_ID_COUNT - 1)
+    )
+
+
+@kernel_helper
+def _payload_as_integer(payload: Any) -> int:
+    """Return eight bytes as an integer, the first byte highest.
+
+    The sign of the integer has no meaning.
+    """
+    word = 0
+    for i in range(8):
+        word = word << 8 | int(payload[i])
+    return word
+
+
+@kernel_helper
+def _fill_header(answer: Any, can_id: int, length: int, flags: int, bus: int) -> None:
+    """Fill all fields of a frame except its time. The payload is set to zero."""
+    answer.can_id = can_id
+    answer.length = length
+    answer.flags = flags
+    answer.bus = bus
+    data = answer.data
+    for i in range(64):
+        data[i] = 0
+
+
+@kernel_helper
+def _put_int(payload: Any, first_byte: int, size: int, value: int) -> None:
+    """Write an integer into a payload, low byte first."""
+    for i in range(size):
+        payload[first_byte + i] = value >> 8 * i & 0xFF
+
+
+@kernel_helper
+def _put_float(payload: Any, first_byte: int, value: float) -> None:
+    """Write a float of four bytes into a payload, low byte first."""
+    _put_int(payload, first_byte, 4, int(np.float32(value).view(np.uint32)))
+
+
+@kernel_helper
+def _mit_needs_python(node: Any, rotor: Any, frame: Any, t_ns: int) -> bool:
+    """Return True if Python must process a frame for an MIT drive."""
+    if frame.length != 8 or t_ns >= node.wake_ns or rotor.faulty != 0 or node.mode != MODE_MIT:
+        return True
+    # Only the first seven bytes are compared, without the code of the special command.
+    return _payload_as_integer(frame.data) >> 8 & _SPECIAL_COMMAND_BITS == _SPECIAL_COMMAND_BITS
+
+
+@kernel_helper
+def _answer_mit(node: Any, rotor: Any, frame: Any, t_ns: int, answer: Any) -> None:
+    """Apply a command to an MIT drive and write the drive's feedback."""
+    node.watchdog_fed_ns = t_ns
+    if node.state == ENABLED_STATE:
+        apply_command(node, rotor.servo_row, _payload_as_integer(frame.data))
+    temperatures = node.temperatures
+    word = feedback_word(
+        node, rotor, encoder_angle(rotor.theta), temperatures.mosfet, temperatures.winding
+    )
+    schedule_wake(node)
+    _fill_header(answer, node.reply_id, 8, frame.flags, frame.bus)
+    data = answer.data
+    for i in range(8):
+        # The payload has the highest byte first.
+        data[i] = word >> (56 - 8 * i) & 0xFF
+
+
+@kernel_helper
+def _get_float(payload: Any) -> float:
+    """Return the float in the first four bytes of a payload."""
+    return float(
+        np.uint32(payload[0] | payload[1] << 8 | payload[2] << 16 | payload[3] << 24).view(
+            np.float32
+        )
+    )
+
+
+@kernel_helper
+def _odrive_needs_python(node: Any, rotor: Any, frame: Any) -> bool:
+    """Return True if Python must process a torque setpoint or an encoder request for an ODrive."""
+    if frame.flags & FDF or rotor.faulty != 0 or node.motion_due_ns > 0:
+        return True
+    return bool(
+        frame.can_id & REMOTE_FLAG == 0
+        and (frame.length < 4 or not math.isfinite(_get_float(frame.data)))
+    )
+
+
+@kernel_helper
+def _write_encoder_frame(node: Any, rotor: Any, bus: int, answer: Any) -> None:
+    """Write the frame with the encoder estimates of an ODrive."""
+    _fill_header(answer, node.node_id << 5 | 0x09, 8, 0, bus)
+    _put_float(answer.data, 0, position_in_turns(node, encoder_angle(rotor.theta)))
+    _put_float(answer.data, 4, velocity_in_turns_per_s(node, rotor.velocity))
+
+
+@kernel_helper
+def _answer_odrive(node: Any, rotor: Any, frame: Any, t_ns: int, answers: Any, count: int) -> int:
+    """Apply a torque setpoint to an ODrive, or answer an encoder request.
+
+    Returns:
+        Number of answers in ``answers``.
+    """
+    if frame.can_id & REMOTE_FLAG:
+        _write_encoder_frame(node, rotor, frame.bus, answers[count])
+        return count + 1
+    set_torque(node, rotor.servo_row, _get_float(frame.data), t_ns)
+    schedule_odrive(node)
+    return count
+
+
+@kernel_helper
+def _cia402_needs_python(node: Any, rotor: Any, frame: Any) -> bool:
+    """Return True if Python must process a SYNC, an RPDO or a master's heartbeat for a CiA 402 drive."""
+    if frame.flags & FDF or rotor.faulty != 0 or node.thermal_ns < 0:
+        return True
+    if frame.can_id == node.sync_id:
+        return bool(node.nmt != OPERATIONAL_STATE)
+    if frame.can_id == node.master_id:
+        return False
+    # With bits 0 to 3 set and fault reset clear, the control word keeps the operation enabled.
+    stays_enabled = frame.data[0] & 0x8F == 0x0F and node.power_stage.reset_bit == 0
+    return (
+        node.nmt != OPERATIONAL_STATE
+        or frame.length < 4
+        or not stays_enabled
+        or not follows_torque(node, node.power_stage)
+    )
+
+
+@kernel_helper
+def _answer_cia402(node: Any, rotor: Any, frame: Any, t_ns: int, answers: Any, count: int) -> int:
+    """Process a SYNC, an RPDO or the master's heartbeat in a CiA 402 drive.
+
+    Returns:
+        Number of answers in ``answers``.
+    """
+    data = frame.data
+    values = node.values
+    if frame.can_id == node.sync_id:
+        update_measured_objects(
+            node, node.power_stage, encoder_angle(rotor.theta), rotor.velocity, rotor.torque
+        )
+        node.syncs += 1
+        if node.syncs % node.tpdo_kind == 0:
+            _fill_header(answers[count], node.tpdo_id, 8, 0, frame.bus)
+            _put_int(answers[count].data, 0, 2, values[STATUS_WORD])
+            _put_int(answers[count].data, 2, 4, values[POSITION])
+            _put_int(answers[count].data, 6, 2, values[TORQUE])
+            count += 1
+    elif frame.can_id == node.master_id:
+        node.watchdog_fed_ns = t_ns
+    else:
+        values[CONTROL_WORD] = data[0] | data[1] << 8
+        torque = int(data[2] | data[3] << 8)
+        # Two's complement of 16 bits.
+        values[TARGET_TORQUE] = torque - (1 << 16) if torque >= 1 << 15 else torque
+        apply_torque(node, rotor.servo_row)
+    schedule_cia402(node, t_ns, False)
+    return count
+
+
+@kernel_helper
+def _write_sensor_frames(
+    words: Any, channels: int, can_id: int, frame: Any, answers: Any, count: int
+) -> int:
+    """Write payloads of the sensor node into frames that answer SYNC.
+
+    Args:
+        words: payloads as integers, to be written low byte first.
+        channels: number of channels in all payloads together.
+        can_id: identifier of the first frame.
+        frame: the SYNC frame.
+        answers: array for the answers, filled by the kernel.
+        count: number of answers so far.
+
+    Returns:
+        Number of answers in ``answers``.
+    """
+    for g in range(len(words)):
+        length = payload_size(channels - g * CHANNELS_PER_FRAME)
+        _fill_header(answers[count], can_id + g, length, frame.flags, frame.bus)
+        _put_int(answers[count].data, 0, length, words[g])
+        count += 1
+    return count
+
+
+@kernel_helper
+def _answer_sync(  # noqa: PLR0913 - compiled functions take flat arrays
+    node: Any, frame: Any, t_ns: int, cells: Any, q: Any, cell_order: Any, joint_order: Any, bias: Any,
+    noise: Any, noise_bounds: Any, answers: Any, count: int,
+) -> int:  # fmt: skip
+    """Sample load cells and joint encoders, and write the frames that answer SYNC.
+
+    Args:
+        node: row of the sensor node.
+        frame: the SYNC frame.
+        t_ns: present time [ns].
+        cells: tension of each tendon [N].
+        q: joint angles [rad].
+        cell_order: index of the tendon of each load cell channel.
+        joint_order: index of the joint of each encoder channel.
+        bias: bias of each load cell [N].
+        noise: random numbers with a normal distribution, see ``NormalNoise``.
+        noise_bounds: indices into ``noise``, see ``NormalNoise``.
+        answers: array for the answers, filled by the kernel.
+        count: number of answers so far.
+
+    Returns:
+        Number of answers in ``answers``.
+    """
+    channels = len(cell_order)
+    joints = len(joint_order)
+    counter = int(frame.data[0])
+    read = np.empty(channels)
+    codes = np.empty(channels, np.int64)
+    words = np.empty(-(-channels // CHANNELS_PER_FRAME), np.int64)
+    true = np.empty(channels)
+    for i in range(channels):
+        true[i] = cells[cell_order[i]]
+    at = noise_bounds[0]
+    drift = drift_since(node, t_ns)
+    read_cells(true, bias, noise[at : at + 2 * channels], drift, node.tension_noise, read)
+    at += 2 * channels
+    encode(read, _TENSION_LOW, _TENSION_STEP, _TENSION_OFFSET, counter, codes, words)
+    count = _write_sensor_frames(words, channels, node.base_id, frame, answers, count)
+    if has_joints(node, joints, counter):
+        angles = np.empty(joints)
+        for i in range(joints):
+            angles[i] = q[joint_order[i]] + noise[at + i] * node.joint_noise
+        at += joints
+        codes = np.empty(joints, np.int64)
+        words = np.empty(-(-joints // CHANNELS_PER_FRAME), np.int64)
+        encode(angles, _JOINT_LOW, _JOINT_STEP, _JOINT_OFFSET, counter, codes, words)
+        count = _write_sensor_frames(
+            words, joints, node.base_id + JOINT_OFFSET, frame, answers, count
+        )
+    noise_bounds[0] = at
+    return count
+
+
+@kernel_helper
+def _stamp_in_sequence(
+    frames: Any, answers: Any, count: int, t_ns: int, last_ns: int, buses: int
+) -> bool:
+    """Set the times of answers as if each bus carried all frames and answers one after the other.
+
+    Args:
+        frames: frames of the host.
+        answers: answers, in which the times are set.
+        count: number of answers.
+        t_ns: start of the tick [ns].
+        last_ns: maximum delay of an answer after the start of the tick [ns].
+        buses: number of buses.
+
+    Returns:
+        True if the times of the answers rise.
+    """
+    busy_ns = np.zeros(buses, np.int64)
+    for i in range(len(frames)):
+        busy_ns[frames[i].bus] += (
+            FD_FRAME_DURATION_NS if frames[i].flags & FDF else FRAME_DURATION_NS
+        )
+    in_order = True
+    before_ns = t_ns
+    for i in range(count):
+        answer = answers[i]
+        busy_ns[answer.bus] += FD_FRAME_DURATION_NS if answer.flags & FDF else FRAME_DURATION_NS
+        at_ns = t_ns + min(busy_ns[answer.bus], last_ns)
+        in_order = in_order and at_ns >= before_ns
+        answer.t_ns = before_ns = at_ns
+    return in_order
+
+
+DRIVE_ARGUMENTS = (ReceiverStruct, MitStruct, OdriveStruct, Cia402Struct)
+"""Types of the kernel arguments with receivers and with the rows of the drives."""
+
+
+@kernel_helper
+def _drive_needs_python(
+    receiver_row: Any, mit: Any, odrive: Any, cia402: Any, rotors: Any, frame: Any, t_ns: int
+) -> bool:
+    """Return True if Python must process a frame for a drive."""
+    if receiver_row.kind == MIT_KIND:
+        return _mit_needs_python(
+            mit[receiver_row.number], rotors[mit[receiver_row.number].motor_number], frame, t_ns
+        )
+    if receiver_row.kind == ODRIVE_KIND:
+        return _odrive_needs_python(
+            odrive[receiver_row.number], rotors[odrive[receiver_row.number].motor_number], frame
+        )
+    return _cia402_needs_python(
+        cia402[receiver_row.number], rotors[cia402[receiver_row.number].motor_number], frame
+    )
+
+
+@kernel_helper
+def _answer_drive(  # noqa: PLR0913 - compiled functions take flat arrays
+    receiver_row: Any, mit: Any, odrive: Any, cia402: Any, rotors: Any, frame: Any, t_ns: int, answers: Any, count: int
+) -> int:  # fmt: skip
+    """Process a frame in a drive and write the drive's answers.
+
+    Returns:
+        Number of answers in ``answers``.
+    """
+    if receiver_row.kind == MIT_KIND:
+        _answer_mit(
+            mit[receiver_row.number],
+            rotors[mit[receiver_row.number].motor_number],
+            frame,
+            t_ns,
+            answers[count],
+        )
+        return count + 1
+    if receiver_row.kind == ODRIVE_KIND:
+        return _answer_odrive(
+            odrive[receiver_row.number],
+            rotors[odrive[receiver_row.number].motor_number],
+            frame,
+            t_ns,
+            answers,
+            count,
+        )
+    return _answer_cia402(
+        cia402[receiver_row.number],
+        rotors[cia402[receiver_row.number].motor_number],
+        frame,
+        t_ns,
+        answers,
+        count,
+    )
+
+
+@kernel_helper
+def _wake_ns(receiver_row: Any, mit: Any, odrive: Any, cia402: Any) -> int:
+    """Return the wake time of a drive [ns]."""
+    if receiver_row.kind == MIT_KIND:
+        return int(mit[receiver_row.number].wake_ns)
+    return int(
+        odrive[receiver_row.number].wake_ns
+        if receiver_row.kind == ODRIVE_KIND
+        else cia402[receiver_row.number].wake_ns
+    )
+
+
+@kernel_helper
+def _next_wake(drives: Any, mit: Any, odrive: Any, cia402: Any) -> int:
+    """Return the earliest wake time of all drives [ns]."""
+    wake_ns = NEVER_NS
+    for i in range(len(drives)):
+        wake_ns = min(wake_ns, _wake_ns(drives[i], mit, odrive, cia402))
+    return wake_ns
+
+
+@compiled(*DRIVE_ARGUMENTS)
+def next_wake(drives: Any, mit: Any, odrive: Any, cia402: Any) -> int:
+    """Return the earliest wake time of all drives [ns]."""
+    return _next_wake(drives, mit, odrive, cia402)
+
+
+@kernel_helper
+def _answer(  # noqa: PLR0913 - compiled functions take flat arrays
+    frames: Any, answers: Any, progress: Any, t_ns: int, last_ns: int, table: Any, max_answers: int,
+    receivers: Any, mit: Any, odrive: Any, cia402: Any, drives: Any, sensor: Any, cell_order: Any, joint_order: Any,
+    bias: Any, noise: Any, noise_bounds: Any, tendons: Any, joints: Any, arms: Any, rotors: Any, q: Any,
+    dq: Any, cells: Any,
+) -> None:  # fmt: skip
+    """Answer frames until Python must process a frame.
+
+    After the last frame, set the times of all answers.
+
+    Args:
+        frames: frames of the host.
+        answers: array for the answers, filled by the kernel.
+        progress: numbers that describe the progress, see ``NEXT_FRAME``.
+        t_ns: present time [ns].
+        last_ns: maximum delay of an answer after the start of the tick [ns].
+        table: index of the first receiver of each identifier, or -1.
+        max_answers: maximum number of answers to one frame.
+        receivers: all receivers, to which ``table`` and receivers point.
+        mit: rows of MIT drives.
+        odrive: rows of ODrives.
+        cia402: rows of CiA 402 drives.
+        drives: all drives as receivers.
+        sensor: row of the sensor node, shape (1,). Without a sensor node, shape (0,).
+        cell_order: see ``_answer_sync``.
+        joint_order: see ``_answer_sync``.
+        bias: see ``_answer_sync``.
+        noise: see ``_answer_sync``.
+        noise_bounds: see ``_answer_sync``.
+        tendons: see ``drivetrain.tensions``.
+        joints: see ``drivetrain.tensions``.
+        arms: see ``drivetrain.tensions``.
+        rotors: see ``drivetrain.tensions``.
+        q: joint angles [rad].
+        dq: joint velocities [rad/s].
+        cells: array for the tension of each tendon, filled by the kernel [N].
+    """
+    count = progress[ANSWERS]
+    buses = len(table) // (2 * _STANDARD_ID_COUNT)
+    for i in range(progress[NEXT_FRAME], len(frames)):
+        frame = frames[i]
+        receiver = -1
+        at = table_index(int(frame.bus), int(frame.can_id))
+        if frame.bus < buses and at >= 0:
+            receiver = table[at]
+        if receiver < 0 or count + max_answers > len(answers):
+            break
+        needs_python = False
+        index = receiver
+        while index >= 0:
+            receiver_row = receivers[index]
+            if receiver_row.kind == SENSOR_NODE_KIND:
+                # The kernel cannot draw random numbers, so all numbers for one SYNC must have been
+                # drawn before.
+                drawn = noise_bounds[1] >= noise_bounds[0] + 2 * len(cell_order) + len(joint_order)
+                needs_python = needs_python or frame.length != 1 or not drawn
+            else:
+                needs_python = needs_python or _drive_needs_python(
+                    receiver_row, mit, odrive, cia402, rotors, frame, t_ns
+                )
+            index = receiver_row.next
+        if needs_python:
+            break
+        while receiver >= 0:
+            receiver_row = receivers[receiver]
+            if receiver_row.kind == SENSOR_NODE_KIND:
+                tensions(tendons, joints, arms, rotors, q, dq, cells)
+                count = _answer_sync(
+                    sensor[0],
+                    frame,
+                    t_ns,
+                    cells,
+                    q,
+                    cell_order,
+                    joint_order,
+                    bias,
+                    noise,
+                    noise_bounds,
+                    answers,
+                    count,
+                )
+            else:
+                count = _answer_drive(
+                    receiver_row, mit, odrive, cia402, rotors, frame, t_ns, answers, count
+                )
+            receiver = receiver_row.next
+        progress[NEXT_FRAME] = i + 1
+    progress[ANSWERS] = count
+    if progress[NEXT_FRAME] == len(frames):
+        progress[IN_ORDER] = _stamp_in_sequence(frames, answers, count, t_ns, last_ns, buses)
+        progress[WAKE_NS] = _next_wake(drives, mit, odrive, cia402)
+
+
+REAL_DTYPE = np.dtype(np.float64)
+COUNT_DTYPE = np.dtype(np.int64)
+RECEIVER_DTYPE = np.dtype(ReceiverStruct)
+MIT_DTYPE = np.dtype(MitStruct)
+ODRIVE_DTYPE = np.dtype(OdriveStruct)
+CIA402_DTYPE = np.dtype(Cia402Struct)
+SENSOR_DTYPE = np.dtype(SensorStruct)
+TENDON_DTYPE = np.dtype(TendonStruct)
+ROTOR_DTYPE = np.dtype(RotorStruct)
+
+
+@compiled(FRAME_DTYPE, FRAME_DTYPE, "counts", "count", "count", "count")
+def answer(frames: Any, answers: Any, at: Any, t_ns: int, last_ns: int, max_answers: int) -> None:
+    """Answer frames, with most arrays given by address. See ``_answer``.
+
+    Args:
+        frames: frames of the host.
+        answers: array for the answers, filled by the kernel.
+        at: address and length of each other array of ``_answer``, in the order of ``Exchange``.
+        t_ns: present time [ns].
+        last_ns: maximum delay of an answer after the start of the tick [ns].
+        max_answers: maximum number of answers to one frame.
+    """
+    _answer(
+        frames, answers, rows_at(at[0], at[1], COUNT_DTYPE), t_ns, last_ns, rows_at(at[2], at[3], COUNT_DTYPE),
+        max_answers,
+        rows_at(at[4], at[5], RECEIVER_DTYPE), rows_at(at[6], at[7], MIT_DTYPE), rows_at(at[8], at[9], ODRIVE_DTYPE),
+        rows_at(at[10], at[11], CIA402_DTYPE), rows_at(at[12], at[13], RECEIVER_DTYPE),
+        rows_at(at[14], at[15], SENSOR_DTYPE),
+        rows_at(at[16], at[17], COUNT_DTYPE), rows_at(at[18], at[19], COUNT_DTYPE), rows_at(at[20], at[21], REAL_DTYPE),
+        rows_at(at[22], at[23], REAL_DTYPE), rows_at(at[24], at[25], COUNT_DTYPE),
+        rows_at(at[26], at[27], TENDON_DTYPE),
+        rows_at(at[28], at[29], COUNT_DTYPE), rows_at(at[30], at[31], REAL_DTYPE), rows_at(at[32], at[33], ROTOR_DTYPE),
+        rows_at(at[34], at[35], REAL_DTYPE), rows_at(at[36], at[37], REAL_DTYPE), rows_at(at[38], at[39], REAL_DTYPE),
+    )  # fmt: skip
+
+
+@kernel_helper
+def _odrive_needs_wake(node: Any, rotor: Any, now_ns: int) -> bool:
+    """Return True if Python must wake an ODrive, because more than the two cyclic messages is due.
+
+    Python does the update of temperatures, the watchdog, the end of a calibration, the modes of
+    ``odrive.motion_modes``, and the messages of firmware 0.5.
+    """
+    busy = node.busy_until_ns > 0 or node.motion_due_ns > 0
+    thermal_due = node.thermal_ns < 0 or now_ns - node.thermal_ns >= THERMAL_PERIOD_NS
+    watchdog_due = watchdog_expired(node, now_ns)
+    return thermal_due or busy or watchdog_due or node.legacy != 0 or rotor.faulty != 0
+
+
+@kernel_helper
+def _cia402_needs_wake(node: Any, now_ns: int) -> bool:
+    """Return True if Python must wake a CiA 402 drive, because more than the heartbeat is due."""
+    thermal_due = node.thermal_ns < 0 or now_ns - node.thermal_ns >= CIA402_THERMAL_PERIOD_NS
+    if node.motion_due_ns > 0:
+        return True
+    return thermal_due or cia402_watchdog_expired(node, now_ns) or node.frame_pending != 0
+
+
+@kernel_helper
+def _send_cia402(node: Any, now_ns: int, sent_frames: Any, count: int) -> int:
+    """Write the heartbeat of a CiA 402 drive if it is due.
+
+    Returns:
+        Number of frames in ``sent_frames``.
+    """
+    if heartbeat_due(node, now_ns):
+        _fill_header(sent_frames[count], 0x700 + node.node_id, 1, 0, node.bus)
+        _put_int(sent_frames[count].data, 0, 1, node.nmt)
+        sent_frames[count].t_ns = now_ns
+        node.heartbeat_ns = now_ns
+        count += 1
+    schedule_cia402(node, now_ns, False)
+    return count
+
+
+@kernel_helper
+def _send_odrive(node: Any, rotor: Any, now_ns: int, sent_frames: Any, count: int) -> int:
+    """Write the cyclic messages of an ODrive that are due.
+
+    Returns:
+        Number of frames in ``sent_frames``.
+    """
+    if now_ns >= node.heartbeat_due_ns:
+        _fill_header(sent_frames[count], node.node_id << 5 | 0x01, 8, 0, node.bus)
+        _put_int(sent_frames[count].data, 0, 4, node.active_errors | node.disarm_reason)
+        _put_int(sent_frames[count].data, 4, 1, node.state)
+        _put_int(sent_frames[count].data, 5, 1, node.result)
+        sent_frames[count].t_ns = now_ns
+        node.heartbeat_due_ns = next_due(node.heartbeat_due_ns, now_ns, node.heartbeat_period_ns)
+        count += 1
+    if now_ns >= node.encoder_due_ns:
+        _write_encoder_frame(node, rotor, node.bus, sent_frames[count])
+        sent_frames[count].t_ns = now_ns
+        node.encoder_due_ns = next_due(node.encoder_due_ns, now_ns, node.encoder_period_ns)
+        count += 1
+    schedule_odrive(node)
+    return count
+
+
+@compiled(*DRIVE_ARGUMENTS, RotorStruct, "count", FRAME_DTYPE, "counts")
+def send_due(
+    drives: Any,
+    mit: Any,
+    odrive: Any,
+    cia402: Any,
+    rotors: Any,
+    now_ns: int,
+    sent_frames: Any,
+    progress: Any,
+) -> bool:
+    """Write the unsolicited frames of all drives that are due.
+
+    Args:
+        drives: drives in the order of sending.
+        mit: rows of MIT drives.
+        odrive: rows of ODrives.
+        cia402: rows of CiA 402 drives.
+        rotors: rows of the rotors.
+        now_ns: present time [ns].
+        sent_frames: array with room for two frames of each drive.
+        progress: array with the number of frames in ``sent_frames``, see ``SENT``.
+
+    Returns:
+        False if Python must wake a drive. Nothing is written then.
+    """
+    for i in range(len(drives)):
+        receiver_row = drives[i]
+        if now_ns < _wake_ns(receiver_row, mit, odrive, cia402):
+            continue
+        if receiver_row.kind == ODRIVE_KIND:
+            needs_python = _odrive_needs_wake(
+                odrive[receiver_row.number],
+                rotors[odrive[receiver_row.number].motor_number],
+                now_ns,
+            )
+        else:
+            needs_python = receiver_row.kind == MIT_KIND or _cia402_needs_wake(
+                cia402[receiver_row.number], now_ns
+            )
+        if needs_python:
+            return False
+    for i in range(len(drives)):
+        receiver_row = drives[i]
+        if now_ns < _wake_ns(receiver_row, mit, odrive, cia402):
+            continue
+        if receiver_row.kind == ODRIVE_KIND:
+            rotor = rotors[odrive[receiver_row.number].motor_number]
+            progress[SENT] = _send_odrive(
+                odrive[receiver_row.number], rotor, now_ns, sent_frames, progress[SENT]
+            )
+        else:
+            progress[SENT] = _send_cia402(
+                cia402[receiver_row.number], now_ns, sent_frames, progress[SENT]
+            )
+    progress[WAKE_NS] = _next_wake(drives, mit, odrive, cia402)
+    return True
+
+
+@compiled(FRAME_DTYPE, FRAME_DTYPE, FRAME_DTYPE)
+def merge(frames: Any, other_frames: Any, merged: Any) -> None:
+    """Write the frames of two arrays into ``merged``, sorted by time.
+
+    Frames with equal times keep their order.
+    """
+    count = len(frames)
+    for i in range(len(merged)):
+        frame = frames[i] if i < count else other_frames[i - count]
+        # This is an insertion sort, because both arrays are almost sorted and equal times must keep
+        # their order.
+        place = i
+        while place > 0 and merged[place - 1].t_ns > frame.t_ns:
+            merged[place] = merged[place - 1]
+            place -= 1
+        merged[place] = frame

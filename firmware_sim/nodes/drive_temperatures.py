@@ -1,0 +1,75 @@
+"""Temperatures of a drive's winding and MOSFETs.
+
+Each is modelled as a heat capacity that loses heat to ambient.
+"""
+
+import ctypes
+import math
+
+AMBIENT_C = 25.0
+"""Ambient temperature [degC]."""
+PHASE_RESISTANCE_OHM = 0.6
+"""Resistance of the whole current path [ohm].
+
+An assumption: a current of 2.1 A (0.55 N m) dissipates 2.7 W.
+"""
+WINDING_K_PER_W = 8.0
+"""Thermal resistance of the winding [K/W]. An assumption for an actuator of 40 mm."""
+WINDING_S = 120.0
+"""Thermal time constant of the winding [s]. An assumption for an actuator of 40 mm."""
+MOSFET_K_PER_W = 2.0
+"""Thermal resistance of the MOSFETs [K/W]. An assumption for an actuator of 40 mm."""
+MOSFET_S = 20.0
+"""Thermal time constant of the MOSFETs [s]. An assumption for an actuator of 40 mm."""
+
+
+class DriveTemperatures:
+    """Temperatures of a drive.
+
+    Attributes:
+        winding: temperature of the winding [degC].
+        mosfet: temperature of the MOSFETs [degC].
+        forced: winding temperature imposed by a fault [degC], None without a fault.
+    """
+
+    def __init__(self, torque_constant: float) -> None:
+        """Start with both temperatures at ambient temperature.
+
+        Args:
+            torque_constant: torque constant of the motor [N m/A].
+        """
+        self.winding = self.mosfet = AMBIENT_C
+        self.forced: float | None = None
+        self._ohm_per_kt2 = PHASE_RESISTANCE_OHM / torque_constant**2
+
+    def advance(self, elapsed_s: float, torque_squared: float) -> None:
+        """Advance the temperatures by an elapsed time.
+
+        Args:
+            elapsed_s: elapsed time [s].
+            torque_squared: integral of the squared torque over the elapsed time [N2 m2 s].
+        """
+        if elapsed_s <= 0.0:
+            return
+        # The mean copper loss is the squared current times the resistance. The current is torque /
+        # torque constant.
+        watt = torque_squared / elapsed_s * self._ohm_per_kt2
+        self.winding = _low_pass(
+            self.winding, AMBIENT_C + WINDING_K_PER_W * watt, elapsed_s / WINDING_S
+        )
+        if self.forced is not None:
+            self.winding = self.forced
+        self.mosfet = _low_pass(
+            self.mosfet, AMBIENT_C + MOSFET_K_PER_W * watt, elapsed_s / MOSFET_S
+        )
+
+
+class ThermalStruct(ctypes.Structure, DriveTemperatures):
+    """Temperatures that are stored in the row of a drive."""
+
+    _fields_ = [(name, ctypes.c_double) for name in ("winding", "mosfet")]
+
+
+def _low_pass(value: float, target: float, time_constants: float) -> float:
+    """Move a value towards a target as a first-order lag does in a time, given in time constants."""
+    return target + (value - target) * math.exp(-time_constants)

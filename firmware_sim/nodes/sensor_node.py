@@ -1,0 +1,323 @@
+"""The sensor node.
+
+At each SYNC, it samples the load cells and joint encoders and sends their readings.
+
+Frame (up to 8 bytes, bits numbered from the lowest bit of byte 0, Intel order):
+
+    bit  0..3        counter of the SYNC
+    bit  4..15       code of channel 0
+    bit  4+12i..15+12i   code of channel i, i up to 4
+
+    tension code     (tension + 6 N) / 0.0625 N, 0 and 4095 mean saturated
+    joint code       2048 + angle / (2 pi rad / 4096)
+
+The identifiers of tension frames start at the base identifier, and those of joint frames at the
+base + 0x10. A frame with fewer than five channels has only as many bytes as its channels need.
+Source: DBC of the hand, sensor_node.
+"""
+
+import ctypes
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from firmware_sim.bus.frame import Frame
+from firmware_sim.compiled import compiled, kernel_helper
+from firmware_sim.hand_description import SensorSpec
+from firmware_sim.nodes.noise import NormalNoise
+
+CHANNELS_PER_FRAME = 5
+"""Number of 12-bit channels that fit beside the counter into a frame of 8 bytes."""
+TENSION_STEP_N = 0.0625
+"""Resolution of a tension code [N]."""
+TENSION_MIN_N = -6.0
+"""Tension that the code 0 stands for [N]."""
+JOINT_STEP_RAD = 2.0 * math.pi / 4096
+"""Resolution of a joint code [rad]."""
+JOINT_ZERO_CODE = 2048
+"""Joint code of the joint angle zero."""
+JOINT_OFFSET = 0x10
+"""Identifier of the first joint frame minus the base identifier."""
+_MAX_CHANNEL_CODE = 4095
+"""Largest 12-bit code."""
+_NEVER_NS = 1 << 62
+"""Time of an event that will not happen [ns]."""
+TENSION_CODE = (TENSION_MIN_N, TENSION_STEP_N, 0)
+"""Parameters of a tension code: value of code 0, resolution and offset."""
+JOINT_CODE = (0.0, JOINT_STEP_RAD, JOINT_ZERO_CODE)
+"""Parameters of a joint code: value of code 0 before the offset, resolution and offset."""
+
+
+class SensorStruct(ctypes.Structure):
+    """Memory of a ``SensorNode`` for compiled kernels."""
+
+    _fields_ = [
+        *((name, ctypes.c_double) for name in ("tension_noise", "bias_drift", "joint_noise")),
+        *((name, ctypes.c_int64) for name in ("base_id", "joint_decimation", "sampled_ns")),
+    ]
+
+
+@compiled("real", "real", "real", "count")
+def _encode_value(value: float, low: float, step: float, offset: int) -> int:
+    """Return the 12-bit code of a value. The codes 0 and 4095 mean that the value is saturated."""
+    # In Python and in compiled code, round() rounds halves to even numbers.
+    return min(_MAX_CHANNEL_CODE, max(0, round((value - low) / step) + offset))
+
+
+@kernel_helper
+def payload_size(channels: int) -> int:
+    """Return the size of a payload [bytes], given the number of channels in this and all following payloads."""
+    return (4 + 12 * min(CHANNELS_PER_FRAME, channels) + 7) // 8
+
+
+@compiled("count", "counts", "counts")
+def _pack_codes(counter: int, codes: Any, words: Any) -> None:
+    """Pack a counter (low four bits) and up to five codes into each word.
+
+    Args:
+        counter: counter in the SYNC frame.
+        codes: code of each channel, shape (channels,).
+        words: payloads as integers, written by the kernel.
+    """
+    for g in range(len(words)):
+        word = counter & 0xF
+        for i in range(min(CHANNELS_PER_FRAME, len(codes) - g * CHANNELS_PER_FRAME)):
+            word |= codes[g * CHANNELS_PER_FRAME + i] << (4 + 12 * i)
+        words[g] = word
+
+
+@compiled("vector", "real", "real", "count", "count", "counts", "counts")
+def encode(
+    values: Any, low: float, step: float, offset: int, counter: int, codes: Any, words: Any
+) -> None:
+    """Encode values and pack their codes. See ``_encode_value`` and ``_pack_codes``.
+
+    Args:
+        values: values of the channels, shape (channels,).
+        low: value of code 0 before the offset.
+        step: resolution of a code.
+        offset: offset of the code.
+        counter: counter in the SYNC frame.
+        codes: array for the codes, filled by the kernel, shape (channels,).
+        words: payloads as integers, written by the kernel.
+    """
+    for i in range(len(values)):
+        codes[i] = _encode_value(values[i], low, step, offset)
+    _pack_codes(counter, codes, words)
+
+
+@compiled("vector", "vector", "vector", "real", "real", "vector")
+def read_cells(
+    true: Any, bias: Any, normal: Any, drift: float, noise: float, readings: Any
+) -> None:
+    """Compute the readings of the load cells: the sum of true tension, random walk of the bias, and noise.
+
+    Args:
+        true: true tension of each cell [N].
+        bias: bias of each cell [N], which the kernel updates.
+        normal: random numbers with a normal distribution: first for the walk of each cell, then for
+            the noise of each cell.
+        drift: standard deviation of the bias walk since the last sample [N].
+        noise: standard deviation of the noise of a reading [N].
+        readings: reading of each cell [N], written by the kernel.
+    """
+    channels = len(true)
+    for i in range(channels):
+        bias[i] += normal[i] * drift
+    for i in range(channels):
+        readings[i] = true[i] + bias[i] + normal[channels + i] * noise
+
+
+@kernel_helper
+def drift_since(node: Any, t_ns: int) -> float:
+    """Return the standard deviation of the bias walk since the last sample [N].
+
+    Store the time of this sample.
+
+    The standard deviation is ``bias_drift`` after 100 s.
+    """
+    elapsed_s = (t_ns - node.sampled_ns) * 1e-9 if node.sampled_ns >= 0 else 0.0
+    node.sampled_ns = t_ns
+    return float(node.bias_drift * math.sqrt(elapsed_s / 100.0))
+
+
+@kernel_helper
+def has_joints(node: Any, joints: int, counter: int) -> bool:
+    """Return True if a SYNC with this counter is answered also with the joint encoders."""
+    return joints > 0 and counter % node.joint_decimation == 0
+
+
+def tension_code(tension: float) -> int:
+    """Return the 12-bit code of a tension [N].
+
+    The codes 0 and 4095 mean that the tension is saturated.
+    """
+    return _encode_value(tension, *TENSION_CODE)
+
+
+def joint_code(angle: float) -> int:
+    """Return the 12-bit code of a joint angle [rad]."""
+    return _encode_value(angle, *JOINT_CODE)
+
+
+class PayloadEncoder:
+    """Encoder that packs a fixed number of channels into payloads."""
+
+    def __init__(self, channels: int) -> None:
+        """Allocate memory for codes and payloads.
+
+        Args:
+            channels: number of channels.
+        """
+        starts = range(0, channels, CHANNELS_PER_FRAME)
+        self._codes = np.zeros(channels, np.int64)
+        self._words = np.zeros(len(starts), np.int64)
+        self._sizes = [payload_size(channels - start) for start in starts]
+
+    def of_codes(self, counter: int, codes: Sequence[int]) -> list[bytes]:
+        """Pack a counter (low four bits) and codes into payloads of up to five codes, as short as possible."""
+        self._codes[:] = codes
+        _pack_codes(counter, self._codes, self._words)
+        return self._payload_bytes()
+
+    def of_values(
+        self, counter: int, values: Any, low: float, step: float, offset: int
+    ) -> list[bytes]:
+        """Encode values and pack the codes into payloads. See ``encode``."""
+        encode(values, low, step, offset, counter, self._codes, self._words)
+        return self._payload_bytes()
+
+    def _payload_bytes(self) -> list[bytes]:
+        """Convert the payloads from integers to bytes, without unused bytes."""
+        raw = self._words.astype("<i8", copy=False).tobytes()
+        return [raw[8 * g : 8 * g + size] for g, size in enumerate(self._sizes)]
+
+
+def pack(counter: int, codes: Sequence[int]) -> bytes:
+    """Pack a counter (low four bits) and up to five codes into one payload, as short as possible."""
+    (payload,) = PayloadEncoder(len(codes)).of_codes(counter, codes)
+    return payload
+
+
+class SensorNode:
+    """The simulated sensor node of a hand.
+
+    Attributes:
+        bias: present bias of each load cell [N].
+        cell_faults: function that changes the reading of a load cell, by channel.
+        joint_faults: function that changes the reading of a joint encoder, by channel.
+        suppressed: functions by the identifier of a frame. The function is called instead of
+            sending the frame.
+        ids: set with the identifier of SYNC.
+        malformed: number of SYNC frames of a wrong length.
+        wake_ns: a time that is never reached, because the node need not be woken.
+    """
+
+    def __init__(
+        self, spec: SensorSpec, tensions: Callable[[], Any], angles: Callable[[], Any], seed: int
+    ) -> None:
+        """Set up the sensor node.
+
+        Args:
+            spec: description of the sensor node.
+            tensions: function that returns the true tensions [N] in the order of the channels.
+            angles: function that returns the true joint angles [rad] in the order of the channels.
+            seed: seed of the noise of all readings.
+        """
+        self._spec = spec
+        self._tensions = tensions
+        self._angles = angles
+        self.tension_noise = spec.tension_noise
+        self.bias_drift = spec.bias_drift
+        self.joint_noise = spec.joint_noise
+        self.base_id = spec.base_id
+        self.joint_decimation = spec.joint_decimation
+        self.noise = NormalNoise(f"sensors {seed}")
+        self.bias: Any = np.full(len(spec.tendons), spec.tension_bias)
+        self._values: Any = np.zeros(len(spec.tendons))
+        self._payloads = PayloadEncoder(len(spec.tendons)), PayloadEncoder(len(spec.joints))
+        self.cell_faults: dict[int, Callable[[float], float]] = {}
+        self.joint_faults: dict[int, Callable[[float], float]] = {}
+        self.suppressed: dict[int, Callable[[], None]] = {}
+        self.sampled_ns = -1
+        self.ids = frozenset((spec.sync_id,))
+        self.malformed = 0
+        self.wake_ns = _NEVER_NS
+
+    @property
+    def nodes(self) -> list["SensorNode"]:
+        """Return the nodes on the bus. The sensor node is a single node."""
+        return [self]
+
+    def frame_of_cell(self, index: int) -> int:
+        """Return the identifier of the frame with the reading of a load cell."""
+        return self._spec.base_id + index // CHANNELS_PER_FRAME
+
+    @property
+    def cyclic_ids(self) -> tuple[int, ...]:
+        """Return the identifiers of the frames for the node in every tick."""
+        return (self._spec.sync_id,)
+
+    def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
+        """Answer a SYNC frame with tension frames, and with joint frames if these are due.
+
+        Returns:
+            The answers, None if the frame is not a SYNC frame.
+        """
+        if frame.can_id != self._spec.sync_id:
+            return None
+        if len(frame.data) != 1:
+            self.malformed += 1
+            return []
+        spec, counter, (cells, encoders) = self._spec, frame.data[0], self._payloads
+        payloads = [
+            *enumerate(
+                cells.of_values(counter, self._sample_load_cells(t_ns), *TENSION_CODE), spec.base_id
+            )
+        ]
+        if has_joints(self, len(spec.joints), counter):
+            readings = _with_faults(
+                self._angles() + self.noise.take(len(spec.joints)) * spec.joint_noise,
+                self.joint_faults,
+            )
+            payloads += enumerate(
+                encoders.of_values(counter, readings, *JOINT_CODE), spec.base_id + JOINT_OFFSET
+            )
+        sent = [Frame(can_id, data, frame.flags, frame.bus, t_ns) for can_id, data in payloads]
+        return self._without_suppressed_frames(sent) if self.suppressed else sent
+
+    def _without_suppressed_frames(self, frames: list[Frame]) -> list[Frame]:
+        """Return the frames that no fault suppresses."""
+        for frame in frames:
+            if frame.can_id in self.suppressed:
+                self.suppressed[frame.can_id]()
+        return [frame for frame in frames if frame.can_id not in self.suppressed]
+
+    def _sample_load_cells(self, t_ns: int) -> Any:
+        """Sample the load cells and return their readings [N]."""
+        drift = drift_since(self, t_ns)
+        normal = self.noise.take(2 * len(self.bias))
+        read_cells(self._tensions(), self.bias, normal, drift, self.tension_noise, self._values)
+        return _with_faults(self._values, self.cell_faults)
+
+    def wake(self, t_ns: int) -> None:
+        """Do nothing, because this node acts only on SYNC."""
+
+
+class SensorNodeRow(SensorStruct, SensorNode):
+    """A sensor node whose numbers are kept in a row of an array, for compiled kernels."""
+
+    def prepare(
+        self, spec: SensorSpec, tensions: Callable[[], Any], angles: Callable[[], Any], seed: int
+    ) -> None:
+        """Initialize the row of the node. See ``SensorNode``."""
+        SensorNode.__init__(self, spec, tensions, angles, seed)
+
+
+def _with_faults(readings: Any, faults: dict[int, Callable[[float], float]]) -> Any:
+    """Apply the faults of single channels to readings."""
+    for i, fault in sorted(faults.items()):
+        readings[i] = fault(float(readings[i]))
+    return readings

@@ -1,0 +1,193 @@
+"""The rigid-body engine of the plant: the only module of the plant that uses MuJoCo."""
+
+import ctypes
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import mujoco  # type: ignore[import-untyped,unused-ignore]
+import numpy as np
+
+from firmware_sim.plant.mjcf import MAX_CONTACTS
+
+
+class RigidBodyEngine:
+    """The rigid bodies of hand and scene with their joints, springs, stops and contacts.
+
+    All attributes that are arrays are views into MuJoCo's memory.
+
+    Attributes:
+        step: function that advances the engine by one step.
+        native: addresses of MuJoCo's step function and of its two arguments, for compiled code.
+            None if not available.
+        q: joint angles [rad].
+        dq: joint velocities [rad/s].
+        applied: torques that tendons apply to the joints [N m].
+        tendon_damping: damping of each tendon [N s/m].
+        sensed: values of all sensors of the model.
+    """
+
+    def __init__(self, xml: str, joint_count: int) -> None:
+        """Build the engine from a model.
+
+        Args:
+            xml: model of hand and scene as MJCF text.
+            joint_count: number of the hand's joints. These joints are the model's first degrees of
+                freedom.
+        """
+        self._model: Any = mujoco.MjModel.from_xml_string(xml)
+        self._data: Any = mujoco.MjData(self._model)
+        mujoco.mj_forward(self._model, self._data)
+        model = self._model
+        data = self._data
+        n = joint_count
+        self.step: Callable[[], None] = lambda: mujoco.mj_step(model, data)
+        self.native = _native_step(model, data)
+        # These arrays are views into MuJoCo's memory. They are valid as long as the data object
+        # exists.
+        self.q: Any = data.qpos[:n]
+        self.dq: Any = data.qvel[:n]
+        self.applied: Any = data.qfrc_applied[:n]
+        self.tendon_damping: Any = model.tendon_damping
+        self.sensed: Any = data.sensordata
+        self._object: Any = data.qpos[n : n + 7]
+        self._object_velocity: Any = data.qvel[n : n + 6]
+        self._table: Any = data.mocap_pos
+
+    @property
+    def has_object(self) -> bool:
+        """Return True if the scene has an object."""
+        return len(self._object) == 7
+
+    def object_pose(self) -> list[float]:
+        """Return the pose of the object: x, y, z [m] and qw, qx, qy, qz.
+
+        Without an object, the pose is the origin.
+        """
+        return self._object.tolist() if self.has_object else [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
+
+    def object_speed(self) -> float:
+        """Return the speed of the object's centre [m/s], 0 without an object."""
+        return float(np.linalg.norm(self._object_velocity[:3])) if self.has_object else 0.0
+
+    def forces_on(self, sensor_kind: str, digits: list[str]) -> Callable[[], list[float]]:
+        """Build a function that returns the contact forces on the digits [N].
+
+        Args:
+            sensor_kind: ``grip`` for forces of the object only, or ``contact`` for forces of any body.
+            digits: names of the digits.
+
+        Returns:
+            Function without arguments. Its result lists the components x, y, z of each digit's
+            force in the palm frame, digit by digit.
+        """
+        index = np.array(
+            [
+                address + axis
+                for address in self.force_indices(sensor_kind, digits)
+                for axis in range(3)
+            ]
+        )
+        data = self._data.sensordata
+        # The sensor gives the force that the first body (the digit) exerts on the second. Therefore
+        # the sign is changed.
+        return lambda: (-data[index]).tolist()  # type: ignore[no-any-return,unused-ignore]
+
+    def force_indices(self, sensor_kind: str, digits: list[str]) -> list[int]:
+        """Return the index in ``sensed`` of each digit's force.
+
+        The values there have the opposite sign. See ``forces_on``.
+        """
+        return [self._sensor_index(f"{sensor_kind}/{digit}") for digit in digits]
+
+    def normal_forces(self, digits: list[str]) -> Callable[[], list[float]]:
+        """Build a function that returns the sum of the normal forces between each digit and the object [N]."""
+        first = [self._sensor_index(f"normal/{digit}") for digit in digits]
+        index = np.array(
+            [[address + 3 * contact for contact in range(MAX_CONTACTS)] for address in first]
+        )
+        data = self._data.sensordata
+        return lambda: np.abs(data[index]).sum(axis=1).tolist()  # type: ignore[no-any-return,unused-ignore]
+
+    def _sensor_index(self, name: str) -> int:
+        """Return the index in ``sensed`` of a sensor's first value."""
+        return int(self._model.sensor_adr[self._model.sensor(name).id])
+
+    def set_timestep(self, step_s: float) -> None:
+        """Set the time step of the next steps [s]."""
+        self._model.opt.timestep = step_s
+
+    def brake(self, joints: list[int], damping: float) -> Callable[[], None]:
+        """Brake joints with a high damping [N m s/rad].
+
+        Returns:
+            Function that restores the damping of the joints.
+        """
+        before = self._model.dof_damping[joints].copy()
+        self._model.dof_damping[joints] = damping
+
+        def release() -> None:
+            self._model.dof_damping[joints] = before
+
+        return release
+
+    def overlaps(self) -> dict[str, float]:
+        """Return the depth of overlap of the object with each touched body [m], by body name.
+
+        The table is left out.
+        """
+        model = self._model
+        depths: dict[str, float] = {}
+        for contact in self._data.contact:
+            names = [model.body(model.geom_bodyid[geom]).name for geom in contact.geom]
+            if "object" in names and "table" not in names:
+                # In the model, the palm is a part of the world body.
+                name = names[1 - names.index("object")].replace("world", "palm")
+                depths[name] = max(depths.get(name, 0.0), -float(contact.dist))
+        return depths
+
+    def lower_table(self, distance: float) -> None:
+        """Move the table of the scene down by a distance [m]."""
+        self._table[0, 2] -= distance
+
+    def set_joints(self, q: list[float], dq: list[float]) -> None:
+        """Set the joint angles and joint velocities of the hand.
+
+        Args:
+            q: joint angles, shape (joints,) [rad].
+            dq: joint velocities, shape (joints,) [rad/s].
+        """
+        self.q[:] = q
+        self.dq[:] = dq
+        mujoco.mj_forward(self._model, self._data)
+
+    def push_object(self, force: list[float]) -> None:
+        """Apply a constant force at the centre of the object: x, y, z in the palm frame [N]."""
+        self._data.xfrc_applied[self._model.body("object").id, :3] = force
+
+    def set_friction(self, coefficient: float) -> None:
+        """Set the sliding friction coefficient of all shapes."""
+        self._model.geom_friction[:, 0] = coefficient
+
+    def energy(self) -> float:
+        """Return the sum of kinetic and potential energy of links, springs and object [J]."""
+        mujoco.mj_energyPos(self._model, self._data)
+        mujoco.mj_energyVel(self._model, self._data)
+        return float(self._data.energy.sum())
+
+    def set_gravity(self, gravity: tuple[float, float, float]) -> None:
+        """Set the acceleration of gravity in the palm frame [m/s2]."""
+        self._model.opt.gravity[:] = gravity
+
+
+def _native_step(model: Any, data: Any) -> tuple[int, int, int] | None:
+    """Return the addresses of MuJoCo's function ``mj_step``, of the model and of the data.
+
+    If compiled code calls the function by its address, an error inside MuJoCo ends the process.
+    MuJoCo reports few errors, and none if the plant diverges.
+    """
+    library = next(Path(mujoco.__file__).parent.glob("libmujoco*"), None)
+    if library is None:
+        return None
+    step = ctypes.cast(ctypes.CDLL(str(library)).mj_step, ctypes.c_void_p).value
+    return (step, model._address, data._address) if step else None

@@ -1,0 +1,97 @@
+"""Real-time priority for the simulator, which must keep up with the clock as real firmware does."""
+
+import math
+import os
+import sys
+import time
+from collections import deque
+from collections.abc import Callable
+
+REALTIME_PRIORITY = 50
+"""Real-time priority of the simulator.
+
+The controller has 60, and is therefore never delayed by the simulator.
+"""
+ORDINARY_PRIORITY_S = 5.0
+"""Time without real-time priority after the plant fell behind the clock [s]."""
+MAX_SLIPS = 3
+"""Number of clock slips within ``SLIP_WINDOW_S`` after which the priority is given back."""
+SLIP_WINDOW_S = 1.0
+"""Time span within which ``MAX_SLIPS`` are counted [s]."""
+
+
+def take_priority() -> bool:
+    """Request real-time priority (SCHED_FIFO) for this process.
+
+    Returns:
+        True if the priority was granted.
+    """
+    if not sys.platform.startswith("linux"):
+        return False
+    try:
+        os.sched_setscheduler(
+            0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(REALTIME_PRIORITY)
+        )
+    except OSError:
+        return False
+    return True
+
+
+def restore_priority() -> None:
+    """Return this process to the ordinary scheduler."""
+    if sys.platform.startswith("linux"):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+
+
+class RealTimePriority:
+    """Real-time priority for a simulator that serves a controller, but leaves the controller enough computing time.
+
+    A simulator behind the clock is always busy. A controller on the same core has no real-time
+    priority while it still imports modules. A busy simulator with real-time priority would leave
+    the controller almost no time. Therefore the simulator takes the priority only at the first
+    frame of a host. If the plant falls behind repeatedly, the simulator gives the priority back for
+    ``ORDINARY_PRIORITY_S``. A single stop of the machine does not count as repeated.
+
+    Attributes:
+        active: True while the process has the priority.
+    """
+
+    def __init__(
+        self,
+        take_priority_function: Callable[[], bool] = take_priority,
+        restore: Callable[[], None] = restore_priority,
+        now_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Start without real-time priority.
+
+        Args:
+            take_priority_function: function that takes the priority and returns True if granted.
+            restore: function that restores the ordinary priority.
+            now_s: function that returns the present time [s].
+        """
+        self._take = take_priority_function
+        self._restore = restore
+        self._now_s = now_s
+        self.active = False
+        self._not_before_s = -math.inf
+        self._slips_s: deque[float] = deque(maxlen=MAX_SLIPS)
+
+    def note_host_frames(self) -> None:
+        """Take the real-time priority, because frames of a host have arrived."""
+        if not self.active and self._now_s() >= self._not_before_s:
+            self.active = self._take()
+            self._not_before_s = (
+                self._now_s() + ORDINARY_PRIORITY_S
+            )  # no new request in every turn after a refusal
+
+    def note_slip(self) -> None:
+        """Count a slip of the clock, and give the priority back after ``MAX_SLIPS`` slips."""
+        if not self.active:
+            return
+        now_s = self._now_s()
+        self._slips_s.append(now_s)
+        if len(self._slips_s) == MAX_SLIPS and now_s - self._slips_s[0] <= SLIP_WINDOW_S:
+            self._restore()
+            self.active = False
+            self._not_before_s = now_s + ORDINARY_PRIORITY_S
+            self._slips_s.clear()

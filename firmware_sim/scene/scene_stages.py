@@ -1,0 +1,157 @@
+"""Stages of a scene after the grasp, in which the hand is turned, the object is pushed or the friction changes."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+GRAVITY_M_S2 = 9.81
+"""Standard gravity [m/s2]."""
+STAGE_KEYS = {"down", "turn_s", "last_s", "push_N", "push_at_s", "push_s", "friction"}
+"""Keys that a stage may have in a scene file."""
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class SceneStage:
+    """One stage of a scene.
+
+    The first stage starts when the table starts to sink, each later stage when the previous one
+    ends.
+
+    Attributes:
+        down: unit vector of gravity in the palm frame after the turn, None to keep the direction.
+        turn: duration of the turn of gravity to the new direction [s].
+        duration: duration of the rest of the stage, after the turn [s].
+        push: force at the centre of the object in the palm frame [N].
+        push_at: time from the end of the turn to the start of the push [s].
+        push_duration: duration of the push [s].
+        friction: sliding friction coefficient after the turn, None to keep the coefficient.
+    """
+
+    down: Vector | None
+    turn: float
+    duration: float
+    push: Vector
+    push_at: float
+    push_duration: float
+    friction: float | None
+
+
+def read_stage(section: dict[str, Any]) -> SceneStage:
+    """Read one stage of a scene file.
+
+    Raises:
+        ValueError: a key or a value of the stage is wrong.
+    """
+    if unknown := section.keys() - STAGE_KEYS:
+        raise ValueError(f"stage.{sorted(unknown)[0]}: expected {', '.join(sorted(STAGE_KEYS))}")
+    down = _parse_vector(section["down"], "stage.down") if "down" in section else None
+    if down is not None:
+        length = math.hypot(*down)
+        if not length > 0.0:
+            raise ValueError("stage.down: expected a direction, not zero")
+        down = (down[0] / length, down[1] / length, down[2] / length)
+    push = _parse_vector(section.get("push_N", (0.0, 0.0, 0.0)), "stage.push_N")
+    times = [float(section.get(key, 0.0)) for key in ("turn_s", "last_s", "push_at_s", "push_s")]
+    if not all(0.0 <= time <= 3600.0 for time in times) or times[0] + times[1] <= 0.0:
+        raise ValueError("stage: expected times from 0 to 3600 s, and last_s above 0")
+    friction = float(section["friction"]) if "friction" in section else None
+    if friction is not None and not 0.0 <= friction <= 10.0:
+        raise ValueError(f"stage.friction {friction}: expected 0 to 10")
+    return SceneStage(down, times[0], times[1], push, times[2], times[3], friction)
+
+
+def _parse_vector(raw_vector: Any, where: str) -> Vector:
+    values = tuple(float(value) for value in raw_vector)
+    if len(values) != 3 or not all(map(math.isfinite, values)):
+        raise ValueError(f"{where}: expected three finite numbers")
+    return values[0], values[1], values[2]
+
+
+@dataclass(frozen=True, slots=True)
+class SceneState:
+    """State of a scene with stages at one time.
+
+    Attributes:
+        stage: index of the present stage, -1 for a scene without stages.
+        gravity: acceleration of gravity in the palm frame [m/s2].
+        push: force at the centre of the object in the palm frame [N].
+        friction: sliding friction coefficient, None for the one in the scene file.
+    """
+
+    stage: int
+    gravity: Vector
+    push: Vector
+    friction: float | None
+
+
+class StageSequence:
+    """All stages of a scene, as a function of time.
+
+    Attributes:
+        duration: total duration of all stages [s].
+    """
+
+    def __init__(self, stages: tuple[SceneStage, ...], gravity: Vector) -> None:
+        """Store the stages of a scene.
+
+        Args:
+            stages: stages of the scene.
+            gravity: acceleration of gravity before the first stage [m/s2].
+        """
+        self._stages = stages
+        self._gravity = gravity
+        self.duration = sum(stage.turn + stage.duration for stage in stages)
+
+    def state_at(self, time: float) -> SceneState:
+        """Return the state at a time since the table started to sink [s].
+
+        After the last stage, its final state remains.
+        """
+        start = 0.0
+        gravity = self._gravity
+        friction = None
+        for i, stage in enumerate(self._stages):
+            since = time - start
+            target = gravity if stage.down is None else _scaled_vector(stage.down, GRAVITY_M_S2)
+            friction = (
+                stage.friction if stage.friction is not None and since >= stage.turn else friction
+            )
+            if since < stage.turn + stage.duration or i == len(self._stages) - 1:
+                pushing = stage.push_at <= since - stage.turn < stage.push_at + stage.push_duration
+                fraction = min(since / stage.turn, 1.0) if stage.turn > 0.0 else 1.0
+                return SceneState(
+                    i,
+                    _turned_vector(gravity, target, fraction),
+                    stage.push if pushing else (0.0, 0.0, 0.0),
+                    friction,
+                )
+            start = start + stage.turn + stage.duration
+            gravity = target
+        return SceneState(-1, self._gravity, (0.0, 0.0, 0.0), None)
+
+
+def _scaled_vector(v: Vector, factor: float) -> Vector:
+    """Multiply a vector by a factor."""
+    return v[0] * factor, v[1] * factor, v[2] * factor
+
+
+def _turned_vector(start: Vector, end: Vector, fraction: float) -> Vector:
+    """Interpolate between two vectors along a great circle.
+
+    Between opposite vectors, the path is a straight line.
+
+    Args:
+        start: vector at fraction 0.
+        end: vector at fraction 1. The result has the length of this vector.
+        fraction: fraction of the way from ``start`` to ``end``, 0 to 1.
+    """
+    mixed = tuple(a + (b - a) * fraction for a, b in zip(start, end, strict=True))
+    length = math.hypot(*mixed)
+    target_length = math.hypot(*end)
+    # Halfway between opposite vectors, no direction is defined, because many great circles pass
+    # through both.
+    if length < 1e-9 or target_length == 0.0:
+        return mixed[0], mixed[1], mixed[2]
+    return _scaled_vector((mixed[0], mixed[1], mixed[2]), target_length / length)

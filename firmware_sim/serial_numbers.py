@@ -1,0 +1,55 @@
+"""Serial numbers of simulated drives.
+
+Two hands of the same design differ only in the serial numbers.
+"""
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+from firmware_sim.hand_description import Hand, SimulatorError
+
+SERIAL_NUMBER_BITS = {"mit": 32, "cia402": 32, "odrive": 48, "moteus": 96, "robstride": 64}
+"""Size of a drive's serial number, by protocol [bit].
+
+Drives of other protocols have no serial number.
+"""
+EXPECTED_FORM = (
+    "expected a number, or MOTOR=NUMBER, as in --serial 0x4000 or --serial index_motor=0x4001"
+)
+"""Part of the error message for a wrong serial number."""
+
+
+def with_serial_numbers(hand: Hand, words: Iterable[str]) -> Hand:
+    """Return the description of a hand with serial numbers of its drives.
+
+    Args:
+        hand: description of the hand.
+        words: NUMBER for all drives, to which each drive adds the node number, or MOTOR=NUMBER for
+            a single drive. A later word overrides an earlier one.
+
+    Raises:
+        SimulatorError: the motor does not exist, or the number is not valid for its protocol.
+    """
+    serials: dict[str, int | None] = {motor.name: motor.serial for motor in hand.motors}
+    for word in words:
+        name, equals, text = word.rpartition("=")
+        if equals and name not in serials:
+            raise SimulatorError(
+                f"--serial {word}: no motor {name!r}; expected one of {', '.join(serials)}"
+            )
+        try:
+            number = int(text, 0)
+        except ValueError:
+            raise SimulatorError(f"--serial {word}: {EXPECTED_FORM}") from None
+        named = [motor for motor in hand.motors if not equals or motor.name == name]
+        serials |= {motor.name: number if equals else number + motor.node_id for motor in named}
+    for motor in hand.motors:
+        given = serials[motor.name]
+        if given is not None and not 0 <= given < 1 << SERIAL_NUMBER_BITS.get(motor.protocol, 64):
+            highest = (1 << SERIAL_NUMBER_BITS[motor.protocol]) - 1
+            raise SimulatorError(
+                f"--serial: {motor.name} would have {given}; expected 0 to {highest:#x}"
+            )
+    return replace(
+        hand, motors=[replace(motor, serial=serials[motor.name]) for motor in hand.motors]
+    )

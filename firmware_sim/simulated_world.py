@@ -1,0 +1,431 @@
+"""The world of a hand: plant and nodes.
+
+The caller gives time and frames. The world has no sockets or clocks.
+
+Injected faults act on frames of nodes, in a node, in a sensor or in the plant. See ``faults``.
+"""
+
+import random
+from operator import itemgetter
+from typing import Any
+
+import numpy as np
+
+from firmware_sim.bus.frame import Frame
+from firmware_sim.bus.frame_records import to_frames, to_records
+from firmware_sim.compiled import structure_array, use_compiled_kernels
+from firmware_sim.faults.active_faults import ActiveFaults
+from firmware_sim.hand_description import Hand, MotorSpec, SensorSpec, SimulatorError
+from firmware_sim.nodes import PROTOCOL_SPECS, noise, sensor_node
+from firmware_sim.nodes.cia404.node import LoadCellAmplifiers
+from firmware_sim.nodes.cyclic_kernels import NEVER_NS
+from firmware_sim.nodes.mit import codec as mit_codec
+from firmware_sim.nodes.protocol_spec import SENSOR_NODE_KIND, DriveNode, SimulatedNode
+from firmware_sim.nodes.sensor_node import SensorNode, SensorNodeRow, SensorStruct
+from firmware_sim.plant.mjcf import scene_shapes
+from firmware_sim.plant.plant import STEP_NS, Plant
+from firmware_sim.scene.scene import Scene
+from firmware_sim.tick_exchange import TickExchange
+from firmware_sim.truth_file import TruthWriter
+
+_ARRIVAL_NS = itemgetter(4)
+MAX_ENCODER_OFFSET_RAD = 0.5
+"""Maximum encoder angle at theta = 0 in a hand that is not homed [rad].
+
+It is small against PMAX and the 3 rad of a grasp.
+"""
+
+
+class SimulatedWorld:
+    """The plant and the simulated nodes of one hand.
+
+    If the world is not homed, it starts as a hand at power-up. Each tendon is slack by 1 to 3 mm,
+    because the motors were off. Where a tendon is just taut at q = 0, its encoder reads an angle
+    within 0.5 rad of ``zero_rad``, as after a spool was clamped by hand. Slack and angle are random
+    with a seed. A homed world starts with taut tendons and with the encoders at ``zero_rad``.
+
+    Attributes:
+        hand: description of the hand.
+        plant: mechanics of the hand.
+        nodes: list of the nodes on each bus of the hand.
+        t_ns: present time of plant and nodes [ns].
+        slip_ns: time lost by slips while this process did not run [ns].
+        foreign: number of frames that no node handled.
+        sensor_node: node with load cells and joint encoders, or the collection of all amplifiers.
+        sensor_nodes: the nodes on the bus that read load cells.
+        faults: faults that have been injected.
+        encoder_offset: encoder angle at theta = 0, by motor name [rad].
+        row_of: kind and row of each node that compiled kernels handle, by the ``id()`` of the node.
+        exchange: exchange of frames by a compiled kernel, None without compiled kernels.
+    """
+
+    def __init__(
+        self,
+        hand: Hand,
+        scene: Scene,
+        seed: int = 0,
+        homed: bool = False,
+        origin_ns: int = 0,
+        compiled: bool = True,
+    ) -> None:
+        """Build the plant and the nodes of a hand.
+
+        Args:
+            hand: description of the hand.
+            scene: description of object, support and later events.
+            seed: seed of all random numbers.
+            homed: True to start as a homed hand.
+            origin_ns: time of the world at the start [ns].
+            compiled: True to use compiled kernels, see ``Plant``.
+        """
+        self.hand = hand
+        self.seed = seed
+        self.homed = homed
+        self.plant = Plant(hand, scene, seed, homed, compiled)
+        if compiled:
+            for module in (mit_codec, sensor_node, noise):
+                use_compiled_kernels(module)
+        self.t_ns = self._origin_ns = origin_ns
+        self.foreign = 0
+        rng = random.Random(f"encoders {seed}")
+        spread = 0.0 if homed else MAX_ENCODER_OFFSET_RAD
+        self.encoder_offset = {
+            motor.name: motor.zero + rng.uniform(-spread, spread) for motor in hand.motors
+        }
+        self.nodes: list[list[SimulatedNode]] = [[] for _ in hand.buses]
+        self.row_of: dict[int, tuple[int, int]] = {}
+        rows: dict[type, Any] = {}
+        self._motor_nodes = self._build_drives(compiled, rows)
+        for motor in hand.motors:
+            self.nodes[self._bus_index(motor.bus)].append(self._motor_nodes[motor.name])
+        if hand.sensors:
+            self.sensor_node = self._build_sensor_node(hand.sensors, compiled, rows)
+            self.sensor_nodes = self.sensor_node.nodes
+            self.nodes[self._bus_index(hand.sensors.bus)] += self.sensor_nodes
+        self._nodes_by_bus = [(index, node) for index, bus in enumerate(self.nodes) for node in bus]
+        self._without_row = [node for _, node in self._nodes_by_bus if id(node) not in self.row_of]
+        self._by_id: list[dict[int, list[tuple[SimulatedNode, frozenset[int] | None]]]]
+        self.exchange = TickExchange(self, rows) if compiled else None
+        self.refresh_identifiers()
+        self._unsolicited: list[Frame] = []
+        self.faults = ActiveFaults(self)
+        self._truth: TruthWriter | None = None
+        self.slip_ns = 0
+
+    def _bus_index(self, name: str) -> int:
+        """Return the index of a bus of the hand by its name."""
+        if name not in self.hand.buses:
+            raise SimulatorError(
+                f"{self.hand.name}: no bus {name}; expected one of {', '.join(self.hand.buses)}"
+            )
+        return self.hand.buses.index(name)
+
+    def _build_drives(self, compiled: bool, rows: dict[type, Any]) -> dict[str, DriveNode]:
+        """Build the drive node of each motor.
+
+        Args:
+            compiled: True to keep the nodes' numbers in rows, for compiled kernels.
+            rows: arrays of rows by row type, extended by this function.
+
+        Returns:
+            Drive node of each motor by the name of the motor.
+        """
+        nodes: dict[str, DriveNode] = {}
+        for motor in self.hand.motors:
+            if motor.protocol not in PROTOCOL_SPECS:
+                names = ", ".join(PROTOCOL_SPECS)
+                raise SimulatorError(
+                    f"{motor.name}: protocol {motor.protocol} is not simulated; expected one of {names}"
+                )
+        for protocol, kind in PROTOCOL_SPECS.items():
+            motors = [motor for motor in self.hand.motors if motor.protocol == protocol]
+            memory: Any = (
+                (kind.row * len(motors))() if compiled and kind.row else [None] * len(motors)
+            )
+            for number, (motor, row) in enumerate(zip(motors, memory, strict=True)):
+                arguments = motor, self.plant.motors[motor.name], self.encoder_offset[motor.name]
+                if row is None:
+                    nodes[motor.name] = kind.node(*arguments)
+                    continue
+                row.prepare(*arguments)
+                row.bus = self._bus_index(motor.bus)
+                nodes[motor.name] = row
+                self.row_of[id(row)] = (kind.node_kind, number)
+            if compiled and kind.row:
+                rows[kind.row.layout] = structure_array(memory, kind.row.layout)
+        return nodes
+
+    def _build_sensor_node(
+        self, spec: SensorSpec, compiled: bool, rows: dict[type, Any]
+    ) -> SensorNode | LoadCellAmplifiers:
+        """Build the sensor node (with a row if kernels are compiled), or the amplifiers."""
+        plant = self.plant
+        joints = self.hand.joints
+        names = [tendon.name for tendon in self.hand.tendons]
+        tendon_order = np.array([names.index(name) for name in spec.tendons], np.int64)
+        joint_order = np.array([joints.index(name) for name in spec.joints], np.int64)
+        self.sensor_orders = tendon_order, joint_order
+        if spec.node_ids:
+            return LoadCellAmplifiers(spec, lambda: plant.cells()[tendon_order], self.seed)
+        arguments = (
+            spec,
+            lambda: plant.cells()[tendon_order],
+            lambda: plant.engine.q[joint_order],
+            self.seed,
+        )
+        if not compiled:
+            return SensorNode(*arguments)
+        memory = (SensorNodeRow * 1)()
+        node: SensorNodeRow = memory[0]
+        node.prepare(*arguments)
+        rows[SensorStruct] = structure_array(memory, SensorStruct)
+        self.row_of[id(node)] = SENSOR_NODE_KIND, 0
+        return node
+
+    def motor_spec(self, name: str) -> MotorSpec:
+        """Return the description of a motor by the name of the motor."""
+        return next(motor for motor in self.hand.motors if motor.name == name)
+
+    def node_of(self, name: str) -> SimulatedNode:
+        """Return the drive node of a motor by the name of the motor."""
+        return self._motor_nodes[name]
+
+    def host_frame(self, name: str) -> Frame:
+        """Build a frame without effect, sent only by the host of a motor."""
+        spec = self.motor_spec(name)
+        can_id, data = PROTOCOL_SPECS[spec.protocol].host_frame(spec.node_id)
+        return Frame(can_id, data, 0, self._bus_index(spec.bus), self.t_ns)
+
+    def record(self, truth: TruthWriter) -> None:
+        """Record every millisecond of plant time in a truth file."""
+        self._truth = truth
+
+    def receive(self, frame: Frame) -> list[Frame]:
+        """Pass a frame to the nodes of its bus, and collect the answers.
+
+        Args:
+            frame: frame of the host.
+
+        Returns:
+            The answers, with the present time as their time.
+        """
+        answers: list[Frame] = []
+        handled = False
+        t_ns = self.t_ns
+        bus = frame[3]
+        faults = self.faults
+        wire_faulty = faults.wire_faults_of  # a fault may also react to frames for other nodes
+        receivers = (
+            self._nodes_of_bus[bus]
+            if wire_faulty
+            else self._by_id[bus].get(frame[0]) or self._receivers(bus, frame[0])
+        )
+        for node, ids in receivers:
+            replies = (
+                faults.exchange(node, frame, t_ns) if wire_faulty else node.receive(frame, t_ns)
+            )
+            if node.ids is not ids:
+                self.refresh_identifiers()
+            if replies is not None:
+                handled = True
+                answers += replies
+        if not handled:
+            self.foreign += 1
+        for i, (can_id, data, flags, at_bus, at_ns) in enumerate(answers):
+            if at_bus != bus or at_ns != t_ns:
+                answers[i] = Frame(can_id, data, flags, bus, t_ns)
+        return answers
+
+    def has_receiver(self, frame: Frame) -> bool:
+        """Return True if a node may answer the frame. The answer would sample the plant."""
+        return bool(self._by_id[frame[3]].get(frame[0]) or self._receivers(frame[3], frame[0]))
+
+    def _receivers(
+        self, bus: int, can_id: int
+    ) -> list[tuple[SimulatedNode, frozenset[int] | None]]:
+        """Return the nodes that may answer an identifier, each with the present identifiers."""
+        receivers = [
+            (node, ids) for node, ids in self._nodes_of_bus[bus] if ids is None or can_id in ids
+        ]
+        self._by_id[bus][can_id] = receivers
+        return receivers
+
+    def refresh_identifiers(self) -> None:
+        """Read the identifiers of all nodes again, because some may have changed."""
+        self._nodes_of_bus = [[(node, node.ids) for node in bus] for bus in self.nodes]
+        self._by_id = [{} for _ in self.nodes]
+        if self.exchange:
+            self.exchange.refresh_identifiers()
+
+    def advance(self, t_ns: int, row_wake_ns: int | None = None) -> None:
+        """Advance plant and nodes towards ``t_ns`` in whole steps.
+
+        The next call makes up for a remainder.
+
+        Args:
+            t_ns: time to advance to [ns].
+            row_wake_ns: earliest wake time of the drives with rows [ns], None if not known.
+        """
+        plant = self.plant
+        truth = self._truth
+        faults = self.faults
+        now_ns = self.t_ns - plant.part_ns
+        if now_ns + STEP_NS > t_ns:
+            return
+        wake_ns = self._next_wake(row_wake_ns)
+        while now_ns + STEP_NS <= t_ns:
+            until_ns = t_ns
+            if truth is not None:
+                self._write_truth(now_ns)
+                until_ns = min(until_ns, now_ns + truth.due_ns - plant.t_ns)
+            if faults.on:
+                until_ns = min(until_ns, now_ns if plant.faulty_motors else faults.due_ns())
+            count = _steps_until(now_ns, min(until_ns, wake_ns), t_ns)
+            plant.advance(count)
+            now_ns += count * STEP_NS
+            if now_ns >= wake_ns:
+                wake_ns = self._next_wake(self._wake(now_ns))
+            if faults.on:
+                self.t_ns = now_ns
+                self._unsolicited += faults.advance(now_ns)
+                wake_ns = self._next_wake()
+        self.t_ns = now_ns
+
+    def reach(self, t_ns: int) -> None:
+        """Advance plant and nodes to exactly ``t_ns``, so that samples belong to their exact time.
+
+        Other steps keep their places in time. The step around ``t_ns`` is divided, and the next
+        call completes this step.
+        """
+        self.advance(t_ns)
+        rest_ns = t_ns - self.t_ns
+        if rest_ns > 0:
+            if not self.plant.part_ns:
+                self._write_truth(self.t_ns)
+            self.plant.advance_part(rest_ns)
+            self.t_ns = t_ns
+
+    def _write_truth(self, now_ns: int) -> None:
+        """Write a row of the truth file if it is due."""
+        truth = self._truth
+        plant = self.plant
+        if truth is not None and plant.t_ns >= truth.due_ns:
+            truth.write(now_ns + self.slip_ns, plant)
+
+    def _next_wake(self, row_wake_ns: int | None = None) -> int:
+        """Return the earliest wake time of all nodes [ns].
+
+        Args:
+            row_wake_ns: earliest wake time of the drives with rows [ns], None if not known.
+        """
+        if not self.exchange:
+            return min([node.wake_ns for _, node in self._nodes_by_bus], default=NEVER_NS)
+        wake_ns = self.exchange.next_wake() if row_wake_ns is None else row_wake_ns
+        return (
+            min(wake_ns, *[node.wake_ns for node in self._without_row])
+            if self._without_row
+            else wake_ns
+        )
+
+    def _wake(self, now_ns: int) -> int | None:
+        """Wake the due nodes, and store the frames sent by them.
+
+        Returns:
+            Earliest wake time of the drives with rows [ns], None if not known.
+        """
+        if self.exchange and not self._without_row and self.exchange.send_due(now_ns):
+            return self.exchange.wake_ns
+        for bus, node in self._nodes_by_bus:
+            if now_ns >= node.wake_ns:
+                unsolicited = node.wake(now_ns)
+                if unsolicited:
+                    stamped = [frame._replace(bus=bus, t_ns=now_ns) for frame in unsolicited]
+                    self._unsolicited += (
+                        self.faults.unsolicited(node, stamped, now_ns)
+                        if self.faults.on
+                        else stamped
+                    )
+        return None
+
+    def queue_frames(self, frames: list[Frame]) -> None:
+        """Queue frames of senders outside the hand for the bus."""
+        self._unsolicited += frames
+
+    def take_unsolicited(self) -> list[Frame]:
+        """Return the unsolicited frames since the last call, sorted by time."""
+        unsolicited = self._unsolicited
+        self._unsolicited = []
+        if self.exchange and len(from_drives := self.exchange.take_sent()):
+            return sorted(to_frames(from_drives) + unsolicited, key=_ARRIVAL_NS)
+        return unsolicited
+
+    def take_unsolicited_records(self) -> Any:
+        """Return the unsolicited frames as an array of ``frame_records.FRAME_DTYPE``.
+
+        It is valid until the next frame is sent.
+        """
+        assert self.exchange
+        return (
+            to_records(self.take_unsolicited()) if self._unsolicited else self.exchange.take_sent()
+        )
+
+    @property
+    def malformed(self) -> int:
+        """Return the number of frames the nodes could not decode."""
+        return sum(node.malformed for _, node in self._nodes_by_bus)
+
+    def header(self, clock: str) -> dict[str, object]:
+        """Return the header of a truth file of this world.
+
+        Args:
+            clock: name of the clock that the times in the file belong to.
+        """
+        return {
+            "clock": clock,
+            "seed": self.seed,
+            "hand": self.hand.name,
+            "scene": self.plant.scene.name,
+            "homed": self.homed,
+            "encoder_offset_rad": self.encoder_offset,
+            "shapes": scene_shapes(self.plant.scene),
+        }
+
+
+def _steps_until(now_ns: int, due_ns: int, end_ns: int) -> int:
+    """Count the steps until an event is due or the end is reached, at least 1.
+
+    Args:
+        now_ns: present time [ns].
+        due_ns: time of the event [ns].
+        end_ns: time that the steps must not pass [ns].
+    """
+    return max(1, min(-((now_ns - due_ns) // STEP_NS), (end_ns - now_ns) // STEP_NS))
+
+
+def make_world(
+    hand: Hand,
+    scene: Scene,
+    seed: int = 0,
+    homed: bool = False,
+    origin_ns: int = 0,
+    compiled: bool = True,
+) -> SimulatedWorld:
+    """Build the world of a hand that was read from a file, and report wrong values as SimulatorError.
+
+    Args:
+        hand: description of the hand.
+        scene: description of object, support and later events.
+        seed: seed of all random numbers.
+        homed: True to start as a homed hand.
+        origin_ns: time of the world at the start [ns].
+        compiled: True to use compiled kernels, see ``Plant``.
+
+    Raises:
+        SimulatorError: numbers or names in the description of the hand do not make a plant.
+    """
+    try:
+        return SimulatedWorld(hand, scene, seed, homed, origin_ns, compiled)
+    except SimulatorError:
+        raise
+    except (ArithmeticError, LookupError, TypeError, ValueError) as error:
+        raise SimulatorError(f"hand {hand.name}: cannot be simulated: {error}") from error

@@ -1,0 +1,154 @@
+"""The pace of the simulation: reports of a delay behind the clock, and an advised pace for this machine."""
+
+import math
+import os
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+REPORT_PERIOD_S = 1.0
+"""Minimum time between two reports of slips [s]."""
+SLOW_MACHINE_SLIPS = 3
+"""Number of slips within a report period from which a machine counts as too slow.
+
+With fewer slips, the process was only stopped for a moment.
+"""
+CORE_FRACTION = 0.5
+"""Fraction of a processor core for the simulator.
+
+Controller, recorder and system need the rest.
+"""
+ADVISED_FRACTION = 0.8
+"""Advised pace divided by the pace that the machine can keep."""
+
+
+@dataclass(frozen=True, slots=True)
+class ClockReadings:
+    """Readings of all clocks at the same time.
+
+    Attributes:
+        wall_s: time of the wall clock [s].
+        cpu_s: computing time of this process [s].
+        plant_s: simulated time of the plant [s].
+    """
+
+    wall_s: float
+    cpu_s: float
+    plant_s: float
+
+
+class PaceCounter:
+    """Counter of the clock's slips that measures and reports the pace of the simulation.
+
+    Attributes:
+        advice: pace that this machine can keep, as plant time per wall time. None until the machine
+            proves too slow.
+    """
+
+    def __init__(
+        self,
+        plant_ns: int,
+        wall_s: Callable[[], float] = time.monotonic,
+        cpu_s: Callable[[], float] = time.process_time,
+        report_line: Callable[[str], None] = lambda line: print(line, file=sys.stderr, flush=True),
+        time_scale: float = 1.0,
+    ) -> None:
+        """Start to measure the pace.
+
+        Args:
+            plant_ns: present time of the plant [ns].
+            wall_s: function that returns the time of the wall clock [s].
+            cpu_s: function that returns the computing time of this process [s].
+            report_line: function that prints a line.
+            time_scale: requested pace, as plant time per wall time.
+        """
+        self._time_scale = time_scale
+        self._wall_s = wall_s
+        self._cpu_s = cpu_s
+        self._report_line = report_line
+        self._mark = self._clock_readings(plant_ns)
+        self._start = self._mark
+        self._reported_s = -math.inf
+        self._slips = self._lost_ns = 0
+        self.advice: float | None = None
+
+    def restart(self, plant_ns: int) -> None:
+        """Restart the measurement, because a host has appeared.
+
+        Args:
+            plant_ns: present time of the plant [ns].
+        """
+        self._mark = self._start = self._clock_readings(plant_ns)
+
+    def slipped(self, behind_ns: int, plant_ns: int) -> None:
+        """Count a slip of the clock, and report it unless the last report is less than a second old.
+
+        Args:
+            behind_ns: time lost by the slip, as plant time [ns].
+            plant_ns: present time of the plant [ns].
+        """
+        self._slips += 1
+        self._lost_ns += behind_ns
+        now = self._clock_readings(plant_ns)
+        if now.wall_s - self._reported_s < REPORT_PERIOD_S:
+            return
+        if self._slips >= SLOW_MACHINE_SLIPS:
+            self._update_advice(now)
+            self._report_line(self._slow_machine_text(now.wall_s - self._mark.wall_s))
+        else:
+            times = "" if self._slips == 1 else f" {self._slips} times"
+            self._report_line(
+                f"firmware_sim: {self._lost_ns / 1e6:.0f} ms behind, clock slipped{times}"
+            )
+        self._reported_s = now.wall_s
+        self._mark = now
+        self._slips = self._lost_ns = 0
+
+    def report(self, plant_ns: int) -> dict[str, float | None]:
+        """Return the requested pace, the advised pace, and the plant time per computing time since the start."""
+        capacity = _pace_ratio(self._start, self._clock_readings(plant_ns))
+        return {
+            "time_scale": self._time_scale,
+            "advice": self.advice,
+            "plant_s_per_cpu_s": capacity if math.isfinite(capacity) else None,
+        }
+
+    def _slow_machine_text(self, seconds: float) -> str:
+        """Return the line that reports a machine that is too slow."""
+        lost = f"clock slipped {self._slips} times in {seconds:.1f} s, {self._lost_ns / 1e6:.0f} ms given up"
+        return f"firmware_sim: {lost}: this machine is fast enough for --time-scale {self.advice:g}"
+
+    def _update_advice(self, now: ClockReadings) -> None:
+        """Update the advised pace from the pace since the last report."""
+        measured = (now.plant_s - self._mark.plant_s) / (now.wall_s - self._mark.wall_s)
+        advice = ADVISED_FRACTION * min(
+            measured,
+            CORE_FRACTION * _pace_ratio(self._mark, now) * (1 if len(_usable_cores()) == 1 else 2),
+        )
+        self.advice = (
+            rounded_down(advice) if self.advice is None else min(self.advice, rounded_down(advice))
+        )
+
+    def _clock_readings(self, plant_ns: int) -> ClockReadings:
+        return ClockReadings(self._wall_s(), self._cpu_s(), plant_ns * 1e-9)
+
+
+def rounded_down(pace: float) -> float:
+    """Round a pace down to one significant digit, but not below the minimum of ``--time-scale``."""
+    if pace <= 0.001:
+        return 0.001
+    # Without the tolerance of 1e-9, the rounded quotient would make 0.2 of 0.3.
+    step = 10.0 ** math.floor(math.log10(pace))
+    return float(f"{math.floor(pace / step + 1e-9) * step:.6g}")
+
+
+def _pace_ratio(start: ClockReadings, end: ClockReadings) -> float:
+    """Return the plant time per computing time, infinite for no computing time."""
+    cpu_s = end.cpu_s - start.cpu_s
+    return (end.plant_s - start.plant_s) / cpu_s if cpu_s > 0.0 else math.inf
+
+
+def _usable_cores() -> set[int]:
+    """Return the processor cores that this process may use."""
+    return os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else {0, 1}

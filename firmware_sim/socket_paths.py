@@ -1,0 +1,132 @@
+"""Paths of the sockets and truth files of the present user."""
+
+import os
+import stat
+import tempfile
+from contextlib import suppress
+from pathlib import Path
+
+from firmware_sim.hand_description import SimulatorError
+
+_PRIVATE_MODE = 0o700
+"""File mode of a directory with access only for the owner."""
+_PATH_MAX = 103
+"""Maximum length of a Unix socket's path that all systems allow [bytes]."""
+
+
+def run_dir() -> Path:
+    """Return the run directory.
+
+    A missing directory is made. A directory open to other users is refused.
+
+    Raises:
+        SimulatorError: the directory cannot be made, or the directory or one above it is a link,
+            belongs to another user, or is open to others.
+    """
+    if named := os.environ.get("HANDCTL_RUN_DIR"):
+        folder = Path(named)
+        path_parts = 1
+    elif base := os.environ.get("XDG_RUNTIME_DIR"):
+        folder = Path(base, "handctl")
+        path_parts = 1
+    else:
+        folder = Path(tempfile.gettempdir(), f"handctl-{os.geteuid()}", "handctl")
+        path_parts = 2
+    folder = Path(os.path.abspath(folder))
+    folder = Path(os.path.realpath(_parent_dir(folder, path_parts)), *folder.parts[-path_parts:])
+    try:
+        for path in [*reversed(folder.parents), folder][
+            1:
+        ]:  # top down: in a checked directory, no other user can replace an entry.
+            _check_directory(path, mine=len(folder.parts) - len(path.parts) < path_parts)
+    except OSError as error:
+        raise SimulatorError(
+            f"run directory {folder}: {error.strerror}; HANDCTL_RUN_DIR names another"
+        ) from error
+    return folder
+
+
+def _parent_dir(folder: Path, path_parts: int) -> Path:
+    """Return the directory above the private directories of the run directory.
+
+    In the path of this directory, only links of the system are allowed.
+
+    Raises:
+        SimulatorError: a directory in the path is a link that belongs to a user.
+    """
+    parent = folder.parents[path_parts - 1]
+    for path in (*parent.parents, parent):
+        if path.is_symlink() and path.lstat().st_uid:
+            raise _path_error(path, "is a link of a user")
+    return parent
+
+
+def _check_directory(path: Path, mine: bool) -> None:
+    """Make a missing directory, and refuse a directory that another user can change.
+
+    Args:
+        path: path of the directory. The directories above it have been checked.
+        mine: True for a part of the run directory, which no other user may access.
+
+    Raises:
+        SimulatorError: see ``run_dir``.
+    """
+    with suppress(FileExistsError):
+        path.mkdir(mode=_PRIVATE_MODE)
+    status = path.lstat()
+    if stat.S_ISLNK(status.st_mode):
+        raise _path_error(path, "is a link")
+    if status.st_uid != os.geteuid() and (mine or status.st_uid):
+        raise _path_error(path, f"belongs to another user ({status.st_uid})")
+    # A directory that others may write is safe with the sticky bit. As in /tmp, only owners can
+    # replace their entries.
+    if status.st_mode & 0o022 and (mine or not status.st_mode & stat.S_ISVTX):
+        raise _path_error(path, f"is open to others (mode {stat.S_IMODE(status.st_mode):04o})")
+    if mine and status.st_mode & 0o077:
+        path.chmod(_PRIVATE_MODE)
+
+
+def _path_error(path: Path, problem: str) -> SimulatorError:
+    """Build the error for a directory that cannot be a run directory."""
+    expected = (
+        "expected a directory of mode 0700 that belongs to you; HANDCTL_RUN_DIR names another"
+    )
+    return SimulatorError(f"run directory {path}: {problem}; {expected}")
+
+
+def bus_path(name: str) -> Path:
+    """Return the path of a local bus's socket.
+
+    Raises:
+        SimulatorError: the name is not a valid file name, or the path is too long for a socket.
+    """
+    if not name or "/" in name or name.startswith("."):
+        raise SimulatorError(f"bus name {name!r}: expected a plain name, as in local:demo")
+    path = run_dir() / f"{name}.bus"
+    if len(os.fsencode(path)) > _PATH_MAX:
+        raise SimulatorError(
+            f"socket path {path}: longer than {_PATH_MAX} bytes; choose a shorter name or HANDCTL_RUN_DIR"
+        )
+    return path
+
+
+def faults_path(spec: str) -> Path:
+    """Return the path of the fault socket of a simulator on this bus.
+
+    ``join:NAME`` has the path of ``local:NAME``.
+    """
+    return truth_path(spec).with_suffix(".faults")
+
+
+def truth_path(spec: str) -> Path:
+    """Return the default path of the truth file of a simulator on this bus.
+
+    ``join:NAME`` has the path of ``local:NAME``.
+    """
+    name = spec.replace("join:", "local:", 1) if spec.startswith("join:") else spec
+    return run_dir() / (name.replace(":", "_").replace("/", "_") + ".truth")
+
+
+def clock_path(spec: str) -> Path:
+    """Return the path of the file with the shared clock of a simulator on this bus."""
+    return truth_path(spec).with_suffix(".clock")

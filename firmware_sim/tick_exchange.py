@@ -1,0 +1,262 @@
+"""The frames of one tick and their answers as records.
+
+A compiled kernel answers cyclic frames, nodes all others.
+"""
+
+from operator import is_not
+from typing import Any
+
+import numpy as np
+
+from firmware_sim.bus.frame import Frame
+from firmware_sim.bus.frame_records import FRAME_DTYPE, to_frames, to_records
+from firmware_sim.compiled import array_addresses, machine_code
+from firmware_sim.nodes import cyclic_kernels
+from firmware_sim.nodes.cia402.kernels import Cia402Struct
+from firmware_sim.nodes.cyclic_kernels import (
+    ANSWERS,
+    IN_ORDER,
+    NEXT_FRAME,
+    SENT,
+    WAKE_NS,
+    ReceiverStruct,
+)
+from firmware_sim.nodes.mit.codec import MitStruct
+from firmware_sim.nodes.odrive.kernels import OdriveStruct
+from firmware_sim.nodes.protocol_spec import SENSOR_NODE_KIND
+from firmware_sim.nodes.sensor_node import CHANNELS_PER_FRAME, SensorStruct
+
+INITIAL_CAPACITY = 64
+"""Initial capacity of the array for the answers of a tick [frames]."""
+
+
+class TickExchange:
+    """The computation of the answers of a tick, for a world with node states in array rows.
+
+    Attributes:
+        sends_unsolicited: True if the compiled kernel sends the unsolicited frames of drives, False
+            if the world sends them.
+    """
+
+    def __init__(self, world: Any, rows: dict[type, Any]) -> None:
+        """Collect the arrays on which the compiled kernel works.
+
+        Args:
+            world: world to which the nodes belong.
+            rows: arrays of rows with the states of nodes, by row type.
+        """
+        self._world, self._kernels = world, machine_code(cyclic_kernels)
+        self._capacity = INITIAL_CAPACITY
+        self._progress = np.zeros(5, np.int64)
+        sensor = world.sensor_node if SensorStruct in rows else None
+        self._noise = sensor.noise if sensor else None
+        self._max_answers = 1
+        orders = (np.empty(0, np.int64),) * 2
+        bias = np.empty(0)
+        if sensor:
+            orders = world.sensor_orders
+            bias = sensor.bias
+            self._max_answers += sum(-(-len(order) // CHANNELS_PER_FRAME) for order in orders)
+        self._max_answers += len(world.row_of)
+        self._draws = 2 * len(orders[0]) + len(orders[1])
+        self._drive_structs = tuple(
+            rows.get(layout, np.empty(0, layout))
+            for layout in (MitStruct, OdriveStruct, Cia402Struct)
+        )
+        self._sensor_arrays = rows.get(SensorStruct, np.empty(0, SensorStruct)), *orders, bias
+        self.sends_unsolicited = True
+        self._sent = np.empty(INITIAL_CAPACITY, FRAME_DTYPE)
+        noise = (
+            (sensor.noise.numbers, sensor.noise.bounds)
+            if sensor
+            else (np.empty(0), np.zeros(2, np.int64))
+        )
+        self._sample_arrays = *noise, *world.plant.sampled
+        self._table: Any = None
+        self._receivers: Any = None
+
+    def refresh_identifiers(self) -> None:
+        """Build the table of identifiers again before the next frame."""
+        self._table = None
+
+    def answer(self, frames: Any, t_ns: int, last_ns: int) -> tuple[Any, bool]:
+        """Answer the frames that the host has sent in a tick.
+
+        Args:
+            frames: frames of the host, an array of ``FRAME_DTYPE``.
+            t_ns: start of the tick [ns].
+            last_ns: maximum delay of an answer after the start of the tick [ns].
+
+        Returns:
+            The answers, with times as if they were sent one after the other, and True if the times
+            are in rising order.
+        """
+        world = self._world
+        progress = self._progress
+        answers = np.empty(self._capacity, FRAME_DTYPE)
+        if not frames.flags.writeable:
+            frames = frames.copy()
+        progress[:SENT] = 0
+        one_by_one = world.faults.in_frames
+        while True:
+            if one_by_one:
+                for frame in to_frames(frames):
+                    answers = self._appended(answers, world.receive(frame))
+                progress[NEXT_FRAME] = len(frames)
+                self._drop_stale_table()
+            self._run_kernel(frames, answers, t_ns, last_ns)
+            at = int(progress[NEXT_FRAME])
+            if at == len(frames):
+                return answers[: progress[ANSWERS]], bool(progress[IN_ORDER])
+            if progress[ANSWERS] + self._max_answers > len(answers):
+                answers = self._enlarged(answers)
+                continue
+            (frame,) = to_frames(frames[at : at + 1])
+            answers = self._appended(answers, world.receive(frame))
+            progress[NEXT_FRAME] = at + 1
+            self._drop_stale_table()
+
+    def _run_kernel(self, frames: Any, answers: Any, t_ns: int, last_ns: int) -> None:
+        """Run the compiled kernel up to the first frame that a node must answer in Python."""
+        if self._table is None:
+            self._build_table()
+        if self._noise:
+            self._noise.draw(self._draws)
+        self._kernels.answer(frames, answers, self._addresses, t_ns, last_ns, self._max_answers)
+
+    def _enlarged(self, answers: Any) -> Any:
+        """Return the array of answers, copied into an array of twice the capacity."""
+        self._capacity = 2 * len(answers)
+        return np.concatenate((answers, np.empty(len(answers), FRAME_DTYPE)))
+
+    def _appended(self, answers: Any, frames: list[Frame]) -> Any:
+        """Return the array of answers with more frames appended."""
+        count = int(self._progress[ANSWERS])
+        new = len(frames)
+        while count + new > len(answers):
+            answers = self._enlarged(answers)
+        answers[count : count + new] = to_records(frames)
+        self._progress[ANSWERS] = count + new
+        return answers
+
+    def _build_table(self) -> None:
+        """Build the table of receivers by identifier.
+
+        Python handles identifiers that a node without a row may answer.
+        """
+        world = self._world
+        receivers = list[tuple[int, int, int]]()
+        table = cyclic_kernels.empty_table(len(world.nodes))
+        for bus, nodes in enumerate(world.nodes):
+            # If a test has replaced the method ``receive`` of a node, Python must handle every
+            # frame for this node.
+            by_kernel = [id(node) in world.row_of and "receive" not in vars(node) for node in nodes]
+            cyclic_ids = {
+                id(node): node.cyclic_ids if compiled else ()
+                for node, compiled in zip(nodes, by_kernel, strict=True)
+            }
+            for can_id in {can_id for ids in cyclic_ids.values() for can_id in ids}:
+                accepting = [node for node in nodes if _does_node_accept(node, can_id)]
+                # A node without a row also accepts this identifier, so Python must handle these
+                # frames.
+                if not all(can_id in cyclic_ids[id(node)] for node in accepting):
+                    continue
+                next_receiver = -1
+                # Each entry holds the index of the next receiver, so the list is built from its
+                # end.
+                for node in reversed(accepting):
+                    receivers.append((*world.row_of[id(node)], next_receiver))
+                    next_receiver = len(receivers) - 1
+                table[cyclic_kernels.table_index(bus, can_id)] = next_receiver
+        self._identifiers_seen = self._accepted_identifiers()
+        self._table = table
+        self._receivers = np.array(receivers, ReceiverStruct)
+        rows = [
+            world.row_of.get(id(node), (SENSOR_NODE_KIND, 0))
+            for nodes in world.nodes
+            for node in nodes
+        ]
+        self._drive_rows = np.array(
+            [(*row, -1) for row in rows if row[0] != SENSOR_NODE_KIND], ReceiverStruct
+        )
+        arrays = (
+            self._progress,
+            table,
+            self._receivers,
+            *self._drive_structs,
+            self._drive_rows,
+            *self._sensor_arrays,
+            *self._sample_arrays,
+        )
+        self._addresses = np.array(array_addresses(arrays), np.int64)
+
+    def _accepted_identifiers(self) -> list[Any]:
+        """Return the identifiers that each node accepts.
+
+        A node returns another object after a change.
+        """
+        return [
+            getattr(node, "accepted_ids", node.ids) for nodes in self._world.nodes for node in nodes
+        ]
+
+    def _drop_stale_table(self) -> None:
+        """Remove the table of receivers if the identifiers of a node have changed."""
+        if self._table is not None and any(
+            map(is_not, self._identifiers_seen, self._accepted_identifiers())
+        ):
+            self._table = None
+
+    @property
+    def wake_ns(self) -> int:
+        """Return the earliest wake time of drives with rows [ns], as the last ``answer`` or ``send_due`` left it."""
+        return int(self._progress[WAKE_NS])
+
+    def next_wake(self) -> int:
+        """Return the present earliest wake time of drives with rows [ns]."""
+        if self._table is None:
+            self._build_table()
+        return int(self._kernels.next_wake(self._drive_rows, *self._drive_structs))
+
+    def send_due(self, now_ns: int) -> bool:
+        """Send the unsolicited frames of drives that are due.
+
+        Args:
+            now_ns: present time [ns].
+
+        Returns:
+            False if a node must be woken in Python. No frame is sent then.
+        """
+        if not self.sends_unsolicited or self._world.faults.in_frames:
+            return False
+        if self._table is None:
+            self._build_table()
+        # A drive sends at most two frames at a time: heartbeat and encoder estimates.
+        while self._progress[SENT] + 2 * len(self._drive_rows) > len(self._sent):
+            self._sent = np.concatenate((self._sent, np.empty(len(self._sent), FRAME_DTYPE)))
+        rotors = self._world.plant.sampled[3]
+        return bool(
+            self._kernels.send_due(
+                self._drive_rows, *self._drive_structs, rotors, now_ns, self._sent, self._progress
+            )
+        )
+
+    def take_sent(self) -> Any:
+        """Return the unsolicited frames since the last call.
+
+        The array is valid until the next frame is sent.
+        """
+        count = int(self._progress[SENT])
+        self._progress[SENT] = 0
+        return self._sent[:count]
+
+    def merged(self, frames: Any, other_frames: Any) -> Any:
+        """Return the frames of two arrays in one array, sorted by time."""
+        out = np.empty(len(frames) + len(other_frames), FRAME_DTYPE)
+        self._kernels.merge(frames, other_frames, out)
+        return out
+
+
+def _does_node_accept(node: Any, can_id: int) -> bool:
+    """Check whether a node may answer an identifier."""
+    accepted_ids = getattr(node, "accepted_ids", node.ids)
+    return accepted_ids is None or can_id in accepted_ids

@@ -1,0 +1,158 @@
+"""The truth file: a record of the plant's true state in every millisecond.
+
+Tests compare a controller with it.
+
+The file starts with a line of JSON, which is padded with spaces and completed when the file is
+closed. Rows follow. Each row has an int64 t_ns and a float64 for each column, little-endian.
+"""
+
+import json
+import struct
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from firmware_sim.plant.plant import Plant
+
+PERIOD_NS = 1_000_000
+"""Time from one row to the next [ns]."""
+_HEAD_SIZE = 8192
+"""Size of the header line [bytes]."""
+_ROWS_BUFFERED = 256
+"""Number of rows collected before a write to the file."""
+
+
+class TruthFile(NamedTuple):
+    """The content of a truth file.
+
+    Attributes:
+        header: content of the header line.
+        t_ns: times of the rows, shape (rows,) [ns].
+        values: true values, shape (rows, columns). ``header["units"]`` gives the unit of each
+            column.
+    """
+
+    header: dict[str, Any]
+    t_ns: npt.NDArray[np.int64]
+    values: npt.NDArray[np.float64]
+
+    def column(self, name: str) -> npt.NDArray[np.float64]:
+        """Return the values of a column by its name, shape (rows,)."""
+        return self.values[:, self.header["columns"].index(name)]
+
+
+def truth_columns(plant: Plant) -> list[tuple[str, str]]:
+    """List the name and the unit of every column of a plant's truth file."""
+    hand = plant.hand
+    named = [(f"tension/{tendon.name}", "N") for tendon in hand.tendons]
+    named += [(f"q/{joint}", "rad") for joint in hand.joints]
+    named += [(f"dq/{joint}", "rad/s") for joint in hand.joints]
+    named += [(f"motor/{motor.name}", "rad") for motor in hand.motors]
+    named += [(f"torque/{motor.name}", "N m") for motor in hand.motors]
+    named += [
+        (f"contact_force/{digit.name}/{axis}", "N") for digit in hand.digits for axis in "xyz"
+    ]
+    named += [(f"object/{axis}", "m") for axis in "xyz"]
+    named += [(f"object/{part}", "1") for part in ("qw", "qx", "qy", "qz")]
+    named += [("slip", "m/s")]
+    if plant.can_sink:
+        named += [("support", "m")]
+    if plant.load:
+        named += [("load", "N"), *[(f"normal/{digit.name}", "N") for digit in hand.digits]]
+    named += [
+        (f"tension/{pair.name}/{part}", "N") for pair in hand.pairs for part in ("first", "second")
+    ]
+    return named
+
+
+class TruthWriter:
+    """Writer of a truth file.
+
+    The values of a row belong to the time of the row. Only the contact forces belong to the step
+    before (0.5 ms).
+
+    Attributes:
+        due_ns: plant time at which the next row must be written [ns].
+    """
+
+    def __init__(self, path: Path, plant: Plant, header: dict[str, object]) -> None:
+        """Create the truth file.
+
+        Args:
+            path: path of the file.
+            plant: plant to record.
+            header: additional content of the header line.
+        """
+        named = truth_columns(plant)
+        self._header = {
+            "columns": [name for name, _ in named],
+            "units": [unit for _, unit in named],
+            "period_ns": PERIOD_NS,
+            **header,
+        }
+        self._row = struct.Struct(f"<q{len(named)}d")
+        self._buffered: list[bytes] = []
+        self._motors = list(plant.motors.values())
+        self._file = path.open("wb")
+        self.due_ns = 0
+        self._file.write(self._header_line(_HEAD_SIZE))
+
+    def _header_line(self, size: int) -> bytes:
+        """Return the header line, padded to a size [bytes]."""
+        return json.dumps(self._header).encode().ljust(size - 1) + b"\n"
+
+    def write(self, t_ns: int, plant: Plant) -> None:
+        """Record the present true state of the plant as a row."""
+        self.due_ns += PERIOD_NS
+        engine = plant.engine
+        self._buffered.append(
+            self._row.pack(
+                t_ns,
+                *plant.tensions(),
+                *engine.q.tolist(),
+                *engine.dq.tolist(),
+                *[motor.theta for motor in self._motors],
+                *[motor.torque for motor in self._motors],
+                *plant.contact_forces(),
+                *engine.object_pose(),
+                engine.object_speed(),
+                *((plant.table.depth,) if plant.can_sink and plant.table else ()),
+                *plant.measured_grip(),
+                *plant.pair_tensions(),
+            )
+        )
+        if len(self._buffered) >= _ROWS_BUFFERED:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write the collected rows to the file."""
+        self._file.write(b"".join(self._buffered))
+        self._file.flush()
+        self._buffered.clear()
+
+    def close(self, summary: dict[str, object]) -> None:
+        """Write the collected rows, add a summary of the run to the header, and close the file."""
+        self.flush()
+        self._header.update(summary)
+        head = self._header_line(_HEAD_SIZE)
+        if len(head) == _HEAD_SIZE:
+            self._file.seek(0)
+            self._file.write(head)
+        self._file.close()
+
+
+def read_truth(path: str | Path) -> TruthFile:
+    """Read a truth file. An incomplete last row is ignored.
+
+    Raises:
+        ValueError: the file does not begin with a header.
+    """
+    head, newline, body = Path(path).read_bytes().partition(b"\n")
+    if not newline:
+        raise ValueError(f"{path}: not a truth file")
+    header = json.loads(head)
+    row = np.dtype([("t_ns", "<i8"), ("v", "<f8", (len(header["columns"]),))])
+    rows = np.frombuffer(body, row, count=len(body) // row.itemsize)
+    return TruthFile(header, rows["t_ns"], rows["v"])

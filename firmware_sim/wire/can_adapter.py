@@ -1,0 +1,93 @@
+"""Latency of a CAN adapter, which connects a host to the CAN controller on the wire.
+
+A USB host transfers data only at the start of a USB frame: once per millisecond for a full-speed
+device, once per 125 us for a high-speed device. In both directions, a CAN frame waits for the start
+of the next USB frame. A serial bus inside an adapter transfers one CAN frame after the other.
+Source of the USB times: USB 2.0 specification, 5.3.3 (frames and microframes).
+"""
+
+import random
+from typing import NamedTuple
+
+CLOCK_DRIFT = 1e-4
+"""Relative difference between the clocks of USB and host.
+
+As a result, all phases of the USB frames occur.
+"""
+
+
+class AdapterClass(NamedTuple):
+    """A class of CAN adapters with similar latency.
+
+    Attributes:
+        send_period_ns: period at which frames leave the host [ns], 0 for no wait.
+        receive_ns: period at which received frames reach the host [ns], 0 for no wait.
+        frame_ns: duration of a frame on a serial bus inside the adapter, in either direction [ns].
+        text: description of the class with examples.
+    """
+
+    send_period_ns: int
+    receive_ns: int
+    frame_ns: int
+    text: str
+
+
+ADAPTER_CLASSES = {
+    "none": AdapterClass(0, 0, 0, "controller on the processor's own bus, as on Jetson"),
+    "spi": AdapterClass(
+        0, 0, 100_000, "controller behind SPI, as on Pi hats; 100 us a frame are an assumption"
+    ),
+    "usb-hs": AdapterClass(125_000, 125_000, 0, "high-speed USB: PCAN-USB Pro FD, Kvaser Leaf v3"),
+    "usb-fs": AdapterClass(
+        1_000_000, 1_000_000, 0, "full-speed USB: candleLight, CANable, also with slcan"
+    ),
+    "ftdi": AdapterClass(
+        1_000_000,
+        16_000_000,
+        0,
+        "serial adapter with FTDI chip, latency timer at its default of 16 ms",
+    ),
+}
+"""Classes of adapters by name."""
+NO_LATENCY_CLASS = "none"
+"""Name of the class without latency."""
+
+
+class AdapterLatency:
+    """Latency of one CAN adapter.
+
+    The times passed to a method must not decrease from call to call.
+    """
+
+    def __init__(self, adapter_class: str, seed: int = 0) -> None:
+        """Make the latency of an adapter whose USB frames have a random phase.
+
+        Args:
+            adapter_class: key of ``ADAPTER_CLASSES``.
+            seed: seed of the random phase.
+        """
+        self._adapter = ADAPTER_CLASSES[adapter_class]
+        self._phase = random.Random(f"adapter {adapter_class} {seed}").random()
+        self._sent_ns = self._received_ns = 0
+
+    def send(self, t_ns: int) -> int:
+        """Return the time of arrival at the controller for a frame sent now by the host [ns]."""
+        adapter = self._adapter
+        at_ns = self._next_start(t_ns, adapter.send_period_ns)
+        self._sent_ns = max(at_ns, self._sent_ns) + adapter.frame_ns
+        return self._sent_ns
+
+    def receive(self, t_ns: int) -> int:
+        """Return the time of arrival at the host for a frame received now by the controller [ns]."""
+        adapter = self._adapter
+        at_ns = self._next_start(t_ns, adapter.receive_ns)
+        self._received_ns = max(at_ns, self._received_ns) + adapter.frame_ns
+        return self._received_ns
+
+    def _next_start(self, t_ns: int, period_ns: int) -> int:
+        """Return the start of the next transfer period [ns]."""
+        if not period_ns:
+            return t_ns
+        period = period_ns * (1.0 + CLOCK_DRIFT)
+        passed = (t_ns / period - self._phase) % 1.0
+        return t_ns + round((1.0 - passed) * period)

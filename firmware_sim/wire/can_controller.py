@@ -1,0 +1,248 @@
+"""A simulated CAN controller: queue, error counters, error state, and the error frames to the owner.
+
+Error frame (8 bytes):
+
+    can_id   ERROR_FLAG and the error classes below
+    data[1]  status bits of a CRTL frame
+    data[3]  location of a protocol error
+    data[6]  transmit error counter, at most 255
+    data[7]  receive error counter
+
+Source: ISO 11898-1:2015, fault confinement. Linux ``can/error.h`` for the error frames.
+"""
+
+import enum
+from collections import deque
+from collections.abc import Callable
+
+from firmware_sim.bus.frame import ERROR_FLAG, Frame
+from firmware_sim.wire.frame_bits import arbitration_number
+
+WARNING_ERROR_COUNT = 96
+"""Value of an error counter at which the state becomes WARNING."""
+PASSIVE_ERROR_COUNT = 128
+"""Value of an error counter at which the state becomes PASSIVE."""
+BUS_OFF_ERROR_COUNT = 256
+"""Value of the transmit error counter at which the controller leaves the bus."""
+TX_ERROR_INCREMENT = 8
+"""Increase of the transmit error counter at a transmit error."""
+MAX_REPORTED_ERROR_COUNT = 255
+"""Largest value of an error counter in an error frame."""
+
+CAN_ERR_CRTL = 0x04
+"""Error class: change of the controller's state, details in data[1]."""
+CAN_ERR_PROT = 0x08
+"""Error class: protocol violation."""
+CAN_ERR_ACK = 0x20
+"""Error class: no controller has acknowledged the frame."""
+CAN_ERR_BUSOFF = 0x40
+"""Error class: the controller is off the bus."""
+CAN_ERR_BUSERROR = 0x80
+"""Error class: an error on the bus."""
+CAN_ERR_RESTARTED = 0x100
+"""Error class: the controller was restarted."""
+CAN_ERR_CNT = 0x200
+"""Error class: data[6] and data[7] hold the error counters."""
+TX_OVERFLOW = 0x02
+"""Bit of data[1]: the transmit queue is full."""
+RX_WARNING = 0x04
+"""Bit of data[1]: receive errors reached the warning level."""
+TX_WARNING = 0x08
+"""Bit of data[1]: transmit errors reached the warning level."""
+RX_PASSIVE = 0x10
+"""Bit of data[1]: receive errors reached the passive level."""
+TX_PASSIVE = 0x20
+"""Bit of data[1]: transmit errors reached the passive level."""
+ERROR_ACTIVE = 0x40
+"""Bit of data[1]: the controller is error-active again."""
+LOC_ACK = 0x19
+"""Value of data[3]: the error is in the acknowledge slot."""
+
+
+class CanErrorState(enum.IntEnum):
+    """Error states of a CAN controller."""
+
+    ACTIVE = 0
+    WARNING = 1
+    PASSIVE = 2
+    BUS_OFF = 3
+
+
+class CanController:
+    """A CAN controller on a simulated wire. ``Wire.add`` creates it.
+
+    Attributes:
+        queue: queued frames, each with earliest start [ns] and priority.
+        tx_errors: value of the transmit error counter.
+        rx_errors: value of the receive error counter.
+        state: error state of the controller.
+        refused: number of frames refused because the queue was full or the controller off the bus.
+        sent: number of frames sent successfully.
+        on_receive: function called with each received frame and its time [ns], also with error
+            frames of the controller. None to ignore received frames.
+        retry_ns: earliest time of the next transmission [ns]. An error-passive sender must wait for
+            other senders.
+    """
+
+    def __init__(self, depth: int, on_receive: Callable[[Frame, int], None] | None) -> None:
+        """Create a controller with an empty queue.
+
+        Args:
+            depth: capacity of the queue [frames].
+            on_receive: function called with each received frame and its time [ns], or None.
+        """
+        self.queue: deque[tuple[int, int, Frame]] = deque()
+        self.tx_errors = self.rx_errors = 0
+        self.state = CanErrorState.ACTIVE
+        self.refused = self.sent = 0
+        self.on_receive = on_receive
+        self.retry_ns = 0
+        self._depth = depth
+        self._last_error = 0
+        """Classes of the last transmit error.
+
+        An error of the same classes is not reported again until a frame is sent.
+        """
+
+    @property
+    def on_bus(self) -> bool:
+        """Return True if the controller is on the bus, and not in the state bus-off."""
+        return self.state != CanErrorState.BUS_OFF
+
+    def offer(self, frame: Frame, t_ns: int) -> bool:
+        """Queue a frame for sending. If the frame is refused, the owner gets an error frame.
+
+        Args:
+            frame: frame to send.
+            t_ns: earliest start of the frame on the wire [ns].
+
+        Returns:
+            True if the frame was queued.
+        """
+        if self.on_bus and len(self.queue) < self._depth:
+            self.queue.append((t_ns, arbitration_number(frame.can_id), frame))
+            return True
+        self.refused += 1
+        self._send_error_frame(CAN_ERR_CRTL, t_ns, {1: TX_OVERFLOW})
+        return False
+
+    def ready_ns(self) -> int:
+        """Return the earliest start of the first frame in the queue [ns].
+
+        The queue must not be empty.
+        """
+        since_ns = self.queue[0][0]
+        retry_ns = self.retry_ns
+        return since_ns if since_ns > retry_ns else retry_ns
+
+    def count_sent(self, t_ns: int) -> None:
+        """Remove the first frame from the queue, because it was sent."""
+        self.queue.popleft()
+        self.sent += 1
+        self._last_error = 0
+        if self.tx_errors:
+            self.tx_errors -= 1
+            self._update_error_state(t_ns)
+
+    def deliver(self, frame: Frame, t_ns: int) -> None:
+        """Count a frame of another controller as received, and pass it to the owner."""
+        if self.rx_errors:
+            # According to ISO 11898-1, a received frame lowers the counter of a passive receiver to
+            # below the passive level, and any other counter by one.
+            self.rx_errors = min(self.rx_errors, PASSIVE_ERROR_COUNT) - 1
+            self._update_error_state(t_ns)
+        if self.on_receive:
+            self.on_receive(frame, t_ns)
+
+    def count_unacknowledged(self, t_ns: int) -> None:
+        """Count a transmit error, because no controller has acknowledged the frame.
+
+        The counter of an error-passive sender does not change. A controller that is alone on a bus
+        thus never goes off the bus.
+        """
+        if self.state < CanErrorState.PASSIVE:
+            self.tx_errors += TX_ERROR_INCREMENT
+        self._count_error(CAN_ERR_ACK, t_ns)
+
+    def count_destroyed(self, t_ns: int) -> None:
+        """Count a transmit error, because the first frame in the queue was destroyed on the wire."""
+        self.tx_errors += TX_ERROR_INCREMENT
+        self._count_error(CAN_ERR_PROT | CAN_ERR_BUSERROR, t_ns)
+
+    def count_error_seen(self, t_ns: int) -> None:
+        """Count a receive error, because a frame of another controller was destroyed on the wire."""
+        self.rx_errors = min(MAX_REPORTED_ERROR_COUNT, self.rx_errors + 1)
+        self._update_error_state(t_ns)
+
+    def restart(self, t_ns: int) -> None:
+        """Restart the controller after bus-off, with all counters at zero."""
+        self.tx_errors = self.rx_errors = 0
+        self.state = CanErrorState.ACTIVE
+        self._last_error = 0
+        self._send_error_frame(CAN_ERR_RESTARTED, t_ns)
+
+    def _count_error(self, kind: int, t_ns: int) -> None:
+        """Update the error state after a transmit error.
+
+        Repeated errors of one kind are reported only once, until a frame is sent successfully.
+        """
+        changed = self._update_error_state(t_ns, kind)
+        if kind != self._last_error and not changed:
+            self._send_error_frame(kind, t_ns)
+        self._last_error = kind
+
+    def _update_error_state(self, t_ns: int, kind: int = 0) -> bool:
+        """Update the error state from the counters. Report a change to the owner.
+
+        Args:
+            t_ns: present time [ns].
+            kind: error classes to add to the report.
+
+        Returns:
+            True if the state changed.
+        """
+        before = self.state
+        highest = max(self.tx_errors, self.rx_errors)
+        if self.tx_errors >= BUS_OFF_ERROR_COUNT:
+            self.state = CanErrorState.BUS_OFF
+            self.queue.clear()
+            self._send_error_frame(CAN_ERR_BUSOFF | kind, t_ns)
+        else:
+            # The states are ordered so that the sum of these two comparisons is the number of the
+            # state.
+            self.state = CanErrorState(
+                (highest >= WARNING_ERROR_COUNT) + (highest >= PASSIVE_ERROR_COUNT)
+            )
+            if self.state != before:
+                self._send_error_frame(CAN_ERR_CRTL | kind, t_ns, {1: self._status_bits()})
+        return self.state != before
+
+    def _status_bits(self) -> int:
+        """Return the bits of data[1] in an error frame for the present state."""
+        if self.state == CanErrorState.ACTIVE:
+            return ERROR_ACTIVE
+        limit, receive, send = (
+            (WARNING_ERROR_COUNT, RX_WARNING, TX_WARNING)
+            if self.state == CanErrorState.WARNING
+            else (PASSIVE_ERROR_COUNT, RX_PASSIVE, TX_PASSIVE)
+        )
+        return receive * (self.rx_errors >= limit) | send * (self.tx_errors >= limit)
+
+    def _send_error_frame(self, kind: int, t_ns: int, extra: dict[int, int] | None = None) -> None:
+        """Send an error frame to the owner.
+
+        Args:
+            kind: error classes.
+            t_ns: present time [ns].
+            extra: further bytes of the payload, by position.
+        """
+        if not self.on_receive:
+            return
+        data = bytearray(8)
+        for i, value in (extra or {}).items():
+            data[i] = value
+        if kind & CAN_ERR_ACK:
+            data[3] = LOC_ACK
+        data[6] = min(MAX_REPORTED_ERROR_COUNT, self.tx_errors)
+        data[7] = self.rx_errors
+        self.on_receive(Frame(ERROR_FLAG | CAN_ERR_CNT | kind, bytes(data)), t_ns)

@@ -1,0 +1,156 @@
+"""The length of a frame on the wire in bits, and the arbitration priority of a frame.
+
+Source: ISO 11898-1:2015, frame formats and bit stuffing.
+
+In a classical frame, stuff bits are inserted into start of frame, identifier, RTR, IDE, reserved
+bit, DLC, data and CRC, but not into the tail. In an FD frame, stuff bits are inserted up to the
+data in the same way. Stuff count and CRC of an FD frame have fixed stuff bits, one before every
+four bits.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+from firmware_sim.bus.frame import BRS, EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
+
+INTERFRAME_BITS = 3
+"""Number of bits of the interframe space."""
+TAIL_BITS = 1 + 1 + 1 + 7 + INTERFRAME_BITS
+"""Number of bits of CRC delimiter, acknowledge slot, acknowledge delimiter, end of frame and interframe space.
+
+No stuff bits are inserted into this tail.
+"""
+FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
+"""Payload length that each data length code of CAN FD stands for [bytes]."""
+CRC15_POLYNOMIAL = 0x4599
+"""Generator polynomial of the classical CRC, x15 + x14 + x10 + x8 + x7 + x4 + x3 + 1, without the leading term."""
+
+
+@dataclass(frozen=True, slots=True)
+class BitRates:
+    """Bit rates of a wire.
+
+    Attributes:
+        nominal: bit rate of the arbitration and of classical frames [bit/s].
+        data: bit rate in the data phase of FD frames with bit-rate switch [bit/s], 0 for a bus
+            without CAN FD.
+        actual: True to count the actual stuff bits of each frame. False to count the maximum for
+            the frame's length.
+    """
+
+    nominal: int
+    data: int = 0
+    actual: bool = False
+
+    def bits_ns(self, count: int) -> int:
+        """Return the duration of a number of nominal bits [ns]."""
+        return round(count * 1e9 / self.nominal)
+
+    def frame_ns(self, frame: Frame) -> int:
+        """Return the time for which a frame occupies the wire, including the interframe space [ns]."""
+        content = bytes(frame.data) if self.actual else bytes(len(frame.data))
+        # If the actual stuff bits do not count, content of zeros makes the cache key depend only on
+        # the length.
+        slow, fast = _frame_bits(frame.can_id, content, frame.flags & (FDF | BRS), self.actual)
+        return round(slow * 1e9 / self.nominal + fast * 1e9 / (self.data or self.nominal))
+
+
+def arbitration_number(can_id: int) -> int:
+    """Return the arbitration field of a frame as a number. The frame with the lowest number wins.
+
+    Arbitration cannot decide between frames with equal numbers.
+    """
+    remote = bool(can_id & REMOTE_FLAG)
+    if can_id & EXTENDED_FLAG:
+        base = can_id >> 18 & 0x7FF
+        rest = can_id & 0x3FFFF
+        # The field of a 29-bit identifier has 11 bits of the base, SRR and IDE (both recessive, 1),
+        # 18 bits of the extension, and RTR.
+        return base << 21 | 0b11 << 19 | rest << 1 | remote
+    # In the field of an 11-bit identifier, RTR takes the place of SRR, and IDE is dominant. A data
+    # frame wins over a remote frame.
+    return (can_id & 0x7FF) << 21 | remote << 20
+
+
+@lru_cache(maxsize=1 << 12)
+def _frame_bits(can_id: int, data: bytes, flags: int, actual: bool) -> tuple[int, int]:
+    """Count the bits of a frame at the nominal and at the fast bit rate."""
+    return (
+        _fd_frame_bits(can_id, data, flags, actual)
+        if flags & FDF
+        else _classical_frame_bits(can_id, data, actual)
+    )
+
+
+def _classical_frame_bits(can_id: int, data: bytes, actual: bool) -> tuple[int, int]:
+    """Count the bits of a classical frame. All bits have the nominal bit rate."""
+    body = (
+        _identifier_bits(can_id)
+        + ("00" if can_id & EXTENDED_FLAG else "0")
+        + format(len(data), "04b")
+    )
+    body += "" if can_id & REMOTE_FLAG else "".join(format(byte, "08b") for byte in data)
+    exposed = body + _crc15(body)
+    return len(exposed) + (
+        _stuff_bit_count(exposed) if actual else (len(exposed) - 1) // 4
+    ) + TAIL_BITS, 0
+
+
+def _fd_frame_bits(can_id: int, data: bytes, flags: int, actual: bool) -> tuple[int, int]:
+    """Count the bits of an FD frame at the nominal and at the fast bit rate."""
+    size = next(length for length in FD_LENGTHS if length >= len(data))
+    fast_bits = bool(flags & BRS)
+    head = _identifier_bits(can_id) + "10" + ("1" if fast_bits else "0")  # FDF, reserved, BRS
+    body = "0" + format(FD_LENGTHS.index(size), "04b")  # ESI, DLC
+    body += "".join(format(byte, "08b") for byte in data.ljust(size, b"\0"))
+    in_head = _stuff_bit_count(head) if actual else (len(head) - 1) // 4
+    in_all = _stuff_bit_count(head + body) if actual else (len(head) + len(body) - 1) // 4
+    # The CRC has 17 bits up to 16 bytes of payload, and 21 bits above. Stuff count and CRC have one
+    # fixed stuff bit before every four bits.
+    check = 4 + (17 if size <= 16 else 21)
+    slow = len(head) + in_head + TAIL_BITS
+    fast = len(body) + in_all - in_head + check + -(-check // 4)
+    return (slow, fast) if fast_bits else (slow + fast, 0)
+
+
+def _identifier_bits(can_id: int) -> str:
+    """Return the bits from start of frame to IDE, or to the RTR bit of a 29-bit identifier."""
+    remote = "1" if can_id & REMOTE_FLAG else "0"
+    if can_id & EXTENDED_FLAG:
+        return (
+            "0"
+            + format(can_id >> 18 & 0x7FF, "011b")
+            + "11"
+            + format(can_id & 0x3FFFF, "018b")
+            + remote
+        )
+    return "0" + format(can_id & 0x7FF, "011b") + remote + "0"
+
+
+def _stuff_bit_count(bits: str) -> int:
+    """Count the stuff bits of a bit string.
+
+    After five equal bits, the opposite bit is inserted and counts from there on.
+    """
+    last = ""
+    run = 0
+    count = 0
+    for bit in bits:
+        run = run + 1 if bit == last else 1
+        last = bit
+        if run == 5:
+            count += 1
+            last = "10"[int(bit)]
+            run = 1
+    return count
+
+
+def _crc15(bits: str) -> str:
+    """Compute the classical CRC of a bit string, written as 15 binary digits."""
+    register = 0
+    for bit in bits:
+        # This is one step of the CRC's shift register, with feedback of the top bit and the input
+        # bit.
+        out = register >> 14 ^ (bit == "1")
+        register = register << 1 & 0x7FFF ^ (CRC15_POLYNOMIAL if out else 0)
+    return format(register, "015b")

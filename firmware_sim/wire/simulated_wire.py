@@ -1,0 +1,246 @@
+"""The simulated wire.
+
+The wire carries one frame at a time, the lowest identifier first, and never interrupts a frame.
+
+The caller advances the wire with ``advance``. All times come from the caller, and may be real or
+virtual.
+"""
+
+import random
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from firmware_sim.bus.frame import Frame
+from firmware_sim.wire.can_controller import CanController, CanErrorState
+from firmware_sim.wire.frame_bits import BitRates
+
+NEVER_NS = 1 << 62
+"""Time of an event that will not happen [ns]."""
+DEFAULT_QUEUE_FRAMES = 128
+"""Default capacity of a controller's queue [frames], as ``ip link set can0 txqueuelen 128``."""
+ERROR_FLAGS_BITS = 12 + 8
+"""Number of bits of the superposed error flags of several controllers, and of the error delimiter."""
+ERROR_FLAG_BITS = 6 + 8
+"""Number of bits of the error flag of a sender that is alone on the bus, and of the error delimiter."""
+UNSENT_END_BITS = 1 + 7
+"""Number of bits that a destroyed frame does not reach: acknowledge delimiter and end of frame."""
+SUSPEND_BITS = 8
+"""Number of bits for which an error-passive sender must wait after a frame."""
+RECOVERY_BITS = 128 * 11
+"""Number of recessive bits that a controller must receive before it returns from bus-off."""
+
+
+@dataclass(frozen=True, slots=True)
+class WireOptions:
+    """Options of a simulated wire.
+
+    Attributes:
+        queue: capacity of a controller's queue [frames].
+        error_rate: fraction of the frames that are randomly destroyed on the wire.
+        restart_ms: delay after which a controller is restarted after bus-off [ms], negative for no
+            restart.
+        seed: seed of the random errors.
+    """
+
+    queue: int = DEFAULT_QUEUE_FRAMES
+    error_rate: float = 0.0
+    restart_ms: float = -1.0
+    seed: int = 0
+
+
+class SimulatedWire:
+    """A simulated CAN bus on which frames take time.
+
+    Attributes:
+        rate: bit rates of the wire.
+        options: options of the wire.
+        busy_ns: time in which the wire was occupied, errors included [ns].
+        frames: number of frames sent successfully.
+        errors: number of frames that were destroyed or not acknowledged.
+        disturbed: number of next frames that the wire will destroy. Tests set this number.
+    """
+
+    def __init__(self, rate: BitRates, options: WireOptions = WireOptions()) -> None:
+        """Create an idle wire without controllers.
+
+        Args:
+            rate: bit rates of the wire.
+            options: options of the wire.
+        """
+        self.rate = rate
+        self.options = options
+        self.busy_ns = self.frames = self.errors = self.disturbed = 0
+        self._controllers: list[CanController] = []
+        self._rng = random.Random(f"wire {options.seed}")
+        self._free_ns = 0
+        self._senders: list[CanController] = []
+        self._acknowledged = self._intact = True
+        self._end_ns = NEVER_NS
+        self._restarts: list[tuple[int, CanController]] = []
+
+    def add(
+        self, on_receive: Callable[[Frame, int], None] | None = None, queue: int | None = None
+    ) -> CanController:
+        """Create a controller and connect it to the wire.
+
+        Args:
+            on_receive: function called with each received frame and its time [ns], None to ignore
+                received frames.
+            queue: capacity of the controller's queue [frames]. If it is None, the options of the
+                wire decide.
+        """
+        controller = CanController(self.options.queue if queue is None else queue, on_receive)
+        self._controllers.append(controller)
+        return controller
+
+    def remove(self, controller: CanController) -> None:
+        """Disconnect a controller. A frame on the wire is completed."""
+        self._controllers.remove(controller)
+        controller.queue.clear()
+        self._senders = [other for other in self._senders if other is not controller]
+
+    def next_ns(self) -> int:
+        """Return the time of the next event on the wire [ns], NEVER_NS without any event."""
+        due = self._end_ns if self._end_ns != NEVER_NS else self._start_ns()
+        return min(due, self._restart_ns()) if self._restarts else due
+
+    def _restart_ns(self) -> int:
+        """Return the time at which the next controller is restarted after bus-off [ns]."""
+        return min((at for at, _ in self._restarts), default=NEVER_NS)
+
+    def step(self, t_ns: int) -> bool:
+        """Process the next event on the wire, if it is due by ``t_ns``.
+
+        Returns:
+            True if an event was processed.
+        """
+        restart = self._restart_ns() if self._restarts else NEVER_NS
+        end = self._end_ns
+        if end == NEVER_NS:
+            start = self._start_ns()
+            if min(start, restart) > t_ns:
+                return False
+            if start < restart:
+                self._arbitrate(start)
+                return True
+        elif min(end, restart) > t_ns:
+            return False
+        elif end <= restart:
+            self._finish_frame(end)
+            return True
+        self._restart_controllers(restart)
+        return True
+
+    def advance(self, t_ns: int) -> None:
+        """Process all events on the wire that are due by ``t_ns``."""
+        while self.step(t_ns):
+            pass
+
+    def load(self, busy_before_ns: int, elapsed_ns: int) -> float:
+        """Return the fraction of a time span in which frames occupied the wire.
+
+        Args:
+            busy_before_ns: ``busy_ns`` at the start of the span.
+            elapsed_ns: length of the span [ns].
+        """
+        return (self.busy_ns - busy_before_ns) / elapsed_ns
+
+    def _start_ns(self) -> int:
+        """Return the time at which the next frame can start [ns]."""
+        ready = min([c.ready_ns() for c in self._controllers if c.queue], default=NEVER_NS)
+        return max(ready, self._free_ns) if ready != NEVER_NS else NEVER_NS
+
+    def _arbitrate(self, t_ns: int) -> None:
+        """Start the winner of arbitration among all ready frames."""
+        candidates = [c for c in self._controllers if c.queue and c.ready_ns() <= t_ns]
+        lowest = min([c.queue[0][1] for c in candidates])
+        self._senders = [c for c in candidates if c.queue[0][1] == lowest]
+        frames = [c.queue[0][2] for c in self._senders]
+        # Two frames with the same identifier both win arbitration. If their contents differ, both
+        # are destroyed.
+        identical = len(frames) == 1 or all(frame[:3] == frames[0][:3] for frame in frames)
+        self._acknowledged = self._has_receiver()
+        self._intact = identical and self._acknowledged and not self._is_next_frame_disturbed()
+        span = max(map(self.rate.frame_ns, frames))
+        if not self._intact:
+            # An error flag replaces the end of the frame. The flag is longer if several controllers
+            # send it.
+            span += self.rate.bits_ns(
+                (ERROR_FLAGS_BITS if self._acknowledged else ERROR_FLAG_BITS) - UNSENT_END_BITS
+            )
+        self.busy_ns += span
+        self._end_ns = t_ns + span
+
+    def _has_receiver(self) -> bool:
+        """Check whether any controller except the senders is on the bus."""
+        for controller in self._controllers:
+            if controller.state != CanErrorState.BUS_OFF and controller not in self._senders:
+                return True
+        return False
+
+    def _is_next_frame_disturbed(self) -> bool:
+        """Decide whether the next frame is destroyed, by request or at random."""
+        if self.disturbed:
+            self.disturbed -= 1
+            return True
+        return self.options.error_rate > 0.0 and self._rng.random() < self.options.error_rate
+
+    def _finish_frame(self, t_ns: int) -> None:
+        """End the frame on the wire: deliver the frame, or keep the frame in the queue for a retry."""
+        senders = self._senders
+        self._senders = []
+        self._end_ns = NEVER_NS
+        self._free_ns = t_ns
+        if not senders:
+            return
+        if self._intact:
+            self._deliver_frame(senders, t_ns)
+        else:
+            self._destroy_frame(senders, t_ns)
+
+    def _deliver_frame(self, senders: list[CanController], t_ns: int) -> None:
+        """Deliver the frame of the senders to all other controllers."""
+        self.frames += 1
+        can_id, data, flags, bus, _ = senders[0].queue[0][2]
+        frame = Frame(can_id, data, flags, bus, t_ns)
+        for controller in senders:
+            controller.count_sent(t_ns)
+            self._suspend_sender(controller, t_ns)
+        for controller in self._controllers:
+            if (
+                (controller.on_receive or controller.rx_errors)
+                and controller.on_bus
+                and controller not in senders
+            ):
+                controller.deliver(frame, t_ns)
+
+    def _destroy_frame(self, senders: list[CanController], t_ns: int) -> None:
+        """Count the error of a destroyed frame in all controllers.
+
+        Senders keep the frame for a retry.
+        """
+        self.errors += 1
+        for controller in self._controllers:
+            if controller.on_bus and controller not in senders:
+                controller.count_error_seen(t_ns)
+        for controller in senders:
+            (controller.count_destroyed if self._acknowledged else controller.count_unacknowledged)(
+                t_ns
+            )
+            self._suspend_sender(controller, t_ns)
+            if not controller.on_bus and self.options.restart_ms >= 0.0:
+                wait_ns = round(self.options.restart_ms * 1e6) + self.rate.bits_ns(RECOVERY_BITS)
+                self._restarts.append((t_ns + wait_ns, controller))
+
+    def _suspend_sender(self, controller: CanController, t_ns: int) -> None:
+        """Delay the next frame of an error-passive sender."""
+        if controller.state == CanErrorState.PASSIVE:
+            controller.retry_ns = t_ns + self.rate.bits_ns(SUSPEND_BITS)
+
+    def _restart_controllers(self, t_ns: int) -> None:
+        """Restart the controllers whose restart delay after bus-off has passed."""
+        due = [controller for at, controller in self._restarts if at <= t_ns]
+        self._restarts = [(at, controller) for at, controller in self._restarts if at > t_ns]
+        for controller in due:
+            if controller in self._controllers:
+                controller.restart(t_ns)

@@ -1,0 +1,120 @@
+"""Command-line words of a simulated wire, such as ``--wire queue=10 stuffing=actual``."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+from firmware_sim.hand_description import SimulatorError
+from firmware_sim.wire.can_adapter import ADAPTER_CLASSES, NO_LATENCY_CLASS, AdapterLatency
+from firmware_sim.wire.frame_bits import BitRates
+from firmware_sim.wire.simulated_wire import WireOptions
+
+WIRE_OPTION_KEYS = {
+    "bitrate": "nominal bit rate [bit/s] (the hand file's)",
+    "data_bitrate": "bit rate of CAN FD's data phase [bit/s] (the hand file's)",
+    "stuffing": "worst: maximum stuff bits for the length, actual: those of each frame (worst)",
+    "queue": "capacity of each controller's queue [frames] (128)",
+    "error_rate": "fraction of frames destroyed on the wire (0)",
+    "restart_ms": "delay of a controller's restart after bus-off [ms] (never)",
+    "seed": "seed of the errors and of the adapter's phase (0)",
+    "adapter": f"latency of the host's CAN adapter: {', '.join(ADAPTER_CLASSES)} ({NO_LATENCY_CLASS})",
+}
+"""Meaning and default of each key of ``--wire``."""
+_MAX_BITRATE = 20_000_000
+"""Maximum bit rate of arbitration or data phase [bit/s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class WireSpec:
+    """Specification of simulated wires from the command line.
+
+    Attributes:
+        options: options of the wires.
+        actual: True to count the actual stuff bits of each frame.
+        bitrate: nominal bit rate that replaces the bit rate in the hand file [bit/s], 0 to keep the
+            hand file's.
+        data_bitrate: data bit rate that replaces the bit rate in the hand file [bit/s], 0 to keep
+            the hand file's.
+        adapter: class of the CAN adapters of the hosts, a key of ``ADAPTER_CLASSES``.
+    """
+
+    options: WireOptions = field(default_factory=WireOptions)
+    actual: bool = False
+    bitrate: int = 0
+    data_bitrate: int = 0
+    adapter: str = NO_LATENCY_CLASS
+
+    def latency(self, adapter_number: int) -> AdapterLatency:
+        """Return the latency of a host's CAN adapter.
+
+        Args:
+            adapter_number: number of the adapter. The number selects the random phase of the adapter.
+        """
+        return AdapterLatency(self.adapter, self.options.seed + adapter_number)
+
+    def rate(self, bitrate: int, data_bitrate: int) -> BitRates:
+        """Return the bit rates of a bus, from the command line or the hand file.
+
+        Args:
+            bitrate: nominal bit rate in the hand file [bit/s].
+            data_bitrate: bit rate of the data phase in the hand file [bit/s].
+        """
+        return BitRates(self.bitrate or bitrate, self.data_bitrate or data_bitrate, self.actual)
+
+
+def parse_wire_options(words: Sequence[str]) -> WireSpec:
+    """Parse the KEY=VALUE words of ``--wire``.
+
+    Raises:
+        SimulatorError: a key is unknown, or a value is out of range.
+    """
+    spec = WireSpec()
+    for word in words:
+        spec = _updated_spec(spec, word)
+    return spec
+
+
+def _updated_spec(spec: WireSpec, word: str) -> WireSpec:
+    """Return a specification with the change made by a word."""
+    key, _, text = word.partition("=")
+    if key not in WIRE_OPTION_KEYS:
+        raise SimulatorError(
+            f"--wire {word}: expected one of {', '.join(WIRE_OPTION_KEYS)}, as in queue=10"
+        )
+    if key == "stuffing":
+        if text not in ("worst", "actual"):
+            raise SimulatorError(f"--wire {word}: expected stuffing=worst or stuffing=actual")
+        return replace(spec, actual=text == "actual")
+    if key == "adapter":
+        if text not in ADAPTER_CLASSES:
+            raise SimulatorError(f"--wire {word}: expected one of {', '.join(ADAPTER_CLASSES)}")
+        return replace(spec, adapter=text)
+    if key == "error_rate":
+        return replace(
+            spec, options=replace(spec.options, error_rate=_number_in_range(word, text, 0.0, 1.0))
+        )
+    if key == "restart_ms":
+        return replace(
+            spec, options=replace(spec.options, restart_ms=_number_in_range(word, text, 0.0, 1e6))
+        )
+    if key == "queue":
+        return replace(
+            spec, options=replace(spec.options, queue=int(_number_in_range(word, text, 1, 100_000)))
+        )
+    if key == "seed":
+        return replace(
+            spec, options=replace(spec.options, seed=int(_number_in_range(word, text, 0, 1 << 32)))
+        )
+    rate = int(_number_in_range(word, text, 1_000, _MAX_BITRATE))
+    return replace(spec, bitrate=rate) if key == "bitrate" else replace(spec, data_bitrate=rate)
+
+
+def _number_in_range(word: str, text: str, low: float, high: float) -> float:
+    """Parse a number that must lie in a range."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not low <= value <= high:
+        raise SimulatorError(f"--wire {word}: expected a number from {low:g} to {high:g}")
+    return value

@@ -1,0 +1,327 @@
+"""State of a controller: a block of numbers, and decisions that are not numbers."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import xxhash
+from numpy.typing import NDArray
+
+from handctl.controller.pending_gains import PendingGains
+from handctl.core import state_block as s
+from handctl.core.block_schema import BlockArray, BlockLayout
+from handctl.core.gains.gains import Gains
+from handctl.core.hand_estimate import HandEstimate, TickMeasurements
+from handctl.core.hand_model import HandModel
+from handctl.core.identity_cache import IdentityCache, SequenceCache
+from handctl.core.plain_values import plain_bytes
+from handctl.core.state_block import STATE_SCHEMA
+from handctl.core.tick_types import HandMode
+from handctl.drives.cia404.amplifier import AmplifierState
+from handctl.drives.contract import DrivePhase, DriveState
+from handctl.programs.program import ProgramProgress
+from handctl.programs.stream_plans import StreamPlan
+from handctl.safety.tick_verdict import CountedFault, LatchedFault
+
+
+class ClientLease(NamedTuple):
+    """Lease of the client that commands the hand: the time for which the client may be silent.
+
+    Attributes:
+        client: client that commands the hand.
+        duration_ns: longest silence before moving digits come to rest [ns]. After twice this time
+            the hand relaxes.
+        renewed_ns: time of the last command or sign of life [ns].
+        resting: True if the digits have been brought to rest since ``renewed_ns``.
+    """
+
+    client: str
+    duration_ns: int
+    renewed_ns: int
+    resting: bool = False
+
+
+class ControllerDecisions(NamedTuple):
+    """Part of the state that is not in the state block, because only events change it.
+
+    Attributes:
+        drives: state of each drive without its values. The values of the drives are in the block.
+            Here they are NaN or 0.
+        progress: progress of the program.
+        latched: latched faults.
+        reported_faults: faults that buses and host report, each with its number of consecutive
+            ticks.
+        refusals: ticks within the last second that had a malformed request.
+        failure: reason of an early end of the run in one line, empty without a failure.
+        unconfirmed: names of motors whose drives have not confirmed that they are disabled.
+        gains: gains that have replaced the gains from the start of the run, None before a change.
+        pending: requested gains whose design is in progress.
+        commander: client that may send commands, see ``requests.CommandBase``. None if any client
+            may.
+        stream: open stream of targets.
+        lease: lease of the commanding client, None for a client without a lease.
+        amplifiers: state of each CiA 404 amplifier, empty with another kind of load cells.
+    """
+
+    drives: tuple[DriveState, ...]
+    progress: ProgramProgress
+    latched: tuple[LatchedFault, ...] = ()
+    reported_faults: tuple[CountedFault, ...] = ()
+    refusals: tuple[int, ...] = ()
+    failure: str = ""
+    unconfirmed: tuple[str, ...] = ()
+    gains: Gains | None = None
+    pending: PendingGains | None = None
+    commander: str | None = None
+    stream: StreamPlan | None = None
+    lease: ClientLease | None = None
+    amplifiers: tuple[AmplifierState, ...] = ()
+
+
+# Serialized parts are cached by identity, because most decisions are the same objects in many
+# ticks.
+_plain_bytes_cache = IdentityCache[Any](plain_bytes)
+_drives_cache, _goals_cache, _rest_cache = (
+    SequenceCache[Any](_plain_bytes_cache) for _ in range(3)
+)
+
+
+def _hash_decisions(decisions: ControllerDecisions) -> bytes:
+    """Return an 8-byte hash of the decisions. An unchanged object is not serialized again."""
+    drives = _drives_cache(decisions.drives)
+    goals = _goals_cache(decisions.progress.goals)
+    # Without amplifiers, the hash equals the hash in logs of versions that did not support
+    # amplifiers.
+    rest = _rest_cache(decisions[1:] if decisions.amplifiers else decisions[1:-1])
+    return xxhash.xxh3_64_digest(b"".join([*drives, *goals, *rest]))
+
+
+_decision_hash_cache = IdentityCache[ControllerDecisions](_hash_decisions)
+
+
+def layout_of_state(model: HandModel, groups: int) -> BlockLayout:
+    """Return the layout of the state block for a hand.
+
+    Args:
+        model: model of the hand.
+        groups: number of frame groups of the sensor node.
+    """
+    n = model.tendon_count
+    joints = len(model.hand.joints)
+    return BlockLayout(STATE_SCHEMA, {
+        "tendon": n,
+        "joint": joints,
+        "digit": len(model.digits),
+        "coordinate": model.coordinate_count,
+        "node": n + 1,
+        "group": groups,
+        "instance": max(n + 1, joints),
+        "run": 1,
+        "servo": n if any(motor.holds_position for motor in model.hand.motor) else 0,
+    })  # fmt: skip
+
+
+def drive_values(
+    tendon: NDArray[np.float64], tendon_int: NDArray[np.int64], n: int
+) -> tuple[float, float, float, float, int, int]:
+    """Return the values of a drive from the state block, as arguments of ``DriveState.with_values``."""
+    position, velocity, torque, temperature = tendon[s.POSITION : s.POSITION + 4, n].tolist()
+    return (
+        position,
+        velocity,
+        torque,
+        temperature,
+        int(tendon_int[s.FEEDBACK_NS, n]),
+        int(tendon_int[s.FEEDBACKS, n]),
+    )
+
+
+class ControllerState:
+    """State of the controller between ticks.
+
+    A tick works on a copy. The block is copied as a whole. Decisions are immutable and shared.
+
+    Attributes:
+        layout: layout of the block.
+        block: numbers of the state, see ``core.state_block``.
+        decisions: see ``ControllerDecisions``.
+        tendon: (rows, N) table of the real numbers per tendon in the block.
+        tendon_int: (rows, N) table of the integers per tendon in the block.
+    """
+
+    __slots__ = ("_run", "_run_int", "block", "decisions", "layout", "tendon", "tendon_int")
+
+    def __init__(
+        self, layout: BlockLayout, block: BlockArray, decisions: ControllerDecisions
+    ) -> None:
+        """Use a block of numbers without copying it, and make views of its tables.
+
+        Args:
+            layout: layout of the block.
+            block: numbers of the state, not copied.
+            decisions: see ``ControllerDecisions``.
+        """
+        self.layout = layout
+        self.block = block
+        self.decisions = decisions
+        self.tendon: NDArray[np.float64] = layout.table(block, "tendon")
+        self.tendon_int: NDArray[np.int64] = layout.table(block, "tendon_int")
+        # The table "run" has one column, so the row number is the position in the table.
+        self._run = block[layout.start("run") :]
+        self._run_int = block[layout.start("run_int") :].view(np.int64)
+
+    def copy(self) -> "ControllerState":
+        """Return an independent copy of the state."""
+        return ControllerState(self.layout, self.block.copy(), self.decisions)
+
+    def decide(self, **changes: Any) -> None:
+        """Replace the given fields of the decisions."""
+        self.decisions = self.decisions._replace(**changes)
+
+    def digest(self) -> bytes:
+        """Return a hash of 8 bytes over the whole state."""
+        return xxhash.xxh3_64_digest(
+            self.block.data, int.from_bytes(_decision_hash_cache(self.decisions), "little")
+        )
+
+    # Tables and single numbers of the block.
+
+    def view(self, name: str) -> NDArray[Any]:
+        """Return a field of the state block by its name."""
+        return self.layout.view(self.block, name)
+
+    def run_number(self, row: int) -> float:
+        """Return a real number that is stored once per run, by its row."""
+        return float(self._run[row])
+
+    def set_run_number(self, row: int, value: float) -> None:
+        """Set a real number that is stored once per run."""
+        self._run[row] = value
+
+    def run_integer(self, row: int) -> int:
+        """Return an integer that is stored once per run, by its row."""
+        return int(self._run_int[row])
+
+    def set_run_integer(self, row: int, value: int) -> None:
+        """Set an integer that is stored once per run."""
+        self._run_int[row] = value
+
+    @property
+    def k(self) -> int:
+        """Return the number of the last tick, -1 before the first."""
+        return self.run_integer(s.K)
+
+    @property
+    def mode(self) -> HandMode:
+        """Return the mode of the hand."""
+        return _MODE_BY_NUMBER[self.run_integer(s.MODE)]
+
+    @mode.setter
+    def mode(self, mode: HandMode) -> None:
+        self.set_run_integer(s.MODE, mode)
+
+    @property
+    def mode_since(self) -> float:
+        """Return the time at which the present mode began [s]."""
+        return self.run_number(s.MODE_SINCE)
+
+    @mode_since.setter
+    def mode_since(self, t: float) -> None:
+        self.set_run_number(s.MODE_SINCE, t)
+
+    @property
+    def goal_time(self) -> float:
+        """Return the program's time [s]. The time stops while the safety monitor holds the hand."""
+        return self.run_number(s.GOAL_TIME)
+
+    @goal_time.setter
+    def goal_time(self, t: float) -> None:
+        self.set_run_number(s.GOAL_TIME, t)
+
+    @property
+    def armed(self) -> bool:
+        """Return True if arming is requested."""
+        return bool(self.run_integer(s.ARMING_REQUESTED))
+
+    @armed.setter
+    def armed(self, armed: bool) -> None:
+        self.set_run_integer(s.ARMING_REQUESTED, armed)
+
+    @property
+    def clearing(self) -> bool:
+        """Return True while latched errors of the drives are being cleared, before arming."""
+        return bool(self.run_integer(s.CLEARING))
+
+    @clearing.setter
+    def clearing(self, clearing: bool) -> None:
+        self.set_run_integer(s.CLEARING, clearing)
+
+    @property
+    def started(self) -> bool:
+        """Return True if the encoder and the load cell of every tendon have been read at least once."""
+        return bool(self.run_integer(s.FILTER_STARTED))
+
+    @property
+    def estimate(self) -> HandEstimate:
+        """Return the estimate of the tick, for programs."""
+        layout = self.layout
+        block = self.block
+        joint = layout.table(block, "joint")
+        digit = layout.table(block, "digit")
+        return HandEstimate(self.tendon, joint, digit, self.tendon_int[s.REGIME])
+
+    @property
+    def measured(self) -> TickMeasurements:
+        """Return the measurements of the tick, for programs."""
+        return TickMeasurements(self.tendon, self.layout.table(self.block, "joint"))
+
+    @property
+    def sensor_counts(self) -> tuple[int, int, int]:
+        """Return three numbers: SYNCs sent, accepted tension frames, and sensor frames that answered an older SYNC."""
+        return (
+            self.run_integer(s.SYNCS),
+            self.run_integer(s.TENSION_FRAMES),
+            self.run_integer(s.STALE_FRAMES),
+        )
+
+    # Decisions by their names.
+
+    @property
+    def progress(self) -> ProgramProgress:
+        """Return the progress of the program."""
+        return self.decisions.progress
+
+    @property
+    def latched(self) -> tuple[LatchedFault, ...]:
+        """Return the faults that are latched."""
+        return self.decisions.latched
+
+    @property
+    def failure(self) -> str:
+        """Return the reason of an early end of the run in one line, empty without a failure."""
+        return self.decisions.failure
+
+    @property
+    def unconfirmed(self) -> tuple[str, ...]:
+        """Return the names of motors whose drives have not confirmed that they are disabled."""
+        return self.decisions.unconfirmed
+
+    # States of drives: their set-up is in the decisions, their values are in the block.
+
+    def drive(self, motor_index: int) -> DriveState:
+        """Return the state of one drive."""
+        return self.decisions.drives[motor_index].with_values(
+            *drive_values(self.tendon, self.tendon_int, motor_index)
+        )
+
+    @property
+    def drives(self) -> tuple[DriveState, ...]:
+        """Return the states of all drives."""
+        return tuple([self.drive(n) for n in range(len(self.decisions.drives))])
+
+    @property
+    def phases(self) -> tuple[DrivePhase, ...]:
+        """Return the phase of each drive."""
+        return tuple([drive.phase for drive in self.decisions.drives])
+
+
+_MODE_BY_NUMBER = {int(mode): mode for mode in HandMode}

@@ -1,0 +1,125 @@
+"""Change of gains while the controller runs: the design is made in steps, and then taken over without a torque step.
+
+The design of a loop takes about a millisecond. A running controller therefore designs one loop per
+tick, and switches all loops to the new design in the same tick. At the takeover, the difference
+between the motor forces commanded with old and new gains becomes an offset that fades out (bumpless
+transfer). The integrals of the loops are forces in newtons, so they need no rescaling.
+"""
+
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple, TypeVar
+
+from handctl.controller.pending_gains import PendingGains
+from handctl.core.gains.gain_bounds import check_tendon_names, different_values, with_values
+from handctl.core.gains.gains import Gains
+from handctl.core.gains.motion_design import design_from_pieces, design_piece, design_piece_count
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import GAIN_EVENT, TickEvent, Vector
+from handctl.errors import ConfigError
+from handctl.programs.requests import REFUSED_PREFIX
+
+ControllerT = TypeVar("ControllerT")
+"""Type variable for ``controller.tick.Controller``, or for another dataclass with a ``model``."""
+
+CACHE_SIZE = 8
+"""Number of designs in the cache: for present gains, for pending gains, and for some earlier gains to return to."""
+
+
+class DesignProgress(NamedTuple):
+    """Result of a design step after which the design is not complete.
+
+    Attributes:
+        pending: progress of the design, None if no stabilising gains exist for these weights.
+        events: events that report a failure of the design.
+    """
+
+    pending: PendingGains | None
+    events: tuple[TickEvent, ...] = ()
+
+
+@dataclass(slots=True)
+class DesignCache:
+    """Cache of controller designs, by gains. A design that was dropped from the cache is computed again.
+
+    Attributes:
+        designed_pieces: control loops designed so far, for each of the last ``CACHE_SIZE``
+            requested gains.
+        controllers: controllers with complete designs.
+        used: gains of the controller that was returned last.
+    """
+
+    designed_pieces: dict[Gains, list[Vector]] = field(default_factory=dict)
+    controllers: dict[Gains, Any] = field(default_factory=dict)
+    used: Gains | None = None
+
+    def advance(self, model: HandModel, pending: PendingGains) -> DesignProgress | None:
+        """Design one more control loop of pending gains.
+
+        Return None when the design is complete.
+        """
+        try:
+            check_tendon_names(pending.gains, model.space.names)
+            done = self._design_pieces(model, pending.gains, pending.step + 1)
+        except ConfigError as error:
+            return DesignProgress(
+                None, (TickEvent("warn", "gains", "", f"{REFUSED_PREFIX}{error}"),)
+            )
+        if len(done) >= design_piece_count(model.space):
+            return None
+        return DesignProgress(replace(pending, step=pending.step + 1))
+
+    def controller(self, controller: ControllerT, gains: Gains) -> ControllerT:
+        """Return a copy of a controller with other gains, and keep the design of these gains in the cache."""
+        self.used = gains
+        if gains not in self.controllers:
+            old: Any = controller
+            model = old.model
+            designed_pieces = self._design_pieces(model, gains, design_piece_count(model.space))
+            designed = replace(
+                model, gains=gains, motion=design_from_pieces(model.space, designed_pieces)
+            )
+            self.controllers[gains] = replace(old, model=designed)
+        made: ControllerT = self.controllers[gains]
+        return made
+
+    def _design_pieces(self, model: HandModel, gains: Gains, piece_count: int) -> list[Vector]:
+        """Return at least the first ``piece_count`` control loops of a design, after designing the missing loops."""
+        designed_pieces = self.designed_pieces.setdefault(gains, [])
+        if len(self.designed_pieces) > CACHE_SIZE:
+            # Dictionaries keep insertion order, so the first entry is the oldest. The gains in use
+            # are kept.
+            oldest = next(one for one in self.designed_pieces if one != self.used)
+            self.controllers.pop(oldest, None)
+            del self.designed_pieces[oldest]
+        while len(designed_pieces) < piece_count:
+            designed_pieces.append(
+                design_piece(model.space, gains, model.period, len(designed_pieces))
+            )
+        return designed_pieces
+
+
+def begin_design(
+    present: Gains, values: dict[str, float]
+) -> tuple[PendingGains | None, tuple[TickEvent, ...]]:
+    """Begin the controller design for requested gains.
+
+    Args:
+        present: present gains.
+        values: requested values by key.
+
+    Returns:
+        The pending gains, or None and an event with the reason.
+    """
+    try:
+        return PendingGains(with_values(present, values, "gains", live=True)), ()
+    except ConfigError as error:
+        return None, (TickEvent("warn", "request", "", f"{REFUSED_PREFIX}{error}"),)
+
+
+def gain_change_events(old_gains: Gains, new_gains: Gains) -> tuple[TickEvent, ...]:
+    """Return an event for each changed gain, then an event for the takeover."""
+    different = different_values(old_gains, new_gains)
+    changed = tuple(
+        TickEvent("info", GAIN_EVENT, key, repr(value)) for key, (_, value) in different.items()
+    )
+    return *changed, TickEvent("info", "gains", "", f"taken over: {len(changed)} changed")

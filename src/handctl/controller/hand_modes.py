@@ -1,0 +1,414 @@
+"""State machine of the hand's modes, from silence before the first frame to the confirmed disarm at the end.
+
+SILENT -> INVENTORY -> READY -> ARMING -> ACTIVE -> RELAX -> DISARM -> DONE. CUT is reached from
+every mode with torque. Each mode has one function. The function returns the next mode, and the
+reason if the run has failed.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from handctl.controller.controller_state import ControllerState
+from handctl.controller.relaxing import (
+    are_commands_relaxed,
+    are_tensions_relaxed,
+    begin_relaxing,
+    update_relax_rate,
+)
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import BEFORE_ARMING, TORQUE_MODES, HandMode, TickEvent
+from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
+from handctl.drives.frame import Frame
+from handctl.errors import REMOVE_POWER
+from handctl.safety.action import SafetyAction
+
+LISTENING_DURATION_S = 0.5
+"""Time before this host sends its first frame, in which it detects a second controller [s]."""
+INVENTORY_TIMEOUT_S = 3.0
+CLEAR_ADVICE = " (when you have looked why: --clear)"
+"""Advice to the operator, in the message about a drive with a latched error."""
+LATCHED_ERROR_HINT = " (or an error that does not clear)"
+READY_DURATION_S = 0.1
+"""Time before arming in which the tension filter gets its first measurements [s]."""
+ARMING_TIMEOUT_S = 1.0
+RELAX_TIMEOUT_S = 1.0
+DISARM_TIMEOUT_S = 1.0
+CUT_DURATION_S = 0.1
+"""Time for which the frames that cut the torque are repeated [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class OperatorRequests:
+    """Stop and cut requests from the operator in a tick."""
+
+    stop: bool = False
+    cut: bool = False
+
+
+class ModeInputs(NamedTuple):
+    """Inputs of the state machine of the modes, in addition to the state of the controller.
+
+    Attributes:
+        model: model of the hand.
+        drives: drives of all motors.
+        elapsed: time in the present mode [s].
+        action: reaction that the safety monitor demands.
+        operator: stop and cut requests from the operator.
+        foreign: signs of a second controller: frames that only a host sends, and motor replies
+            without a request from this host.
+        identities: identities of the drives at calibration, see ``Drive.identity``. An unknown
+            identity is empty.
+    """
+
+    model: HandModel
+    drives: tuple[Drive, ...]
+    elapsed: float
+    action: SafetyAction
+    operator: OperatorRequests
+    foreign: tuple[str, ...]
+    identities: tuple[str, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the names of the motors."""
+        return tuple(drive.name for drive in self.drives)
+
+    @property
+    def no_override(self) -> bool:
+        """Return True if neither the safety monitor nor the operator determines the next mode."""
+        return self.action < RELAX and not (self.foreign or self.operator.stop or self.operator.cut)
+
+
+RELAX = SafetyAction.RELAX
+NextMode = tuple[HandMode, str]
+"""Next mode, and the reason if the run has failed (else empty)."""
+
+
+def drive_target(mode: HandMode) -> DriveTarget:
+    """Return the state that is requested from every drive in a mode of the hand."""
+    return _DRIVE_TARGETS[mode]
+
+
+_DRIVE_TARGETS = {
+    HandMode.SILENT: DriveTarget.LISTEN,
+    HandMode.INVENTORY: DriveTarget.POLL,
+    HandMode.READY: DriveTarget.POLL,
+    HandMode.ARMING: DriveTarget.ENABLE,
+    HandMode.ACTIVE: DriveTarget.ENABLE,
+    HandMode.RELAX: DriveTarget.ENABLE,
+    HandMode.DISARM: DriveTarget.DISABLE,
+    HandMode.CUT: DriveTarget.DISABLE,
+    HandMode.DONE: DriveTarget.LISTEN,
+}
+
+
+def shutdown_frames(drives: tuple[Drive, ...], state: ControllerState) -> tuple[Frame, ...]:
+    """Return the frames that release the drives at the end of a run.
+
+    After a failure no frames are returned, and the drives stay as they are.
+    """
+    if state.mode != HandMode.DONE or state.failure:
+        return ()
+    return tuple(
+        frame
+        for drive, own in zip(drives, state.drives, strict=True)
+        for frame in drive.release_frames(own)
+    )
+
+
+def next_mode(
+    model: HandModel,
+    drives: tuple[Drive, ...],
+    state: ControllerState,
+    action: SafetyAction,
+    operator: OperatorRequests,
+    other_host_frames: tuple[str, ...],
+    time_s: float,
+    identities: tuple[str, ...] = (),
+) -> tuple[TickEvent, ...]:
+    """Determine the next mode and write it into the state.
+
+    Args:
+        model: model of the hand.
+        drives: drives of all motors.
+        state: state with the drive and filter values of the tick, modified in place.
+        action: reaction that the safety monitor demands.
+        operator: stop and cut requests from the operator.
+        other_host_frames: texts that describe signs of a second controller.
+        time_s: time of the tick [s].
+        identities: identities of the drives in the calibration. May be empty.
+
+    Returns:
+        The event of a mode change, empty if the mode does not change.
+    """
+    inputs = ModeInputs(
+        model, drives, time_s - state.mode_since, action, operator, other_host_frames, identities
+    )
+    before = state.mode
+    demanded = None if inputs.no_override else _overriding_mode(state, inputs)
+    mode, failure = demanded or _NEXT_MODE_FUNCTIONS[before](state, inputs)
+    if mode == before:
+        if mode == HandMode.RELAX:
+            update_relax_rate(state)
+        return ()
+    failure = failure or (
+        "" if state.failure else _latched_faults(state)
+    )  # this includes a fault during the move home
+    names = inputs.names
+    level = "error" if failure else "info"
+    unconfirmed = _motors_possibly_on(model, state, names) if mode == HandMode.DONE else ()
+    text = f"{before.name} -> {mode.name}" + (f": {failure}" if failure else "")
+    if (
+        unconfirmed and REMOVE_POWER not in text
+    ):  # the operator who has stopped the run reads only this line
+        text += f"; {REMOVE_POWER}: not confirmed disabled: {', '.join(unconfirmed)}"
+    reason = (
+        f"{state.failure}; {failure}" if state.failure and unconfirmed else state.failure or failure
+    )
+    state.decide(failure=reason, unconfirmed=unconfirmed)
+    state.mode = mode
+    state.mode_since = time_s
+    if mode == HandMode.RELAX:
+        begin_relaxing(model, state)
+    return (TickEvent(level, "mode", "", text),)
+
+
+def _overriding_mode(state: ControllerState, inputs: ModeInputs) -> NextMode | None:
+    """Return the mode that the safety monitor or the operator demands, or None."""
+    acting = state.mode in TORQUE_MODES
+    if acting and (inputs.operator.cut or inputs.action == SafetyAction.CUT):
+        return HandMode.CUT, _latched_faults(state)
+    if state.mode in _MODE_AFTER_STOP and inputs.action == SafetyAction.RELAX:
+        return _MODE_AFTER_STOP[state.mode], _latched_faults(state)
+    if state.mode in _MODE_AFTER_STOP and inputs.operator.stop:
+        return _MODE_AFTER_STOP[state.mode], ""
+    return _before_arming(state, inputs) if state.mode in BEFORE_ARMING else None
+
+
+def _before_arming(state: ControllerState, inputs: ModeInputs) -> NextMode | None:
+    """Return the mode that ends a run before any torque, or None if the run continues."""
+    if inputs.operator.stop or inputs.operator.cut:
+        return HandMode.DONE, ""
+    if inputs.foreign:
+        return (
+            HandMode.DONE,
+            f"another controller is on the bus (heard: {', '.join(inputs.foreign)})",
+        )
+    return (HandMode.DONE, _latched_faults(state)) if inputs.action >= SafetyAction.RELAX else None
+
+
+_MODE_AFTER_STOP = {HandMode.ARMING: HandMode.DISARM, HandMode.ACTIVE: HandMode.RELAX}
+"""Mode that follows each mode after a fault or a stop.
+
+In ARMING no tension has been commanded and no further drive may be enabled, so DISARM follows.
+"""
+
+
+def _latched_faults(state: ControllerState) -> str:
+    """Return the latched faults as text, for the reason of a failure.
+
+    The text is empty without faults.
+    """
+    if not state.latched:
+        return ""
+    return "fault " + ", ".join(f"{mark.id} {mark.instance}" for mark in state.latched)
+
+
+def _after_silent(state: ControllerState, inputs: ModeInputs) -> NextMode:
+    return (HandMode.INVENTORY if inputs.elapsed >= LISTENING_DURATION_S else HandMode.SILENT), ""
+
+
+def _after_inventory(state: ControllerState, inputs: ModeInputs) -> NextMode:
+    named = tuple(_named_drives(state, inputs))
+    wrong = [
+        f"{name}: {drive.error_text}" for name, drive in named if drive.phase == DrivePhase.FAULT
+    ]
+    if wrong_amplifiers := _wrong_amplifiers(state):
+        return HandMode.DONE, "; ".join(wrong_amplifiers)
+    if wrong and not (state.clearing and inputs.elapsed < INVENTORY_TIMEOUT_S):
+        return HandMode.DONE, "; ".join(wrong) + CLEAR_ADVICE
+    groups_missing = not state.view("group_frames").all()
+    if (
+        all(drive.phase == DrivePhase.READY for drive in state.drives)
+        and state.started
+        and not groups_missing
+    ):
+        return HandMode.READY, ""
+    if inputs.elapsed < INVENTORY_TIMEOUT_S:
+        return HandMode.INVENTORY, ""
+    behind = [(name, drive) for name, drive in named if drive.phase != DrivePhase.READY]
+    silent = [
+        name for name, drive in behind if drive.phase == DrivePhase.SILENT and not drive.error_text
+    ]
+    silent += _silent_sensors(state) if groups_missing else []
+    stuck = [
+        f"{name}: {drive.error_text or 'not configured in time'}"
+        for name, drive in behind
+        if name not in silent
+    ]
+    silence = (
+        [f"no answer from {', '.join(silent)}{LATCHED_ERROR_HINT if state.clearing else ''}"]
+        if silent
+        else []
+    )
+    return HandMode.DONE, "; ".join([*stuck, *silence, *_missing_inputs(state, inputs)])
+
+
+def _wrong_amplifiers(state: ControllerState) -> list[str]:
+    """Return the amplifiers whose set-up has failed, with the reason."""
+    return [
+        f"{one.name}: {one.error_text}"
+        for one in state.decisions.amplifiers
+        if one.phase == DrivePhase.FAULT
+    ]
+
+
+def _silent_sensors(state: ControllerState) -> list[str]:
+    """Return the names of silent sensors: amplifiers without a complete set-up, or else all sensors as one name."""
+    amplifiers = state.decisions.amplifiers
+    behind = [one for one in amplifiers if one.phase != DrivePhase.READY]
+    silent = [one.name + (f" ({one.error_text})" if one.error_text else "") for one in behind]
+    return silent or ["the load cells" if amplifiers else "the sensor node"]
+
+
+def _missing_inputs(state: ControllerState, inputs: ModeInputs) -> list[str]:
+    """Return the missing inputs of the tension filter, when all drives are ready and all sensor frames have arrived."""
+    drives = _named_drives(state, inputs)
+    blind = [
+        name
+        for name, drive in drives
+        if drive.phase == DrivePhase.READY and math.isnan(drive.position)
+    ]
+    return [f"no position from {', '.join(blind)}"] if blind else []
+
+
+def _after_ready(state: ControllerState, inputs: ModeInputs) -> NextMode:
+    if wrong := _wrong_amplifiers(state):
+        return HandMode.DONE, "; ".join(wrong)
+    if strange := _other_drives(state, inputs):
+        return (
+            HandMode.DONE,
+            f"{strange}: the calibration is of another hand, give that of this hand or commission it",
+        )
+    return (
+        HandMode.ARMING if state.armed and inputs.elapsed >= READY_DURATION_S else HandMode.READY
+    ), ""
+
+
+def _other_drives(state: ControllerState, inputs: ModeInputs) -> str:
+    """Return the drives whose identity differs from the calibration.
+
+    Returns:
+        One phrase per drive, empty if all are equal or the calibration has no identities.
+    """
+    there = [
+        drive.identity(drive_state)
+        for drive, drive_state in zip(inputs.drives, state.drives, strict=True)
+    ]
+    pairs = zip(inputs.names, there, inputs.identities, strict=False)
+    others = [(name, now, then) for name, now, then in pairs if then not in ("", now)]
+    return ", ".join(
+        f"{name} is drive {now}, but was calibrated with drive {then}" for name, now, then in others
+    )
+
+
+def _after_arming(state: ControllerState, inputs: ModeInputs) -> NextMode:
+    if all(phase == DrivePhase.ENABLED for phase in state.phases):
+        return HandMode.ACTIVE, ""
+    if inputs.elapsed < ARMING_TIMEOUT_S:
+        return HandMode.ARMING, ""
+    late = [
+        name for name, drive in _named_drives(state, inputs) if drive.phase != DrivePhase.ENABLED
+    ]
+    return HandMode.DISARM, f"not enabled: {', '.join(late)}"
+
+
+def _after_active(state: ControllerState, inputs: ModeInputs) -> NextMode:
+    return (HandMode.RELAX if state.progress.finished else HandMode.ACTIVE), state.progress.failure
+
+
+def _after_relax(state: ControllerState, inputs: ModeInputs) -> NextMode:
+    # A load cell may read too little, so the commands must also have fallen before the torque is
+    # removed.
+    relaxed = are_tensions_relaxed(inputs.model, state) and are_commands_relaxed(
+        inputs.model, state
+    )
+    return (HandMode.DISARM if relaxed or inputs.elapsed >= RELAX_TIMEOUT_S else HandMode.RELAX), ""
+
+
+def _after_disarm(state: ControllerState, inputs: ModeInputs) -> NextMode:
+    pulling = _pulling_motors(inputs.model, state, inputs.names)
+    if pulling:
+        return HandMode.DONE, f"{REMOVE_POWER}: still pulling after the cut: {', '.join(pulling)}"
+    enabled = _enabled_motors(state, inputs.names)
+    if not enabled:
+        return HandMode.DONE, ""
+    if inputs.elapsed < DISARM_TIMEOUT_S:
+        return HandMode.DISARM, ""
+    return HandMode.DONE, f"{REMOVE_POWER}: not confirmed disabled: {', '.join(enabled)}"
+
+
+def _after_cut(state: ControllerState, inputs: ModeInputs) -> NextMode:
+    return (HandMode.DISARM if inputs.elapsed >= CUT_DURATION_S else HandMode.CUT), ""
+
+
+def _after_done(state: ControllerState, inputs: ModeInputs) -> NextMode:
+    return HandMode.DONE, ""
+
+
+_NEXT_MODE_FUNCTIONS: dict[HandMode, Callable[[ControllerState, ModeInputs], NextMode]] = {
+    HandMode.SILENT: _after_silent,
+    HandMode.INVENTORY: _after_inventory,
+    HandMode.READY: _after_ready,
+    HandMode.ARMING: _after_arming,
+    HandMode.ACTIVE: _after_active,
+    HandMode.RELAX: _after_relax,
+    HandMode.DISARM: _after_disarm,
+    HandMode.CUT: _after_cut,
+    HandMode.DONE: _after_done,
+}
+
+
+def _named_drives(state: ControllerState, inputs: ModeInputs) -> Iterator[tuple[str, DriveState]]:
+    return zip(inputs.names, state.drives, strict=True)
+
+
+def _enabled_motors(state: ControllerState, names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the names of motors whose drives have not confirmed that they are disabled."""
+    disabled = (DrivePhase.READY, DrivePhase.FAULT)
+    return tuple(
+        name for name, drive in zip(names, state.drives, strict=True) if drive.phase not in disabled
+    )
+
+
+def _pulling_motors(
+    model: HandModel, state: ControllerState, names: tuple[str, ...]
+) -> tuple[str, ...]:
+    """Return the names of motors whose tendons still have tension after the torque was cut (N16)."""
+    tendons = {mark.instance for mark in state.latched if mark.id == "N16"}
+    return tuple(
+        name
+        for name, tendon in zip(names, model.hand.tendon_names, strict=True)
+        if tendon in tendons
+    )
+
+
+def _motors_possibly_on(
+    model: HandModel, state: ControllerState, names: tuple[str, ...]
+) -> tuple[str, ...]:
+    """Return the names of motors that may make torque at the end of a run.
+
+    If the run ends before arming, handctl has enabled no motor. Then only motors that report to be
+    enabled are returned.
+    """
+    if state.mode not in BEFORE_ARMING:
+        return tuple(
+            dict.fromkeys((*_enabled_motors(state, names), *_pulling_motors(model, state, names)))
+        )
+    return tuple(
+        name
+        for name, drive in zip(names, state.drives, strict=True)
+        if drive.phase == DrivePhase.ENABLED
+    )

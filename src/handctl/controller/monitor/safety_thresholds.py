@@ -1,0 +1,196 @@
+"""Thresholds of the safety monitor for a hand, computed from its drives, its sensors, and its model."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from handctl.core.hand_constants import HandConstants, low_pass_fractions, servo_constants
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Vector
+from handctl.drives.contract import Drive
+from handctl.drives.sensors.contract import SensorInterface
+from handctl.drives.signals import SignalCoding, SignalQuantity
+from handctl.safety.faults.node import NOISE_FACTOR
+from handctl.safety.safety_limits import (
+    MIN_FRAMES_LIMIT,
+    MIN_SILENT_TICKS,
+    MIN_STALLED_TICKS,
+    SILENT_S,
+    STALLED_S,
+    SafetyLimits,
+    ticks_for,
+)
+
+POSITION_STEP_FACTOR = 1.5
+"""Largest plausible step of a position in a tick, as a multiple of the top speed times the control period."""
+JOINT_RATE_RAD_S = 60.0
+"""Joint speed that no joint can reach [rad/s].
+
+Source: spool speed of the packaged hands, divided by their smallest moment arm.
+"""
+ROUNDING_NOISE_COUNTS = 6.0
+"""Mean squared jerk of a motor position that rounding of the encoder causes [squared encoder counts]."""
+
+
+def safety_limits(
+    model: HandModel, drives: tuple[Drive, ...], sensors: SensorInterface
+) -> SafetyLimits:
+    """Return the safety thresholds of a hand."""
+    hand = model.hand
+    return SafetyLimits(
+        tendons=hand.tendon_names,
+        motors=tuple(drive.name for drive in drives),
+        joints=hand.joints,
+        tension_trip=tuple(
+            tendon.tension_trip_N - margin
+            for tendon, margin in zip(hand.tendon, model.blind_margin.tolist(), strict=True)
+        ),
+        drive_limit=tuple(tendon.drive_limit_N for tendon in hand.tendon),
+        tension_rail=sensors.tension_rail,
+        tension_low=sensors.tension_low,
+        silent_ticks=ticks_for(SILENT_S, model.period, MIN_SILENT_TICKS),
+        stalled_ticks=ticks_for(STALLED_S, model.period, MIN_STALLED_TICKS),
+        noise=_noise_limit(model),
+        frames=max_frames_per_tick(drives, sensors),
+    )
+
+
+def compiled_constants(
+    model: HandModel,
+    drives: tuple[Drive, ...],
+    sensors: SensorInterface,
+    limits: SafetyLimits,
+    tare: Vector,
+    zero: Vector,
+) -> HandConstants:
+    """Return the constants of a hand for the compiled code.
+
+    Args:
+        model: model of the hand.
+        drives: drives of the hand.
+        sensors: sensor node of the hand.
+        limits: safety thresholds.
+        tare: (N,) load-cell tare [N].
+        zero: (N,) motor zero [rad].
+    """
+    hand = model.hand
+    period = model.period
+    motor_period = np.array([max(period, drive.feedback_period_s) for drive in drives])
+    joint_period = hand.sensor_node.joint_decimation * period
+    mute = ticks_for(SILENT_S, joint_period, MIN_SILENT_TICKS) * joint_period
+    rates = np.array([hand.motor_of(name).velocity_range_rad_s for name in hand.tendon_names])
+    return HandConstants(model, {
+        "tare": tare,
+        "zero": zero,
+        "step_limit": POSITION_STEP_FACTOR * period * rates,
+        "joint_step_limit": POSITION_STEP_FACTOR * period * JOINT_RATE_RAD_S,
+        "residual_fraction": low_pass_fractions(model, motor_period, joint_period),
+        "motor_period": motor_period,
+        "joint_period": joint_period,
+        "tension_trip": limits.tension_trip,
+        "drive_limit": limits.drive_limit,
+        "torque_step": [torque_resolution(drive) for drive in drives] / model.space.spool,
+        **servo_resolutions(model, drives),
+        "noise_limit": limits.noise,
+        "temperature_soft": limits.temperature_soft,
+        "temperature_hard": limits.temperature_hard,
+        "tension_rail": limits.tension_rail,
+        "tension_low": limits.tension_low,
+        "cell_low": sensors.cell_range[0],
+        "cell_high": sensors.cell_range[1],
+        "cyclic_ns": [round(drive.feedback_period_s * 1e9) for drive in drives],
+        "answers_once": [drive.one_reply_per_command for drive in drives],
+        "cell_group": [sensors.group_of_tendon(n) for n in range(model.tendon_count)],
+        "joint_group": [sensors.group_of_joint(j) for j in range(len(hand.joints))],
+        "mute_ns": round(mute * 1e9),
+        "silent_ticks": limits.silent_ticks,
+        "one_silent_ticks": limits.one_silent_ticks,
+        "stalled_ticks": limits.stalled_ticks,
+        "frames_limit": limits.frames,
+        "tension_groups": sensors.tension_frames,
+    })  # fmt: skip
+
+
+def servo_resolutions(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, object]:
+    """Return the constants of the drives' position loops that depend on their frames.
+
+    These are one count and the largest value of kp [N m/rad] and of kd [N m s/rad], the force that
+    one count of feedback causes [N], and 1 for each drive that moves its target. A drive whose
+    commands have no kp and kd gets a count of 1. Feedback is the position and the speed that the
+    drive reports, in counts of its protocol, or of the encoder if these are coarser.
+    """
+    gain = np.ones(len(drives)) if model.torque_gain is None else model.torque_gain
+    loop = servo_constants(model)
+    steps = np.ones((2, len(drives)))
+    largest = np.full((2, len(drives)), np.inf)
+    torque = np.zeros(len(drives))
+    inputs = {SignalQuantity.POSITION: "servo_stiffness", SignalQuantity.VELOCITY: "servo_damping"}
+    for n, drive in enumerate(drives):
+        if drive.cyclic_messages.position is None:
+            continue
+        for signal in drive.cyclic_messages.position.signals:
+            if signal.quantity in (SignalQuantity.STIFFNESS, SignalQuantity.DAMPING):
+                steps[signal.quantity - SignalQuantity.STIFFNESS, n] = signal.step * gain[n]
+                largest[signal.quantity - SignalQuantity.STIFFNESS, n] = signal.ends[1] * gain[n]
+        for signal in (
+            signal for message in drive.cyclic_messages.feedback for signal in message.signals
+        ):
+            if signal.quantity in inputs:
+                # A float has finer steps than the encoder whose position it contains.
+                encoder = model.space.encoder_step[n] / model.space.spool[n]
+                step = (
+                    max(signal.step, encoder)
+                    if signal.quantity == SignalQuantity.POSITION
+                    else signal.step
+                )
+                torque[n] += step * loop[inputs[signal.quantity]][n]
+    return {
+        "servo_kp_max": largest[0],
+        "servo_kd_max": largest[1],
+        "servo_moves": [drive.cyclic_messages.moves_target for drive in drives],
+        "servo_kp_step": steps[0],
+        "servo_kd_step": steps[1],
+        "servo_rounding": torque / model.space.spool,
+    }
+
+
+def torque_resolution(drive: Drive) -> float:
+    """Return the torque of one count in the feedback or in the command, whichever is larger [N m at the spool].
+
+    It is 0 for a floating-point torque.
+    """
+    messages = (*drive.cyclic_messages.feedback, *drive.cyclic_messages.commands)
+    signals = [
+        signal
+        for message in messages
+        for signal in message.signals
+        if signal.quantity == SignalQuantity.TORQUE
+    ]
+    return max(
+        (abs(signal.scale) for signal in signals if signal.coding != SignalCoding.FLOAT),
+        default=0.0,
+    )
+
+
+def max_frames_per_tick(drives: Sequence[Drive], sensors: SensorInterface) -> int:
+    """Return the number of frames in a tick above which the bus counts as flooded: twice the replies of all nodes."""
+    return max(
+        MIN_FRAMES_LIMIT,
+        sum(len(drive.frames_per_tick) for drive in drives) + 2 * len(sensors.node_ids),
+    )
+
+
+def _noise_limit(model: HandModel) -> float:
+    """Return the largest mean squared jerk of a motor's position without encoder noise [rad^2].
+
+    This jerk includes full torque in alternating directions on the bare rotor, and rounding of the
+    encoder.
+    """
+    space = model.space
+    period = model.period
+    # Acceleration of the bare rotor at full torque [rad/s^2]. Torque / spool radius is a force,
+    # force / mass an acceleration along the tendon, and this acceleration / spool radius that of
+    # the rotor.
+    torque = float((model.torque_limit / space.spool / space.motor_mass / space.spool).max())
+    rounding = ROUNDING_NOISE_COUNTS * float((space.encoder_step / space.spool).max()) ** 2
+    return NOISE_FACTOR * ((0.1 * torque * period**2) ** 2 + rounding)

@@ -1,0 +1,118 @@
+"""Detection of unsolicited and duplicate replies: a node sends more replies than this host has sent requests.
+
+If a motor replies before the first request from this host, a second controller has sent it a
+request (fault H13). A single such reply is enough for this fault. If there are more replies than
+requests, the excess reply is a duplicate (fault B05), or a masquerade if its bytes differ (fault
+B06). Only frames that the state machine of the drive or sensor node accepts as replies are counted.
+Heartbeats and frames with an old counter are not counted. The code runs only in ticks with excess
+replies.
+"""
+
+from collections.abc import Sequence
+
+from handctl.controller.controller_state import ControllerState
+from handctl.core import state_block as s
+from handctl.drives.contract import Drive
+from handctl.drives.frame import Frame
+from handctl.drives.sensors.contract import SensorInterface
+
+LATE_ANSWER_WINDOW_TICKS = 50
+"""Number of ticks for which a missing answer may still arrive.
+
+A busy node may answer its queued requests over many ticks.
+"""
+
+
+def detect_unsolicited_replies(
+    drives: tuple[Drive, ...],
+    sensors: SensorInterface,
+    last_state: ControllerState,
+    state: ControllerState,
+    frames: Sequence[Frame],
+) -> tuple[str, ...]:
+    """Detect unsolicited and duplicate replies in a tick.
+
+    Duplicates are written into ``DUPLICATES``.
+
+    Args:
+        drives: drives of the hand.
+        sensors: sensor node of the hand.
+        last_state: state before the tick.
+        state: state with the data received in the tick.
+        frames: frames received in the tick.
+
+    Returns:
+        One phrase for each motor that replied without a request.
+    """
+    duplicates = state.view("twice")
+    surplus = state.view("surplus").tolist()
+    signs = []
+    for n, count in enumerate(surplus):
+        # The count is the number of outstanding requests plus 1. So the count 1 means a reply
+        # without a request.
+        if count == 1:
+            signs.append(f"{drives[n].name} answering it")
+        elif count:
+            duplicates[n] = _duplicate_kind(
+                _accepted_payloads(drives[n], last_state, n, frames), count - 1
+            )
+    _detect_duplicate_answers(sensors, last_state, state, frames)
+    return tuple(signs)
+
+
+def _detect_duplicate_answers(
+    sensors: SensorInterface,
+    last_state: ControllerState,
+    state: ControllerState,
+    frames: Sequence[Frame],
+) -> None:
+    """Write duplicate answers of the load cells into ``DUPLICATES``, and count late answers in ``STALE_FRAMES``."""
+    duplicates = state.view("twice")
+    excused = not sensors.has_counter and (
+        state.run_integer(s.MISSED_TICKS) > 0 or _has_lost_answers(last_state)
+    )
+    answered = last_state.view("group_answered").tolist()
+    for group, count in enumerate(state.view("group_answered").tolist()):
+        if count > 1 and (excused or not (sensors.has_counter or answered[group])):
+            state.set_run_integer(s.STALE_FRAMES, state.run_integer(s.STALE_FRAMES) + count - 1)
+            state.set_run_integer(s.STALE_NOW, max(state.run_integer(s.STALE_NOW), 1))
+        elif count > 1:
+            counter = last_state.run_integer(s.SYNC_COUNTER)
+            can_id = sensors.ids[group]
+            fresh = [
+                frame.data
+                for frame in frames
+                if (frame.bus, frame.can_id) == (sensors.bus, can_id)
+                and sensors.answers(frame.data, counter)
+            ]
+            duplicates[-1] = max(duplicates[-1], _duplicate_kind(fresh, 1))
+
+
+def _has_lost_answers(last_state: ControllerState) -> bool:
+    """Return True if answers of the load cells were missing in the last ``LATE_ANSWER_WINDOW_TICKS`` ticks.
+
+    An additional answer without a counter then counts as late, and not as a duplicate. The same
+    holds after a tick without an answer, and if this host has missed a tick.
+    """
+    return bool(
+        last_state.layout.table(last_state.block, "node_int")[s.LOST_REPLIES, -1]
+        & (1 << LATE_ANSWER_WINDOW_TICKS) - 1
+    )
+
+
+def _duplicate_kind(payloads: list[bytes], due: int) -> int:
+    """Return 2 if the bytes of an excess reply differ from those of the last expected reply, else 1."""
+    return 2 if len(set(payloads[due - 1 :])) > 1 else 1
+
+
+def _accepted_payloads(
+    drive: Drive, last_state: ControllerState, n: int, frames: Sequence[Frame]
+) -> list[bytes]:
+    """Return the payloads that the drive's state machine accepts as replies, in the order of reception."""
+    drive_state = last_state.drive(n)
+    payloads = []
+    for frame in frames:
+        after = drive.receive(drive_state, frame)
+        payloads += [frame.data] if after.feedback_count > drive_state.feedback_count else []
+        drive_state = after
+    return payloads

@@ -1,0 +1,317 @@
+"""Construction of a controller from plain data, so that the same controller can be constructed from a log."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from handctl.controller.tick import Controller
+from handctl.core.gains.gains import Gains
+from handctl.core.hand_model import HandModel
+from handctl.core.identified_parameters import identified_hand, torque_gain
+from handctl.document import Document
+from handctl.drives.cia402.codec import SYNC
+from handctl.drives.cia402.drive import Cia402Drive
+from handctl.drives.cia404.load_cells import Cia404LoadCells
+from handctl.drives.contract import Drive
+from handctl.drives.identifier_checks import check_identifiers
+from handctl.drives.motor_description import PROTOCOL_TRAITS, position_loop_protocols_text
+from handctl.drives.protocol_registry import make_drive
+from handctl.drives.sensors.contract import SensorInterface
+from handctl.drives.sensors.sensor_node import SensorNode
+from handctl.drives.signals import SignalQuantity
+from handctl.errors import ConfigError
+from handctl.hand.description import Hand
+from handctl.hand.file.sections import Motor
+from handctl.hand.hand_loading import hand_from_content, parse_toml
+from handctl.programs.calibration import Calibration
+from handctl.programs.commission import CommissionProgram
+from handctl.programs.excitation import ExciteProgram, ExciteStep
+from handctl.programs.exercise import ExerciseProgram
+from handctl.programs.live_session import JogProgram, LiveProgram
+from handctl.programs.playback import PlaybackProgram, RecordedGoals
+from handctl.programs.program import Program
+from handctl.programs.requests import HoldTension, MoveDigits
+from handctl.programs.task import Task
+from handctl.programs.task_program import TaskProgram
+
+SETUP_ATTACHMENT = "setup.json"
+"""Name of the log attachment that holds the ``RunSetup``."""
+
+
+class TaskSetup(Document):
+    """Setup of a program that executes a task file."""
+
+    program: Literal["task"] = "task"
+    task: Task
+
+
+class LiveSetup(Document):
+    """Setup of a program that waits for requests."""
+
+    program: Literal["live"] = "live"
+
+
+class JogSetup(Document):
+    """Setup of a program that pursues a single goal for a given duration."""
+
+    program: Literal["jog"] = "jog"
+    request: Annotated[MoveDigits | HoldTension, Field(discriminator="do")]
+    duration_s: float
+
+
+class CommissionSetup(Document):
+    """Setup of the program that commissions the hand."""
+
+    program: Literal["commission"] = "commission"
+
+
+class PlaybackSetup(Document):
+    """Setup of a program that repeats a recorded run.
+
+    ``rows`` is the recording as text, see ``RecordedGoals.text``.
+    """
+
+    program: Literal["playback"] = "playback"
+    raw: bool
+    rows: str
+
+
+class ExerciseSetup(Document):
+    """Setup of a program that makes motions for the evaluation of gains."""
+
+    program: Literal["exercise"] = "exercise"
+    amplitudes: tuple[float, ...]
+
+
+class ExciteSetup(Document):
+    """Setup of a program that excites the hand for identification."""
+
+    program: Literal["excite"] = "excite"
+    steps: tuple[ExciteStep, ...]
+
+
+AnySetup = (
+    TaskSetup | LiveSetup | JogSetup | CommissionSetup | PlaybackSetup | ExerciseSetup | ExciteSetup
+)
+ProgramSetup = Annotated[AnySetup, Field(discriminator="program")]
+
+
+class RunSetup(Document):
+    """Data from which a controller is constructed, in addition to hand and gains.
+
+    Floats are stored without rounding.
+    """
+
+    schema_: int = Field(1, alias="schema", ge=1, le=1)
+    rate_hz: float = Field(gt=0, le=100_000)
+    arm_at_once: bool
+    tare_N: tuple[float, ...]
+    """(N,) load-cell tare, in the order of the tendons."""
+    zero_rad: tuple[Annotated[float, Field(ge=-1000, le=1000)], ...]
+    """(N,) motor zero within the range of a calibration [rad]."""
+    identities: tuple[str, ...] = ()
+    """Identities of the drives at calibration. Empty if unknown."""
+    program: ProgramSetup
+    identified_hand: str = ""
+    """Hand description with identified parameters, as TOML text.
+
+    Empty if the values of the hand file apply.
+    """
+    torque_gain: tuple[float, ...] = ()
+    """(N,) identified torque gains. Empty if all are 1."""
+
+    @staticmethod
+    def from_controller(controller: Controller, rate_hz: float) -> "RunSetup":
+        """Return the setup of a controller with control rate ``rate_hz`` [Hz]."""
+        return RunSetup(
+            rate_hz=rate_hz,
+            arm_at_once=controller.arm_at_once,
+            tare_N=tuple(controller.tare.tolist()),
+            zero_rad=tuple(controller.zero.tolist()),
+            identities=controller.identities,
+            program=_setup_of_program(controller.program),
+            identified_hand=""
+            if controller.model.torque_gain is None
+            else controller.model.hand.to_toml(),
+            torque_gain=()
+            if controller.model.torque_gain is None
+            else tuple(controller.model.torque_gain.tolist()),
+        )
+
+    def controller(self, hand: Hand, gains: Gains) -> Controller:
+        """Construct the controller from the setup, including the design of all gains."""
+        identified = parse_toml(self.identified_hand, SETUP_ATTACHMENT)
+        known = hand_from_content(identified, SETUP_ATTACHMENT) if identified else hand
+        model = HandModel.from_hand(
+            known, gains, self.rate_hz, np.array(self.torque_gain) if self.torque_gain else None
+        )
+        tare = np.array(self.tare_N)
+        zero = np.array(self.zero_rad)
+        drives = make_drives(hand)
+        sensors = make_sensors(hand)
+        controller = Controller(
+            model,
+            drives,
+            sensors,
+            _program_of_setup(self.program, hand),
+            tare,
+            zero,
+            self.arm_at_once,
+        )
+        return replace(controller, identities=self.identities)
+
+
+def unverified_protections(drives: Iterable[Drive]) -> tuple[str, ...]:
+    """Return one line for each protection setting of a drive that the host cannot read back.
+
+    The operator reads these lines before arming.
+    """
+    return tuple(
+        f"{drive.name}: {text}" for drive in drives for text in drive.unverified_protections
+    )
+
+
+def make_drives(hand: Hand) -> tuple[Drive, ...]:
+    """Return the drive of each tendon, in the order of the tendons.
+
+    A CiA 402 drive replies to SYNC. On a bus without another SYNC, the host sends SYNC after the
+    command of one drive.
+
+    Raises:
+        ConfigError: a drive does not know an option, or two nodes share an identifier.
+    """
+    buses = hand.bus_names
+    motors = [hand.motor_of(name) for name in hand.tendon_names]
+    drives = tuple(make_drive(motor, buses.index(motor.bus)) for motor in motors)
+    for motor, drive in zip(motors, drives, strict=True):
+        _check_position_loop(motor, drive)
+    sensors = make_sensors(hand)
+    named = [(f"motor[{drive.name}].node_id", drive) for drive in drives]
+    where = "sensor_node.node_ids" if hand.sensor_node.is_cia404 else "sensor_node.base_id"
+    check_identifiers([(where, sensors), *named])
+    return _with_sync(drives, sensors)
+
+
+def _check_position_loop(motor: Motor, drive: Drive) -> None:
+    """Check that the commands of a motor's drive can carry a position loop and its gains.
+
+    Raises:
+        ConfigError: if the commands cannot.
+    """
+    if not motor.holds_position:
+        return
+    where = f"motor[{motor.name}]"
+    message = drive.cyclic_messages.position
+    if message is None:
+        right = position_loop_protocols_text()
+        if reason := PROTOCOL_TRAITS[motor.protocol].no_position_loop:
+            right += f". {reason}"
+        raise ConfigError(f'"{motor.protocol}"', f"{where}.protocol", right)
+    given = {SignalQuantity.STIFFNESS: "kp_N_m_per_rad", SignalQuantity.DAMPING: "kd_N_m_s_per_rad"}
+    for signal in message.signals:
+        value = getattr(motor, given[signal.quantity]) if signal.quantity in given else None
+        largest = signal.ends[1]
+        smallest = signal.step if signal.quantity == SignalQuantity.STIFFNESS else 0.0
+        if value is not None and not smallest <= value <= largest:
+            right = f"{smallest:.3g} to {largest:g} {signal.unit}, the codes of {motor.protocol}"
+            raise ConfigError(f"{value:g}", f"{where}.{given[signal.quantity]}", right)
+
+
+def _with_sync(drives: tuple[Drive, ...], sensors: SensorInterface) -> tuple[Drive, ...]:
+    """Return the drives with the option ``sync`` in the last CiA 402 drive of each bus that has no SYNC.
+
+    A bus already has SYNC if the sensor node's SYNC is 0x080, or if a drive has the option in the
+    hand file. The last drive is chosen so that SYNC follows every command.
+    """
+    with_sync = {sensors.bus} if SYNC in sensors.host_ids else set()
+    with_sync |= {drive.bus for drive in drives if isinstance(drive, Cia402Drive) and drive.sync}
+    last = {drive.bus: n for n, drive in enumerate(drives) if isinstance(drive, Cia402Drive)}
+    senders = {n for bus, n in last.items() if bus not in with_sync}
+    return tuple(
+        replace(drive, sync=True) if n in senders and isinstance(drive, Cia402Drive) else drive
+        for n, drive in enumerate(drives)
+    )
+
+
+def make_sensors(hand: Hand) -> SensorInterface:
+    """Return the drivers of the hand's load cells and joint encoders."""
+    node = hand.sensor_node
+    bus = hand.bus_names.index(node.bus)
+    if node.is_cia404:
+        return Cia404LoadCells.from_description(node, bus, hand.tendon_names)
+    return SensorNode.from_description(node, bus, hand.tendon_names, hand.joints)
+
+
+def make_controller(
+    hand: Hand,
+    gains: Gains,
+    rate_hz: float,
+    program: Program,
+    calibration: Calibration | None,
+    arm_at_once: bool,
+) -> Controller:
+    """Construct a controller, including the design of the gains.
+
+    Without a calibration, tare and zero are 0.
+
+    Parameters that were identified in the calibration replace values of the hand file. Drives and
+    limits are those of the hand file.
+    """
+    n = len(hand.tendon)
+    tare = calibration.tare(hand) if calibration else np.zeros(n)
+    zero = calibration.zero(hand) if calibration else np.zeros(n)
+    found = calibration.identified if calibration else {}
+    gain = torque_gain(hand, found) if found else None
+    model = HandModel.from_hand(
+        identified_hand(hand, found) if found else hand, gains, rate_hz, gain
+    )
+    drives = make_drives(hand)
+    sensors = make_sensors(hand)
+    controller = Controller(model, drives, sensors, program, tare, zero, arm_at_once)
+    known = calibration.drive if calibration else {}
+    return replace(
+        controller, identities=tuple(known.get(drive.name, "") for drive in drives) if known else ()
+    )
+
+
+def _setup_of_program(program: Program) -> AnySetup:
+    """Return the setup of a program."""
+    match program:
+        case TaskProgram(task):
+            return TaskSetup(task=task)
+        case JogProgram(request, duration):
+            return JogSetup(request=request, duration_s=duration)
+        case PlaybackProgram(recording, raw):
+            return PlaybackSetup(raw=raw, rows=recording.to_text())
+        case ExciteProgram(steps):
+            return ExciteSetup(steps=steps)
+        case CommissionProgram():
+            return CommissionSetup()
+        case ExerciseProgram(amplitudes):
+            return ExerciseSetup(amplitudes=amplitudes)
+        case LiveProgram():
+            return LiveSetup()
+    raise TypeError(f"{type(program).__name__} cannot be written into a log")
+
+
+def _program_of_setup(setup: AnySetup, hand: Hand) -> Program:
+    """Return the program constructed from a setup."""
+    match setup:
+        case TaskSetup():
+            return TaskProgram(setup.task)
+        case JogSetup():
+            return JogProgram(setup.request, setup.duration_s)
+        case PlaybackSetup():
+            recording = RecordedGoals.from_text(setup.rows, len(hand.joints), len(hand.tendon))
+            return PlaybackProgram(recording, setup.raw)
+        case ExciteSetup():
+            return ExciteProgram(setup.steps)
+        case CommissionSetup():
+            return CommissionProgram()
+        case ExerciseSetup():
+            return ExerciseProgram(setup.amplitudes)
+        case LiveSetup():
+            return LiveProgram()

@@ -1,0 +1,89 @@
+"""Conversion of the controller's state to bytes and back, so that a log can be executed again from the middle.
+
+A snapshot consists of the identity of the layout (8 bytes), the state block, and the decisions as
+JSON. Only code with the same schema can read a snapshot.
+"""
+
+import json
+
+import numpy as np
+
+from handctl.controller.controller_state import ClientLease, ControllerDecisions, ControllerState
+from handctl.controller.pending_gains import PendingGains
+from handctl.core.block_schema import BlockLayout
+from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
+from handctl.core.control_law.trajectory import (
+    BlendTrajectory,
+    ChirpTrajectory,
+    CurveTrajectory,
+    MinimumJerk,
+    SampledTrajectory,
+    StreamedTrajectory,
+)
+from handctl.core.gains.gains import Gains
+from handctl.core.plain_values import BYTES_MARK, from_plain, register_types, to_plain
+from handctl.drives.cia402.progress import Cia402Progress
+from handctl.drives.cia404.amplifier import AmplifierState
+from handctl.drives.contract import DrivePhase, DriveState, DriveTarget
+from handctl.drives.mit.cubemars import CubemarsProgress
+from handctl.drives.mit.progress import MitProgress
+from handctl.drives.moteus.progress import MoteusProgress
+from handctl.drives.moteus.settings import DiagnosticChannel
+from handctl.drives.odrive.progress import OdriveProgress
+from handctl.drives.readback import ReadbackCursor, RecheckCursor
+from handctl.drives.robstride.progress import RobstrideProgress
+from handctl.programs.grip import GripState
+from handctl.programs.program import ProgramProgress
+from handctl.programs.stream_plans import StreamPlan
+from handctl.programs.task import Task
+from handctl.safety.tick_verdict import CountedFault, LatchedFault
+
+register_types(
+    ControllerDecisions, DriveState, DrivePhase, DriveTarget, ProgramProgress, GripState, DigitGoal, GoalKind,
+    MinimumJerk, BlendTrajectory, CurveTrajectory,
+    SampledTrajectory,
+    ChirpTrajectory, StreamedTrajectory, StreamPlan, Task, LatchedFault, CountedFault, Gains, PendingGains,
+    RecheckCursor, ReadbackCursor,
+    MitProgress,
+    CubemarsProgress, OdriveProgress, Cia402Progress, MoteusProgress, DiagnosticChannel, RobstrideProgress, ClientLease,
+    AmplifierState,
+)  # fmt: skip
+
+IDENTITY_BYTES = 8
+"""Size of the layout's identity [bytes]."""
+
+
+def snapshot_bytes(state: ControllerState) -> bytes:
+    """Return the snapshot of a state as bytes."""
+    decisions = json.dumps(to_plain(state.decisions), separators=(",", ":"), default=_mark_bytes)
+    return state.layout.identity + state.block.tobytes() + decisions.encode()
+
+
+def _mark_bytes(value: object) -> tuple[str, str]:
+    """Return a bytes value as a marked hexadecimal text, because JSON has no bytes."""
+    assert isinstance(value, bytes)
+    return BYTES_MARK, value.hex()
+
+
+def restore_state(layout: BlockLayout, data: bytes) -> ControllerState:
+    """Return the state stored in a snapshot.
+
+    Args:
+        layout: layout of the state of the controller that wrote the snapshot.
+        data: bytes of the snapshot.
+
+    Raises:
+        ValueError: the data are not a snapshot of such a controller.
+    """
+    # The block consists of 8-byte numbers.
+    end = IDENTITY_BYTES + 8 * layout.size
+    if data[:IDENTITY_BYTES] != layout.identity or len(data) < end:
+        raise ValueError(f"a snapshot of {len(data)} bytes of another schema or hand")
+    block = np.frombuffer(data, np.float64, layout.size, IDENTITY_BYTES).copy()
+    try:
+        decisions = from_plain(json.loads(data[end:]))
+    except (TypeError, ValueError, RecursionError) as error:
+        raise ValueError(f"decisions that cannot be read: {error}") from None
+    if not isinstance(decisions, ControllerDecisions):
+        raise ValueError("no decisions in it")
+    return ControllerState(layout, block, decisions)

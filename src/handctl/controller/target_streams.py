@@ -1,0 +1,287 @@
+"""Application of a stream of targets to the state: opening the stream, applying each target, closing the stream."""
+
+import math
+
+import numpy as np
+
+from handctl.controller.controller_state import ControllerState
+from handctl.core import state_block as s
+from handctl.core.control_law.digit_goal import GoalKind
+from handctl.core.control_law.streamed_motion import CLIP_TOLERANCE, begin_segments
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode, TickEvent, Vector
+from handctl.programs.program import ProgramProgress, coordinates_by_excursion
+from handctl.programs.requests import OpenStream, StreamTarget
+from handctl.programs.stream_plans import (
+    TARGET_UNIT_BY_SPACE,
+    StreamPlan,
+    StreamStatus,
+    is_plausible,
+    loop_fractions,
+    mapping_of_stream,
+    nearest_holdable_posture,
+    plan_of_request,
+    progress_at_rest,
+    streamed_digits,
+    streamed_goals,
+    target_tensions,
+)
+
+MAX_TARGET_AGE_S = 0.1
+"""Age beyond which a target is ignored [s], because later targets replace it."""
+MAX_TARGET_GAP_PERIODS = 2.5
+"""Longest time between two targets for which the speed between them is computed [periods of the stream]."""
+MAX_SETPOINT_LEAD_N = 6.0
+"""Largest distance of a streamed setpoint above the estimated tension [N].
+
+The tendon of a free digit bears no more than the digit's springs and friction. A setpoint far above
+this would spin the motor, which resembles a snapped tendon (T01) or an oscillation (N14b).
+Setpoints also keep this margin below the largest tension, because the tension may overshoot.
+"""
+OPEN_STREAM, RUNNING_STREAM = 1, 2
+"""Values of the field ``block.STREAMING``."""
+
+
+def present_references(model: HandModel, state: ControllerState) -> tuple[Vector, ...]:
+    """Return the present motion reference of each digit, (3, n): position, rate, and acceleration."""
+    rows = state.layout.table(state.block, "coordinate")[s.TRAJECTORY : s.TRAJECTORY + 3]
+    return tuple(rows[:, places] for places in model.digit_coordinates)
+
+
+def present_setpoints(model: HandModel, state: ControllerState) -> tuple[Vector, ...]:
+    """Return the present tension setpoints of each digit [N]."""
+    return tuple(state.tendon[s.SETPOINT, tendons] for tendons in model.digit_tendons)
+
+
+def open_stream(model: HandModel, state: ControllerState, request: OpenStream) -> TickEvent:
+    """Open a stream. The streamed digits keep their present reference until the first target."""
+    stream = plan_of_request(model, request)
+    if isinstance(stream, str):
+        return TickEvent("info", "request", "", f"refused: {stream}")
+    close_stream(model, state)
+    digits = streamed_digits(model, stream)
+    if stream.moves:
+        _prepare_motion(model, state, digits)
+    for row in (s.STREAM_ACCEPTED, s.STREAM_CLIPPED, s.STREAM_LATE, s.STREAM_REFUSED):
+        state.set_run_integer(row, 0)
+    state.set_run_integer(s.STREAM_SEQUENCE, -1)
+    state.set_run_integer(s.STREAMING, OPEN_STREAM)
+    state.tendon[s.STIFFNESS_FRACTION], state.tendon[s.DAMPING_FRACTION] = loop_fractions(
+        model, stream
+    )
+    tension = None if stream.moves else present_setpoints(model, state)
+    state.decide(stream=stream, progress=streamed_goals(state.progress, digits, tension))
+    text = f"stream {stream.space} of {len(stream.names)} values at {request.rate_Hz:g} Hz, {stream.interpolation}"
+    if stream.softness is not None:
+        fractions = state.tendon[
+            s.STIFFNESS_FRACTION, [model.digits[d].tendons.start for d in digits]
+        ]
+        text += f", {100 * fractions.min():.0f} % of the stiffness of the gains"
+    return TickEvent("info", "request", "", text)
+
+
+def _prepare_motion(model: HandModel, state: ControllerState, digits: tuple[int, ...]) -> None:
+    """Start a stream of joint angles at the present reference of its digits."""
+    rows = state.layout.table(state.block, "coordinate")
+    reference = present_references(model, state)
+    for d in digits:
+        if state.progress.goals[d].kind != GoalKind.MOTION:
+            # A digit without a reference starts its motion at the present angles, at rest.
+            reference[d][0] = coordinates_by_excursion(model.digits[d], state.estimate)
+            reference[d][1:] = 0.0
+    rows[s.STREAM_TARGET] = np.clip(rows[s.TRAJECTORY], *model.reach)
+    rows[s.STREAM_RANGE : s.STREAM_RANGE + 2] = model.reach
+    rows[s.STREAM_SEGMENT : s.STREAM_SEGMENT + 6] = rows[s.STREAM_TARGET_RATE] = 0.0
+    state.set_run_number(s.STREAM_SINCE, 0.0)
+    state.set_run_number(s.STREAM_DURATION, 0.0)
+
+
+def close_stream(model: HandModel, state: ControllerState) -> None:
+    """Close the open stream, if there is one. The streamed digits come to rest."""
+    if state.decisions.stream is None:
+        return
+    state.decide(stream=None, progress=bring_to_rest(model, state, only_streamed=True))
+    state.set_run_integer(s.STREAMING, 0)
+    state.tendon[[s.STIFFNESS_FRACTION, s.DAMPING_FRACTION]] = 1.0
+
+
+def bring_to_rest(
+    model: HandModel, state: ControllerState, only_streamed: bool = False
+) -> ProgramProgress:
+    """Return the program's progress with new goals that bring moving digits to rest."""
+    reach = tuple(digit.reach for digit in model.digits)
+    setpoints = present_setpoints(model, state)
+    return progress_at_rest(
+        state.progress,
+        present_references(model, state),
+        setpoints,
+        state.goal_time,
+        reach,
+        only_streamed,
+    )
+
+
+def apply_target(
+    model: HandModel, state: ControllerState, target: StreamTarget | None, t_ns: int
+) -> tuple[TickEvent, ...]:
+    """Apply a target of a stream, and begin the motion to the target.
+
+    Args:
+        model: model of the hand.
+        state: state of the tick, modified in place.
+        target: parsed target, None for a malformed target.
+        t_ns: time of the tick [ns].
+
+    Returns:
+        An event for the first clipped, ignored, or refused target of a stream. The state counts all
+        clipped, ignored and refused targets.
+    """
+    stream = state.decisions.stream
+    if (
+        stream is None
+        or state.mode != HandMode.ACTIVE
+        or (target is not None and target.stream != stream.name)
+    ):
+        return ()  # the target belongs to a stream that has ended, or to another client
+    if target is None or not is_plausible(stream, target.values):
+        right = f"{len(stream.names)} finite numbers of {TARGET_UNIT_BY_SPACE[stream.space]}"
+        return _count_target(
+            state, s.STREAM_REFUSED, f"refused: a target that is no target, expected {right}"
+        )
+    sent_ns = min(target.sent_ns, t_ns)
+    running = state.run_integer(s.STREAMING) == RUNNING_STREAM
+    # Several targets of one tick may have the time of the tick.
+    overtaken = target.number <= state.run_integer(
+        s.STREAM_SEQUENCE
+    ) or sent_ns < state.run_integer(s.STREAM_SENT_NS)
+    if (running and overtaken) or t_ns - sent_ns > 1e9 * MAX_TARGET_AGE_S:
+        return _count_target(
+            state, s.STREAM_LATE, "ignored: a target that is repeated, overtaken or too old"
+        )
+    begin = _begin_segment if stream.moves else _begin_ramp
+    clipped = begin(model, state, stream, np.array(target.values), sent_ns, t_ns)
+    state.set_run_integer(s.STREAM_SENT_NS, sent_ns)
+    state.set_run_integer(s.STREAM_SEQUENCE, target.number)
+    state.set_run_integer(s.STREAMING, RUNNING_STREAM)
+    _count_target(state, s.STREAM_ACCEPTED)
+    limit = (
+        "the range of a joint, or one that taut tendons cannot hold"
+        if stream.moves
+        else "the tension limits"
+    )
+    return (
+        _count_target(state, s.STREAM_CLIPPED, f"clipped: a target beyond {limit}")
+        if clipped
+        else ()
+    )
+
+
+def _begin_ramp(
+    model: HandModel,
+    state: ControllerState,
+    stream: StreamPlan,
+    values: Vector,
+    sent_ns: int,
+    t_ns: int,
+) -> bool:
+    """Begin a ramp from the present tension setpoints to a target.
+
+    Returns True if the target was clipped.
+
+    Arguments: see ``_begin_segment``.
+    """
+    setpoint = state.tendon[s.SETPOINT]
+    aim = target_tensions(model, stream, values, setpoint, state.estimate.q)
+    inside = np.clip(aim, model.floor, model.ceiling)
+    reached = np.minimum(
+        inside, np.maximum(state.tendon[s.TENSION], model.floor) + MAX_SETPOINT_LEAD_N
+    )
+    reached = np.maximum(np.minimum(reached, model.ceiling - MAX_SETPOINT_LEAD_N), model.floor)
+    step = model.hand.stream.tension_rate_N_per_s * model.period
+    ticks = max((sent_ns - t_ns) / 1e9 + stream.horizon, model.period) / model.period
+    for d in streamed_digits(model, stream):
+        tendons = model.digit_tendons[d]
+        state.tendon[s.TENSION_TARGET, tendons] = reached[tendons]
+        state.tendon[s.SETPOINT_STEP, tendons] = np.minimum(
+            np.abs(reached - setpoint)[tendons] / ticks, step
+        )
+    named = np.array([name in stream.names for name in model.hand.tendon_names])
+    return stream.space == "tension" and bool((np.abs(inside - aim) > CLIP_TOLERANCE)[named].any())
+
+
+def _begin_segment(
+    model: HandModel,
+    state: ControllerState,
+    stream: StreamPlan,
+    values: Vector,
+    sent_ns: int,
+    t_ns: int,
+) -> bool:
+    """Begin the motion from the present reference to a target.
+
+    Returns True if the target was clipped.
+
+    Args:
+        model: model of the hand.
+        state: state of the tick, modified in place.
+        stream: stream of the target.
+        values: (V,) values of the target.
+        sent_ns: time at which the client sent the target [ns].
+        t_ns: time of the tick [ns].
+    """
+    rows = state.layout.table(state.block, "coordinate")
+    where = mapping_of_stream(model, stream.space, stream.names)
+    aim = np.where(where.driven, where.matrix @ values, rows[s.STREAM_TARGET])
+    held = aim
+    if where.held:
+        held = np.clip(aim, *model.reach)
+        for d in where.held:
+            digit = model.digits[d]
+            places = model.digit_coordinates[d]
+            held[places] = nearest_holdable_posture(digit, held[places], model.floor[digit.tendons])
+    # The segment starts at the reference of the last tick, so this tick already moves.
+    since = t_ns / 1e9 - model.period * (1 + state.run_integer(s.MISSED_TICKS))
+    duration = max(sent_ns / 1e9 + stream.horizon - since, model.period)
+    apart = (sent_ns - state.run_integer(s.STREAM_SENT_NS)) / 1e9
+    steady = (
+        state.run_integer(s.STREAMING) == RUNNING_STREAM
+        and apart <= MAX_TARGET_GAP_PERIODS * stream.period
+    )
+    # Two targets that arrive together do not show the speed of the stream, so half a period is
+    # assumed at least.
+    apart = max(apart, 0.5 * stream.period) if steady else math.inf
+    return begin_segments(
+        state.block, state.layout.places, aim, held, since, duration, apart,
+        math.radians(model.hand.stream.speed_deg_s), int(stream.interpolation == "minimum_jerk"),
+    )  # fmt: skip
+
+
+def _count_target(
+    state: ControllerState, counter_row: int, event_text: str = ""
+) -> tuple[TickEvent, ...]:
+    """Count a target in a counter of the state.
+
+    Returns an event with the text for the first such target of a stream.
+    """
+    count = state.run_integer(counter_row) + 1
+    state.set_run_integer(counter_row, count)
+    return (TickEvent("info", "stream", "", event_text),) if event_text and count == 1 else ()
+
+
+def stream_status(state: ControllerState) -> StreamStatus:
+    """Return the status of the open stream of targets."""
+    if state.decisions.stream is None:
+        return _NO_STREAM
+    running = state.run_integer(s.STREAMING) == RUNNING_STREAM
+    age_s = (
+        (state.run_integer(s.T_NS) - state.run_integer(s.STREAM_SENT_NS)) / 1e9
+        if running
+        else math.nan
+    )
+    rows = (s.STREAM_ACCEPTED, s.STREAM_CLIPPED, s.STREAM_LATE, s.STREAM_REFUSED, s.STREAM_LIMITED)
+    return StreamStatus(
+        state.run_integer(s.STREAM_SEQUENCE), age_s, *[state.run_integer(row) for row in rows]
+    )
+
+
+_NO_STREAM = StreamStatus()

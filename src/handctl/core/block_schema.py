@@ -1,0 +1,229 @@
+"""Blocks of numbers with a schema: tables over tendons, joints, digits and other axes, in contiguous memory.
+
+A schema is a list of fields. A field is one or several rows of a table. Each table has an axis: for
+example, a row of the table ``tendon`` has one number per tendon. The declaration of a field returns
+the index of its first row. Compiled code and the controller use this index::
+
+    TENSION = STATE.real_field("tension", "tendon", "N", "estimated tension")
+    x.tendon[TENSION, n]
+
+All tables of a schema share one array of float64, the block. Integer tables are parts of the block
+that are viewed as int64. Their names end with ``_int``. A layout has the lengths of the axes for
+one hand, and the places of the tables in a block. So a block can be copied as one array, stored as
+bytes, and compared with another block field by field.
+"""
+
+import hashlib
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+BlockArray = NDArray[np.float64]
+"""Array with all tables of a schema, in the order of the schema."""
+TablePlaces = NDArray[np.int64]
+"""Places of tables: lengths of the axes, then the first element of each table, then the end of the last table."""
+
+INTEGER_TABLE_SUFFIX = "_int"
+"""Ending of the names of integer tables."""
+
+
+class BlockField(NamedTuple):
+    """Declaration of a quantity in a block.
+
+    Attributes:
+        name: name of the quantity.
+        table: name of the table.
+        first: first row in the table.
+        rows: number of rows.
+        unit: SI unit, empty without a unit.
+        meaning: description of the quantity.
+        initial: value before the first tick.
+    """
+
+    name: str
+    table: str
+    first: int
+    rows: int
+    unit: str
+    meaning: str
+    initial: float
+
+
+class BlockSchema:
+    """Declarations of the tables and fields of a block.
+
+    Attributes:
+        tables: names of the tables in memory order. A name is an axis, or axes joined by ``*``,
+            with ``_int`` at the end for integers.
+        optional: name of an axis that may have the length 0, empty if there is none. With the
+            length 0, this axis has no effect on ``BlockLayout.identity``.
+        fields: all fields, in the order of declaration.
+    """
+
+    def __init__(self, *tables: str, optional: str = "") -> None:
+        """Create a schema without fields.
+
+        Args:
+            tables: names of the tables in memory order.
+            optional: name of an axis that may have the length 0, see the class.
+        """
+        self.tables = tables
+        self.optional = optional
+        self.fields: list[BlockField] = []
+        self._rows = dict.fromkeys(tables, 0)
+
+    def real_field(
+        self, name: str, axis: str, unit: str, meaning: str, rows: int = 1, initial: float = 0.0
+    ) -> int:
+        """Declare a field of float64 and return its first row."""
+        return self._declare_field(
+            BlockField(name, axis, self._rows[axis], rows, unit, meaning, initial)
+        )
+
+    def integer_field(
+        self, name: str, axis: str, unit: str, meaning: str, rows: int = 1, initial: int = 0
+    ) -> int:
+        """Declare a field of int64 and return its first row."""
+        table = axis + INTEGER_TABLE_SUFFIX
+        return self._declare_field(
+            BlockField(name, table, self._rows[table], rows, unit, meaning, initial)
+        )
+
+    def _declare_field(self, field: BlockField) -> int:
+        self.fields.append(field)
+        self._rows[field.table] += field.rows
+        return field.first
+
+    def layout(self, axes: Mapping[str, int]) -> "BlockLayout":
+        """Return the layout of this schema's tables for given lengths of the axes."""
+        return BlockLayout(self, axes)
+
+    def rows(self, table: str) -> int:
+        """Return the number of rows of a table."""
+        return self._rows[table]
+
+
+class BlockLayout:
+    """Positions of a schema's tables in a block, for axes of given lengths.
+
+    Attributes:
+        schema: schema with the tables and fields.
+        axes: length of each axis.
+        places: lengths of the axes, first element of each table, and end of the last table, for
+            compiled code.
+        size: number of elements of a block.
+        identity: hash of 8 bytes over all fields and all lengths of axes.
+        initial: block before the first tick, read-only.
+    """
+
+    def __init__(self, schema: BlockSchema, axes: Mapping[str, int]) -> None:
+        """Compute the positions of all tables and fields in a block.
+
+        Args:
+            schema: schema with the tables and fields.
+            axes: length of each axis, in the order in which compiled code indexes ``places``.
+        """
+        self.schema = schema
+        self.axes = dict(axes)
+        left_out = ""
+        if schema.optional:
+            self.axes.setdefault(schema.optional, 0)
+            left_out = "" if self.axes[schema.optional] else schema.optional
+        widths = {table: self._table_width(table) for table in schema.tables}
+        ends = np.cumsum([0, *(schema.rows(table) * widths[table] for table in schema.tables)])
+        self.size = int(ends[-1])
+        named = repr((
+            {axis: length for axis, length in self.axes.items() if axis != left_out},
+            tuple(table for table in schema.tables if table != left_out),
+            [field[:4] for field in schema.fields if field.table != left_out],
+        ))  # fmt: skip
+        self.identity = hashlib.blake2b(named.encode(), digest_size=8).digest()
+        self.places: TablePlaces = np.concatenate((list(self.axes.values()), ends)).astype(np.int64)
+        spans = zip(schema.tables, ends[:-1].tolist(), ends[1:].tolist(), strict=True)
+        self._tables = {
+            table: (first, end, widths[table], table.endswith(INTEGER_TABLE_SUFFIX))
+            for table, first, end in spans
+        }
+        self._shapes = {
+            table: (
+                (schema.rows(table), width),
+                np.dtype(np.int64 if whole else np.float64),
+                8 * first,
+            )
+            for table, (first, _, width, whole) in self._tables.items()
+        }
+        self._fields = {field.name: self._field_span(field) for field in schema.fields}
+        self.initial: BlockArray = np.zeros(self.size)
+        for field in schema.fields:
+            self.view(self.initial, field.name)[...] = field.initial
+        self.initial.flags.writeable = False
+
+    def _table_width(self, table: str) -> int:
+        return int(np.prod([self.axes[axis] for axis in _axes_of_table(table)], dtype=np.int64))
+
+    def _field_span(self, field: BlockField) -> tuple[int, int, tuple[int, ...], bool]:
+        """Return first element, end, shape and integer flag of a field in a block."""
+        start, _, width, whole = self._tables[field.table]
+        shape = tuple(self.axes[axis] for axis in _axes_of_table(field.table))
+        first = start + field.first * width
+        return (
+            first,
+            first + field.rows * width,
+            shape if field.rows == 1 else (field.rows, *shape),
+            whole,
+        )
+
+    def view(self, block: BlockArray, name: str) -> NDArray[Any]:
+        """Return a field as a view into a block: (rows, ...), or (...) for a field with a single row."""
+        first, end, shape, whole = self._fields[name]
+        part = block[first:end]
+        return (part.view(np.int64) if whole else part).reshape(shape)
+
+    def axis_of(self, name: str) -> str:
+        """Return the name of a field's axis, ``a*b`` for two axes."""
+        return next(field.table for field in self.schema.fields if field.name == name).removesuffix(
+            INTEGER_TABLE_SUFFIX
+        )
+
+    def start(self, table: str) -> int:
+        """Return the index of a table's first element in a block."""
+        return self._tables[table][0]
+
+    def table(self, block: BlockArray, name: str) -> NDArray[Any]:
+        """Return a table as a view into a block, (rows, length of the axis)."""
+        shape, kind, offset = self._shapes[name]
+        return np.ndarray(
+            shape, kind, block, offset
+        )  # one call, because every tick makes several of these views
+
+    def difference(
+        self, block: BlockArray, other_block: BlockArray
+    ) -> tuple[str, int, float, float] | None:
+        """Return the first difference of two blocks, in schema order: name of the field, element, and both values.
+
+        The result is None if the blocks are equal. Values are compared by bits, so NaN equals NaN.
+        """
+        # Numbers are compared as integers, so that NaN equals NaN, and 0.0 differs from -0.0.
+        apart = np.flatnonzero(block.view(np.int64) != other_block.view(np.int64))
+        if not len(apart):
+            return None
+        for field in self.schema.fields:
+            first, end, _, whole = self._fields[field.name]
+            inside = apart[(apart >= first) & (apart < end)]
+            if len(inside):
+                kind = np.int64 if whole else np.float64
+                at = int(inside[0])
+                return (
+                    field.name,
+                    at - first,
+                    block.view(kind)[at].item(),
+                    other_block.view(kind)[at].item(),
+                )
+        raise AssertionError("a difference outside of all fields")
+
+
+def _axes_of_table(table: str) -> list[str]:
+    """Return the names of a table's axes."""
+    return table.removesuffix(INTEGER_TABLE_SUFFIX).split("*")

@@ -1,0 +1,639 @@
+"""Control laws of a tendon-driven digit: computed torque for motion, and the tension loop.
+
+Motion: inverse dynamics give the joint torque that the trajectory requires, and this torque gives
+the tendon tensions f. The motor force u is the tension f_0 at the load cell, plus the feedback,
+plus the force for the inertia and the friction of the motor:
+
+    f = allocate(M theta_d'' + h(theta_d, theta_d'))    f_0 = f / efficiency
+    u = f_0 + (m_m + m_l) (k (s_d - s) + d (s_d' - v)) + c_i m_m s_d'' + c_f (b_m v +
+    friction(s_d'))
+        - c_d disturbance + K_f (f_0 - f_hat)
+
+The excursions are s = R_r theta. With varying arms they are e(q), and s'' = R q'' + R' q'^2. The
+speed v is the tendon speed at the spool, so the feedback damps the rotor, and not the digit behind
+the tendon. The factors c are fractions from the gains. The rotor, with the mass m_m, is about
+twenty times heavier than the finger, with the mass m_l. The feedback accelerates both.
+
+Tension: the tension loop is a state feedback of tension error and tendon speed, with a slow
+integral. On an expected trajectory, the speed and the force for the rotor's inertia are fed
+forward. Source: LQR of ``motion_design``.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.compiled import kernel_helper
+from handctl.core import constants as h
+from handctl.core import state_block as s
+from handctl.core.constants import ConstantTables
+from handctl.core.control_law.digit_reference import (
+    LIMP,
+    MOTION,
+    NO_TRAJECTORY,
+    TENSION,
+    is_tendon_streamed,
+)
+from handctl.core.control_law.friction_band import predict_moving_tension
+from handctl.core.control_law.null_space import INTEGRAL_LIMIT_N, raise_tensions_to_floor
+from handctl.core.control_law.servo_commands import (
+    begin_servo_commands,
+    command_torque_only,
+    is_loop_closed_by_drive,
+    servo_force,
+    write_servo_command,
+)
+from handctl.core.estimation.blocked_digits import MAX_PRESS_N
+from handctl.core.estimation.spool_pair import net_tension_at_spool
+from handctl.core.estimation.statics import part_explained_by_motion, winding_efficiency
+from handctl.core.estimation.take_up import SLACK_BELOW_N, SLACK_REGIME
+from handctl.core.estimation.varying_moment_arms import (
+    arm_slope,
+    carrier_excursion,
+    joint_excursion,
+    moment_arm,
+    motor_speed,
+)
+from handctl.core.state_block import StateTables
+from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED_M_S
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+MOTOR_FRICTION_SPEED_M_S = 2.5e-3
+"""Tendon speed of fully developed motor friction [m/s]: 0.5 rad/s of a spool with a radius of 5 mm."""
+UNWIND_FRACTION = 0.3
+"""Largest motor force that pays out a tendon, as a fraction of the torque limit.
+
+It is enough to brake the rotor, and too little to throw a tendon off its spool.
+"""
+TRIM_TIME_S = 0.2
+"""Time constant with which the trim fades after a change of gains [s].
+
+Both loops are faster, so they can follow.
+"""
+MIN_TRIM_N = 1e-3
+"""A smaller trim is set to 0 [N]. This force is 0.02 counts of the drive with the finest torque."""
+HOLD_MARGIN_N = 1.0
+"""Margin of the limit during a hold above the tension at its start [N], about the error of the estimate."""
+ROUNDING_FACTOR = 1.0 - 1e-12
+"""Factor on the envelope of a relaxing hand, so that rounding errors cannot raise a constant envelope."""
+TAKE_UP_SPEED_M_S = 0.02
+"""Speed of a spool that takes up the slack of its tendon during a motion [m/s].
+
+This speed is too low for the tendon to count as snapped.
+"""
+RELAX_FLOOR_N = 5.0
+"""Tension of a relaxed hand whose springs open it [N]."""
+
+
+@kernel_helper
+def command_no_torque(x: StateTables, c: ConstantTables) -> None:
+    """Command no torque. The setpoint of a later tension loop starts at the present tension."""
+    begin_servo_commands(x, c)
+    for n in range(x.tendon.shape[1]):
+        x.tendon[s.SETPOINT, n] = x.tendon[s.TENSION, n]
+        x.tendon[s.TENSION_INTEGRAL, n] = x.tendon[s.FILTER_FORCE, n] = x.tendon[
+            s.PLANNED_TENSION, n
+        ] = x.tendon[s.PLANNED_TENSION_RATE, n] = 0.0
+        x.tendon[s.TRIM, n] = x.tendon[s.TORQUE, n] = 0.0
+        x.tendon[s.TENSION_GOAL, n] = x.tendon[s.FRICTION_STATE, n] = math.nan
+    for j in range(x.joint.shape[1]):
+        x.joint[s.JOINT_TORQUE, j] = 0.0
+        x.joint[s.Q_GOAL, j] = x.joint[s.DQ_GOAL, j] = math.nan
+    x.run_int[s.TRIMMED] = x.run_int[s.HOLDING] = 0
+
+
+@kernel_helper
+def update_hold_limits(x: StateTables, c: ConstantTables, hold: bool) -> None:
+    """Start or end a hold that safety demands. Each tension at the start of the hold is its limit until the end.
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        hold: True if safety demands the hold.
+    """
+    if hold and not x.run_int[s.HOLDING]:
+        for n in range(x.tendon.shape[1]):
+            held = max(x.tendon[s.TENSION, n], c.tendon[h.TENSION_FLOOR, n])
+            if c.tendon_int[h.IS_SPOOL_PAIR, n]:
+                held = abs(x.tendon[s.TENSION, n])
+            x.tendon[s.HOLD_LIMIT, n] = held + HOLD_MARGIN_N
+    x.run_int[s.HOLDING] = hold
+
+
+@kernel_helper
+def present_tension_limits(x: StateTables, c: ConstantTables) -> Vector:
+    """Return the present tension limits (N,) [N], which apply in addition to the limits of the hand file.
+
+    The limit of a warm drive falls from the ceiling at the soft temperature to the floor at the
+    hard temperature. The limit of a blocked digit is ``MAX_PRESS_N`` above the tension that the
+    trajectory requires. During a hold the limit is the tension at the start of the hold. The limit
+    of a spool pair applies to both directions.
+    """
+    limit = np.full(x.tendon.shape[1], math.inf)
+    warm = False
+    for n in range(len(limit)):
+        warm |= x.tendon[s.TEMPERATURE, n] > c.run[h.TEMPERATURE_SOFT]
+    for n in range(len(limit)):
+        if warm:
+            limit[n] = _derated_tension(x, c, n)
+        planned = x.tendon[s.PLANNED_TENSION, n]
+        if c.tendon_int[h.IS_SPOOL_PAIR, n]:
+            planned = abs(planned)
+        if x.digit_int[s.BLOCKED, c.tendon_int[h.DIGIT_OF_TENDON, n]] and planned > 0.0:
+            limit[n] = min(limit[n], planned + MAX_PRESS_N)
+        if x.run_int[s.HOLDING]:
+            limit[n] = min(limit[n], x.tendon[s.HOLD_LIMIT, n])
+    return limit
+
+
+@kernel_helper
+def _derated_tension(x: StateTables, c: ConstantTables, n: int) -> float:
+    """Return the largest tension that the drive's temperature allows.
+
+    A drive without temperature counts as cool.
+    """
+    soft = c.run[h.TEMPERATURE_SOFT]
+    hard = c.run[h.TEMPERATURE_HARD]
+    temperature = x.tendon[s.TEMPERATURE, n]
+    if math.isnan(temperature):
+        temperature = soft
+    fraction = min(max((hard - temperature) / (hard - soft), 0.0), 1.0)
+    low = 0.0 if c.tendon_int[h.IS_SPOOL_PAIR, n] else c.tendon[h.TENSION_FLOOR, n]
+    high = c.tendon[h.TENSION_CEILING, n]
+    return low + fraction * (high - low)
+
+
+@kernel_helper
+def write_motor_torques(
+    x: StateTables,
+    c: ConstantTables,
+    trajectory: Matrix,
+    relax_rate: float,
+    open_loop: bool,
+    ticks: int,
+) -> None:
+    """Write the motor torques of the tick, and the state of the control law for the next tick.
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        trajectory: (3, J) angles, rates and accelerations of the joints on the trajectories.
+        relax_rate: rate at which the envelope of motor forces falls in a relaxing hand [N/s], 0 in
+            other modes.
+        open_loop: True if the motor forces of a relaxing hand equal the envelope, without feedback.
+        ticks: number of periods since the last tick, 1 without missed ticks.
+    """
+    begin_servo_commands(x, c)
+    limit = present_tension_limits(x, c)
+    count = x.tendon.shape[1]
+    load = np.zeros(count)
+    winding, terms, internal = _motion_terms(x, c, trajectory, limit)
+    for n in range(count):
+        kind = x.tendon_int[s.GOAL_KIND, n]
+        _, own_rate, acceleration = _goal_along_tendon(c, n, trajectory)
+        carried_rate, carried_acceleration = _goal_of_carriers(c, n, trajectory)
+        rate = own_rate + carried_rate
+        acceleration += carried_acceleration
+        force = 0.0
+        x.tendon[s.TENSION_GOAL, n] = math.nan
+        setpoint = x.tendon[s.TENSION, n]
+        integral = 0.0
+        by_drive = _is_moved_by_drive(x, c, n)
+        if kind == MOTION:
+            force = _motion_force(x, c, n, terms[0, n], terms[1, n], rate, acceleration)
+            if c.tendon_int[h.HAS_SURPLUS, n]:
+                integral = internal[1, n]
+                force += internal[0, n] + integral
+            load[n] = x.tendon[s.REQUIRED_TENSION, n]
+        if kind == TENSION:
+            force, setpoint, integral = _tension_force(x, c, n, limit[n])
+            force += _force_for_carriers(c, n, carried_rate, carried_acceleration)
+            load[n] = x.tendon[s.TENSION_GOAL, n] = setpoint
+        if kind != LIMP:
+            force += x.tendon[s.TRIM, n]
+        largest = min(limit[n], c.tendon[h.TENSION_CEILING, n]) if by_drive else limit[n]
+        command_force = _limited_force(c, n, force, largest)
+        if relax_rate > 0.0:
+            command_force = _relaxing_force(
+                x, c, n, command_force, _relaxing_force_limit(x, c, n, relax_rate, ticks), open_loop
+            )
+        _write_filter_force(x, c, n, command_force, carried_acceleration)
+        x.tendon[s.TORQUE, n] = command_force * c.tendon[h.SPOOL_RADIUS, n]
+        if by_drive:
+            write_servo_command(x, c, n, own_rate, force - terms[1, n], command_force)
+        elif n < x.servo.shape[1]:
+            command_torque_only(x, n)
+        x.tendon[s.SETPOINT, n] = setpoint
+        x.tendon[s.TENSION_INTEGRAL, n] = integral
+        if kind == MOTION:
+            predict_moving_tension(x, c, n, rate, winding[n])
+        else:
+            x.tendon[s.PLANNED_TENSION, n] = x.tendon[s.PLANNED_TENSION_RATE, n] = 0.0
+            x.tendon[s.FRICTION_STATE, n] = math.nan
+    _fade_trim(x, c)
+    _write_joint_torques(x, c, trajectory, load)
+
+
+@kernel_helper
+def _limited_force(c: ConstantTables, n: int, force: float, limit: float) -> float:
+    """Return a motor force, reduced to the limits of the motor and of the tension [N].
+
+    Args:
+        c: constants of the hand.
+        n: index of the tendon.
+        force: motor force [N].
+        limit: present tension limit [N].
+    """
+    force = min(max(force, c.tendon[h.FORCE_MIN, n]), c.tendon[h.FORCE_MAX, n])
+    # The motor force is bounded by the tension limit plus the friction that the motor has to
+    # overcome.
+    bound = limit + c.tendon[h.MOTOR_COULOMB, n]
+    force = min(force, bound)
+    if c.tendon_int[h.IS_SPOOL_PAIR, n]:
+        force = max(force, -bound)
+    return force
+
+
+@kernel_helper
+def _write_filter_force(
+    x: StateTables, c: ConstantTables, n: int, force: float, carried: float
+) -> None:
+    """Write the force with which the tension filter predicts the motion of the rotor.
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        n: index of the tendon.
+        force: motor force of the coming period [N].
+        carried: acceleration of the carriers along the tendon on the trajectories [m/s2].
+    """
+    x.tendon[s.FILTER_FORCE, n] = force - _motor_friction(x, c, n, force)
+    if c.run_int[h.HAS_CARRIER_ARMS]:
+        # The travel in the filter excludes the motion of carriers, so the force for this motion is
+        # subtracted.
+        x.tendon[s.FILTER_FORCE, n] -= c.tendon[h.MOTOR_MASS, n] * carried
+        x.tendon[s.FILTER_FORCE, n] -= c.tendon[h.MOTOR_DAMPING, n] * carrier_excursion(
+            c, n, x.joint[s.DQ]
+        )
+
+
+@kernel_helper
+def _write_joint_torques(
+    x: StateTables, c: ConstantTables, trajectory: Matrix, load: Vector
+) -> None:
+    """Write the joint torques that the tensions make, and the goals of joints on a trajectory.
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        trajectory: (3, J) angles, rates and accelerations of the joints on the trajectories.
+        load: (N,) tensions at the joints [N].
+    """
+    joints = x.joint.shape[1]
+    for j in range(joints):
+        x.joint[s.JOINT_TORQUE, j] = 0.0
+        x.joint[s.Q_GOAL, j] = x.joint[s.DQ_GOAL, j] = math.nan
+    for n in range(len(load)):
+        d = c.tendon_int[h.DIGIT_OF_TENDON, n]
+        for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+            x.joint[s.JOINT_TORQUE, j] += load[n] * c.tendon_joint[h.MOMENT_ARMS, n, j]
+            if (
+                x.tendon_int[s.GOAL_KIND, n] == MOTION
+                and c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0
+            ):
+                x.joint[s.Q_GOAL, j] = trajectory[0, j]
+                x.joint[s.DQ_GOAL, j] = trajectory[1, j]
+        if c.run_int[h.HAS_CARRIER_ARMS]:
+            for j in range(joints):
+                x.joint[s.JOINT_TORQUE, j] += load[n] * c.tendon_joint[h.CARRIER_ARMS, n, j]
+
+
+@kernel_helper
+def _relaxing_force(
+    x: StateTables, c: ConstantTables, n: int, force: float, ceiling: float, open_loop: bool
+) -> float:
+    """Return the motor force of a relaxing hand [N]: limited by the envelope, or in open loop the envelope itself.
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        n: index of the tendon.
+        force: motor force of the control law [N].
+        ceiling: envelope, the largest motor force [N].
+        open_loop: True to return the envelope.
+    """
+    if c.tendon_int[h.IS_SPOOL_PAIR, n]:
+        last = x.tendon[s.COMMANDED_FORCE, n]
+        sign = -1.0 if last < 0.0 else 1.0
+        return sign * ceiling if open_loop else sign * min(max(sign * force, 0.0), ceiling)
+    return ceiling if open_loop else min(max(force, 0.0), ceiling)
+
+
+@kernel_helper
+def _motion_terms(
+    x: StateTables, c: ConstantTables, trajectory: Matrix, limit: Vector
+) -> tuple[Vector, Matrix, Matrix]:
+    """Return pulley efficiency (N,), tension goal and feedback (2, N) [N], null-space force and integral (2, N) [N].
+
+    The feedback accelerates rotor and digit. All terms are 0 for tendons that follow no trajectory.
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        trajectory: (3, J) angles, rates and accelerations of the joints on the trajectories.
+        limit: (N,) present tension limits [N].
+    """
+    count = x.tendon.shape[1]
+    efficiency = np.ones(count)
+    terms = np.zeros((2, count))
+    internal = np.zeros((2, count))
+    surplus = False
+    for n in range(count):
+        if x.tendon_int[s.GOAL_KIND, n] != MOTION:
+            continue
+        efficiency[n] = winding_efficiency(c, n, trajectory[0])
+        excursion, rate, _ = _goal_along_tendon(c, n, trajectory)
+        place = x.tendon[s.EXCURSION, n]
+        if c.tendon_int[h.HAS_SURPLUS, n]:
+            surplus = True
+            # If no motion of the digit explains a part of the excursions, this part is an error of
+            # tendon length. It gets no feedback.
+            place = (
+                part_explained_by_motion(c, n, x.tendon[s.EXCURSION])
+                + c.tendon[h.EXPLAINED_OFFSET, n]
+            )
+        feedback = (
+            x.tendon[s.STIFFNESS_FRACTION, n] * c.tendon[h.ERROR_GAIN, n] * (excursion - place)
+        )
+        feedback += (
+            x.tendon[s.DAMPING_FRACTION, n]
+            * c.tendon[h.SPEED_GAIN, n]
+            * (rate - x.tendon[s.SPEED, n])
+        )
+        counted = c.run[h.FRICTION_FRACTION]
+        # Tension behind the pulleys, as a fraction of the tension before them: the efficiency while
+        # the tendon is wound, and 1 / efficiency while it is paid out.
+        winding = math.tanh(
+            (rate + _goal_of_carriers(c, n, trajectory)[0]) / CAPSTAN_FRICTION_SPEED_M_S
+        )
+        passed = (1.0 - counted) + counted * math.pow(efficiency[n], winding)
+        ceiling = min(c.tendon[h.TENSION_CEILING, n], limit[n])
+        if c.tendon_int[h.IS_SPOOL_PAIR, n]:
+            required = net_tension_at_spool(
+                x.tendon[s.REQUIRED_TENSION, n], c.tendon[h.PRETENSION, n], passed
+            )
+            terms[0, n] = min(max(required, -ceiling), ceiling)
+        else:
+            terms[0, n] = min(
+                max(x.tendon[s.REQUIRED_TENSION, n] / passed, c.tendon[h.TENSION_FLOOR, n]), ceiling
+            )
+        terms[1, n] = c.tendon[h.FEEDBACK_MASS, n] * feedback
+        if _is_moved_by_drive(x, c, n):
+            terms[1, n] = servo_force(x, c, n, excursion, rate, terms[0, n])
+    if surplus:
+        raise_tensions_to_floor(x, c, limit, terms, internal)
+    _take_up_slack(x, c, trajectory, terms, internal)
+    return efficiency, terms, internal
+
+
+@kernel_helper
+def _takes_up_slack(x: StateTables, c: ConstantTables, n: int) -> bool:
+    """Return True for a slack tendon of a streamed digit. A spool pair is never slack."""
+    if c.tendon_int[h.IS_SPOOL_PAIR, n] or not is_tendon_streamed(x, c, n):
+        return False
+    return (
+        x.tendon_int[s.REGIME, n] == SLACK_REGIME or x.tendon[s.MEASURED_TENSION, n] < SLACK_BELOW_N
+    )
+
+
+@kernel_helper
+def _is_moved_by_drive(x: StateTables, c: ConstantTables, n: int) -> bool:
+    """Return True if the drive of a tendon closes the position loop, while the tendon takes up no slack."""
+    return is_loop_closed_by_drive(x, c, n) and not _takes_up_slack(x, c, n)
+
+
+@kernel_helper
+def _take_up_speed(rate: float) -> float:
+    """Return the speed of a spool that takes up slack, for a rate of the excursion on the trajectory [m/s]."""
+    return max(rate, 0.0) + TAKE_UP_SPEED_M_S
+
+
+@kernel_helper
+def _take_up_slack(
+    x: StateTables, c: ConstantTables, trajectory: Matrix, terms: Matrix, internal: Matrix
+) -> None:
+    """Replace the feedback on slack tendons of streamed digits, so that their spools wind at a low speed.
+
+    A slack tendon does not move its digit. Feedback of the position could pay the tendon out
+    further, or pull it taut with a jerk that resembles a torn tendon. For a nearly slack tendon,
+    feedback that pays out is reduced, so that springs or the antagonist first open the digit.
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        trajectory: (3, J) angles, rates and accelerations of the joints on the trajectories.
+        terms: (2, N) tension goal and feedback of motion [N], modified in place.
+        internal: (2, N) null-space force and integral [N], modified in place.
+    """
+    for n in range(x.tendon.shape[1]):
+        if c.tendon_int[h.IS_SPOOL_PAIR, n] or not is_tendon_streamed(x, c, n):
+            continue
+        floor = c.tendon[h.TENSION_FLOOR, n]
+        if _takes_up_slack(x, c, n):
+            _, rate, _ = _goal_along_tendon(c, n, trajectory)
+            terms[0, n] = floor
+            terms[1, n] = c.tendon[h.FEEDBACK_MASS, n] * c.tendon[h.SPEED_GAIN, n]
+            terms[1, n] *= _take_up_speed(rate) - x.tendon[s.SPEED, n]
+            internal[0, n] = internal[1, n] = 0.0
+        elif terms[1, n] < 0.0:
+            terms[1, n] *= min(max(2.0 * x.tendon[s.TENSION, n] / floor - 1.0, 0.0), 1.0)
+
+
+@kernel_helper
+def _goal_along_tendon(c: ConstantTables, n: int, trajectory: Matrix) -> tuple[float, float, float]:
+    """Return excursion [m], rate [m/s] and acceleration [m/s2] of a tendon on the joints' trajectories."""
+    excursion = 0.0
+    rate = 0.0
+    acceleration = 0.0
+    varying = c.tendon_int[h.HAS_VARYING_ARM, n] == 1
+    d = c.tendon_int[h.DIGIT_OF_TENDON, n]
+    for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+        arm = moment_arm(c, n, j, trajectory[0, j])
+        excursion += joint_excursion(c, n, j, trajectory[0, j])
+        rate += arm * trajectory[1, j]
+        acceleration += arm * trajectory[2, j]
+        if varying:
+            acceleration += (
+                arm_slope(c, n, j, trajectory[0, j]) * trajectory[1, j] * trajectory[1, j]
+            )
+    return excursion, rate, acceleration
+
+
+@kernel_helper
+def _goal_of_carriers(c: ConstantTables, n: int, trajectory: Matrix) -> tuple[float, float]:
+    """Return the parts of a tendon's rate [m/s] and acceleration [m/s2] that the trajectories of carriers cause."""
+    if not c.run_int[h.HAS_CARRIER_ARMS]:
+        return 0.0, 0.0
+    return carrier_excursion(c, n, trajectory[1]), carrier_excursion(c, n, trajectory[2])
+
+
+@kernel_helper
+def _force_for_carriers(c: ConstantTables, n: int, rate: float, acceleration: float) -> float:
+    """Return the motor force with which a tension-controlled tendon follows its digit's carriers [N].
+
+    Args:
+        c: constants of the hand.
+        n: index of the tendon.
+        rate: rate of the carriers along the tendon [m/s].
+        acceleration: acceleration of the carriers along the tendon [m/s2].
+    """
+    if not c.run_int[h.HAS_CARRIER_ARMS]:
+        return 0.0
+    friction = c.tendon[h.MOTOR_COULOMB, n] * math.tanh(rate / MOTOR_FRICTION_SPEED_M_S)
+    return (
+        friction
+        + c.tendon[h.MOTOR_DAMPING, n] * rate
+        + c.tendon[h.FEEDFORWARD_MASS, n] * acceleration
+    )
+
+
+@kernel_helper
+def _motion_force(
+    x: StateTables,
+    c: ConstantTables,
+    n: int,
+    tension: float,
+    feedback: float,
+    rate: float,
+    acceleration: float,
+) -> float:
+    """Return the motor force of a moving tendon by computed torque [N], and write its tension goal.
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        n: index of the tendon.
+        tension: tension goal at the load cell [N].
+        feedback: feedback force of the errors of excursion and speed [N].
+        rate: rate of the tendon at its spool on the trajectories [m/s].
+        acceleration: acceleration of the tendon at its spool on the trajectories [m/s2].
+    """
+    speed = motor_speed(x, c, n)
+    counted = c.run[h.FRICTION_FRACTION]
+    x.tendon[s.TENSION_GOAL, n] = tension
+    if _takes_up_slack(x, c, n):
+        rate = _take_up_speed(rate)
+    # If the drive closes the position loop, its position command includes the planned stretch, so
+    # this loop controls the tension too.
+    inner_gain = 0.0 if _is_moved_by_drive(x, c, n) else c.run[h.TENSION_FEEDBACK]
+    return (
+        tension
+        + feedback
+        + c.tendon[h.FEEDFORWARD_MASS, n] * acceleration
+        - x.tendon[s.STIFFNESS_FRACTION, n]
+        * c.run[h.DISTURBANCE_REJECTION]
+        * x.tendon[s.DISTURBANCE, n]
+        + inner_gain * (tension - x.tendon[s.TENSION, n])
+        + counted * c.tendon[h.MOTOR_DAMPING, n] * speed
+        + counted * c.tendon[h.MOTOR_COULOMB, n] * math.tanh(rate / MOTOR_FRICTION_SPEED_M_S)
+    )
+
+
+@kernel_helper
+def _tension_force(
+    x: StateTables, c: ConstantTables, n: int, limit: float
+) -> tuple[float, float, float]:
+    """Return motor force, setpoint and integral of the tension loop [N].
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        n: index of the tendon.
+        limit: largest tension [N].
+    """
+    target = min(x.tendon[s.TENSION_TARGET, n], limit)
+    if c.tendon_int[h.IS_SPOOL_PAIR, n]:
+        target = max(target, -limit)
+    step = x.tendon[s.SETPOINT_STEP, n]
+    before = x.tendon[s.SETPOINT, n]
+    setpoint = before + min(max(target - before, -step), step)
+    error = setpoint - x.tendon[s.TENSION, n]
+    integral = x.tendon[s.TENSION_INTEGRAL, n] + c.run[h.INTEGRAL_GAIN] * error
+    integral = min(max(integral, -INTEGRAL_LIMIT_N), INTEGRAL_LIMIT_N)
+    slack = x.tendon_int[s.REGIME, n] == 2
+    if slack:
+        integral = 0.0
+    force = (
+        setpoint
+        + c.tendon[h.TENSION_GAIN, n] * error
+        - c.tendon[h.TENSION_SPEED_GAIN, n] * x.tendon[s.SPEED, n]
+        + integral
+        - c.run[h.DISTURBANCE_REJECTION] * x.tendon[s.DISTURBANCE, n]
+    )
+    if slack and setpoint > 0.0:
+        # The small tension error of a slack tendon does not overcome the friction of a rotor at
+        # rest.
+        force += c.tendon[h.MOTOR_COULOMB, n]
+    if x.digit_int[s.TRAJECTORY_KIND, c.tendon_int[h.DIGIT_OF_TENDON, n]] != NO_TRAJECTORY:
+        force += _feedforward_force(x, c, n)
+    max_force = x.tendon[s.FORCE_LIMIT, n]
+    return min(max(force, -max_force), max_force), setpoint, integral
+
+
+@kernel_helper
+def _feedforward_force(x: StateTables, c: ConstantTables, n: int) -> float:
+    """Return the feedforward motor force of a tension-controlled tendon on an expected trajectory [N]."""
+    speed = 0.0
+    acceleration = 0.0
+    for k in range(x.coordinate.shape[1]):
+        speed += c.tendon_coordinate[h.REDUCED_ARMS, n, k] * x.coordinate[s.TRAJECTORY + 1, k]
+        acceleration += (
+            c.tendon_coordinate[h.REDUCED_ARMS, n, k] * x.coordinate[s.TRAJECTORY + 2, k]
+        )
+    friction = c.tendon[h.MOTOR_COULOMB, n] * math.tanh(speed / MOTOR_FRICTION_SPEED_M_S)
+    feedforward = friction + c.tendon[h.MOTOR_MASS, n] * acceleration
+    return feedforward + (c.tendon[h.TENSION_SPEED_GAIN, n] + c.tendon[h.MOTOR_DAMPING, n]) * speed
+
+
+@kernel_helper
+def _relaxing_force_limit(
+    x: StateTables, c: ConstantTables, n: int, rate: float, ticks: int
+) -> float:
+    """Return the largest motor force of a relaxing hand [N], see ``controller.relaxing``."""
+    last = x.tendon[s.COMMANDED_FORCE, n]
+    if c.tendon_int[h.IS_SPOOL_PAIR, n]:
+        last = abs(last)
+    last = 0.0 if math.isnan(last) else max(last, 0.0)
+    falling = max(last - rate * c.run[h.PERIOD] * ticks, 0.0)
+    return max(min(last, c.tendon[h.RELAXED_TENSION, n]), falling) * ROUNDING_FACTOR
+
+
+@kernel_helper
+def _motor_friction(x: StateTables, c: ConstantTables, n: int, command_force: float) -> float:
+    """Return the average Coulomb friction of the motor in the coming period [N].
+
+    It is computed by the implicit midpoint rule, so that friction can stop a rotor within a period,
+    but cannot reverse it.
+    """
+    coasting = motor_speed(x, c, n) + c.tendon[h.HALF_PERIOD_SPEED, n] * (
+        command_force - x.tendon[s.TENSION, n]
+    )
+    return c.tendon[h.MOTOR_COULOMB, n] * math.tanh(coasting / c.tendon[h.FRICTION_STOP_SPEED, n])
+
+
+@kernel_helper
+def _fade_trim(x: StateTables, c: ConstantTables) -> None:
+    """Reduce the trim of all tendons. Set all trims to 0 when the largest trim is negligible."""
+    if not x.run_int[s.TRIMMED]:
+        return
+    largest = 0.0
+    for n in range(x.tendon.shape[1]):
+        x.tendon[s.TRIM, n] *= c.run[h.TRIM_DECAY]
+        largest = max(largest, abs(x.tendon[s.TRIM, n]))
+    if largest <= MIN_TRIM_N:
+        x.run_int[s.TRIMMED] = 0
+        for n in range(x.tendon.shape[1]):
+            x.tendon[s.TRIM, n] = 0.0

@@ -1,0 +1,214 @@
+"""Reference of each digit in a tick, and the joint torques and tensions that its motion requires."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.compiled import kernel_helper
+from handctl.core import constants as h
+from handctl.core import state_block as s
+from handctl.core.constants import ConstantTables
+from handctl.core.control_law.streamed_motion import advance_reference
+from handctl.core.estimation.statics import subtract_passing_torque
+from handctl.core.estimation.varying_moment_arms import motor_speed
+from handctl.core.state_block import StateTables
+from handctl.hand.rigid_body import write_newton_euler
+from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED_M_S
+
+Matrix = NDArray[np.float64]
+
+LIMP, MOTION, TENSION = 0, 1, 2
+"""Values of ``digit_goal.GoalKind``, and of the field ``state_block.GOAL_KIND``."""
+NO_TRAJECTORY, MINIMUM_JERK, SAMPLED, STREAMED = 0, 1, 2, 3
+"""Values of the field ``state_block.TRAJECTORY_KIND``."""
+
+
+@kernel_helper
+def follow_trajectories(x: StateTables, c: ConstantTables, is_time_frozen: bool) -> None:
+    """Write position, rate and acceleration of every coordinate on its trajectory, 0 if it has no trajectory.
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        is_time_frozen: True while safety holds the hand. The digits then rest at their positions on the
+            trajectory.
+
+    Source: Flash & Hogan (1985): position 10 s^3 - 15 s^4 + 6 s^5 of normalised time s.
+    """
+    t = x.run[s.GOAL_TIME]
+    x.run_int[s.STREAM_LIMITED] = 0
+    for d in range(x.digit.shape[1]):
+        first = c.digit_int[h.COORDINATES_FIRST, d]
+        end = c.digit_int[h.COORDINATES_END, d]
+        if x.digit_int[s.TRAJECTORY_KIND, d] == NO_TRAJECTORY:
+            for k in range(first, end):
+                for order in range(3):
+                    x.coordinate[s.TRAJECTORY + order, k] = 0.0
+        if x.digit_int[s.TRAJECTORY_KIND, d] == MINIMUM_JERK:
+            duration = x.digit[s.TRAJECTORY_DURATION, d]
+            after = t - x.digit[s.TRAJECTORY_SINCE, d]
+            u = min(max(after / duration, 0.0), 1.0)
+            position = u * u * u * (10.0 - 15.0 * u + 6.0 * u * u)
+            rate = 30.0 * u * u * (1.0 - u) * (1.0 - u) / duration
+            acceleration = 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u) / (duration * duration)
+            for k in range(first, end):
+                length = x.coordinate[s.TRAJECTORY_END, k] - x.coordinate[s.TRAJECTORY_START, k]
+                x.coordinate[s.TRAJECTORY, k] = (
+                    x.coordinate[s.TRAJECTORY_START, k] + position * length
+                )
+                x.coordinate[s.TRAJECTORY + 1, k] = rate * length
+                x.coordinate[s.TRAJECTORY + 2, k] = acceleration * length
+                _add_blend(x, k, after, x.digit[s.TRAJECTORY_BLEND, d])
+        if x.digit_int[s.TRAJECTORY_KIND, d] == STREAMED and not is_time_frozen:
+            for k in range(first, end):
+                advance_reference(x, c, d, k)
+        if is_time_frozen and is_digit_moving(x, c, d):
+            for k in range(first, end):
+                x.coordinate[s.TRAJECTORY + 1, k] = x.coordinate[s.TRAJECTORY + 2, k] = 0.0
+
+
+@kernel_helper
+def _add_blend(x: StateTables, k: int, elapsed: float, blend_duration: float) -> None:
+    """Add the part of a minimum-jerk move that continues an earlier motion, see ``trajectory.MinimumJerk``.
+
+    Args:
+        x: state tables.
+        k: index of the coordinate.
+        elapsed: time since the start of the move [s].
+        blend_duration: time in which the earlier motion fades [s].
+    """
+    speed = x.coordinate[s.TRAJECTORY_START_SPEED, k]
+    bend = x.coordinate[s.TRAJECTORY_START_ACCELERATION, k]
+    if speed == 0.0 and bend == 0.0:
+        return
+    u = min(max(elapsed / blend_duration, 0.0), 1.0)
+    x.coordinate[s.TRAJECTORY, k] += (
+        blend_duration * u * (1.0 + u * u * (-6.0 + u * (8.0 - 3.0 * u))) * speed
+    )
+    x.coordinate[s.TRAJECTORY, k] += (
+        0.5 * blend_duration * blend_duration * u * u * (1.0 + u * (-3.0 + u * (3.0 - u))) * bend
+    )
+    x.coordinate[s.TRAJECTORY + 1, k] += (1.0 + u * u * (-18.0 + u * (32.0 - 15.0 * u))) * speed
+    x.coordinate[s.TRAJECTORY + 1, k] += (
+        0.5 * blend_duration * u * (2.0 + u * (-9.0 + u * (12.0 - 5.0 * u))) * bend
+    )
+    x.coordinate[s.TRAJECTORY + 2, k] += (
+        u * (-36.0 + u * (96.0 - 60.0 * u)) / blend_duration * speed
+    )
+    x.coordinate[s.TRAJECTORY + 2, k] += (1.0 + u * (-9.0 + u * (18.0 - 10.0 * u))) * bend
+
+
+@kernel_helper
+def joint_trajectories(x: StateTables, c: ConstantTables) -> Matrix:
+    """Return angles, rates and accelerations (3, J) of all joints on the trajectories."""
+    joints = x.joint.shape[1]
+    way = np.zeros((3, joints))
+    for j in range(joints):
+        for k in range(x.coordinate.shape[1]):
+            coupled = c.joint_coordinate[h.COUPLING, j, k]
+            if coupled != 0.0:
+                for order in range(3):
+                    way[order, j] += coupled * x.coordinate[s.TRAJECTORY + order, k]
+    return way
+
+
+@kernel_helper
+def is_digit_moving(x: StateTables, c: ConstantTables, d: int) -> bool:
+    """Return True if at least one tendon of a digit follows a trajectory."""
+    for n in range(c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d]):
+        if x.tendon_int[s.GOAL_KIND, n] == MOTION:
+            return True
+    return False
+
+
+@kernel_helper
+def is_tendon_streamed(x: StateTables, c: ConstantTables, n: int) -> bool:
+    """Return True if the digit of a tendon follows streamed angles."""
+    return bool(x.digit_int[s.TRAJECTORY_KIND, c.tendon_int[h.DIGIT_OF_TENDON, n]] == STREAMED)
+
+
+@kernel_helper
+def write_required_torque(x: StateTables, c: ConstantTables, trajectory: Matrix) -> None:
+    """Write the joint torques that the trajectories require, by inverse dynamics, springs and damping.
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        trajectory: (3, J) angles [rad], rates [rad/s] and accelerations [rad/s2].
+    """
+    joints = x.joint.shape[1]
+    moving = False
+    motion = np.zeros((3, joints))
+    torque = np.empty(joints)
+    for d in range(x.digit.shape[1]):
+        first = c.digit_int[h.JOINTS_FIRST, d]
+        end = c.digit_int[h.JOINTS_END, d]
+        if is_digit_moving(x, c, d):
+            moving = True
+            for order in range(3):
+                for j in range(first, end):
+                    motion[order, j] = trajectory[order, j]
+        else:
+            # A digit without a trajectory rests at its estimated angles.
+            for j in range(first, end):
+                motion[0, j] = x.joint[s.Q, j]
+    if not moving:
+        return
+    parent = c.joint_int[h.PARENT_JOINT]
+    gravity = c.run[h.GRAVITY : h.GRAVITY + 3]
+    write_newton_euler(
+        c.joint, h.LINK_TABLE, parent, gravity, motion[0], motion[1], motion[2], torque
+    )
+    if c.run_int[h.HAS_CARRIER_ARMS]:
+        winding = np.zeros(x.tendon.shape[1])
+        for n in range(len(winding)):
+            winding[n] = math.tanh(motor_speed(x, c, n) / CAPSTAN_FRICTION_SPEED_M_S)
+        subtract_passing_torque(c, motion[0], x.tendon[s.TENSION], winding, torque)
+    for d in range(x.digit.shape[1]):
+        if is_digit_moving(x, c, d):
+            for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+                spring = c.joint[h.SPRING_STIFFNESS, j] * (
+                    motion[0, j] + c.joint[h.SPRING_PRELOAD, j]
+                )
+                x.joint[s.REQUIRED_JOINT_TORQUE, j] = (
+                    torque[j] + spring + c.joint[h.JOINT_DAMPING, j] * motion[1, j]
+                )
+
+
+@kernel_helper
+def write_required_tensions(x: StateTables, c: ConstantTables) -> int:
+    """Write the tensions at the joints that make the required joint torques.
+
+    Returns:
+        A number with a bit for each digit whose tensions are out of bounds, or not unique. For
+        these digits the bounded least-squares problem of ``tension_allocation`` must be solved. If a digit
+        has a single tendon, whose tension is out of bounds, the bound is the best tension. Such a
+        digit has no bit.
+    """
+    undecided = 0
+    for d in range(x.digit.shape[1]):
+        first = c.digit_int[h.TENDONS_FIRST, d]
+        end = c.digit_int[h.TENDONS_END, d]
+        good = True
+        for n in range(first, end):
+            x.tendon[s.REQUIRED_TENSION, n] = 0.0
+            if not is_digit_moving(x, c, d):
+                continue
+            for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+                x.tendon[s.REQUIRED_TENSION, n] += (
+                    c.tendon_joint[h.TORQUE_TO_TENSION, n, j] * x.joint[s.REQUIRED_JOINT_TORQUE, j]
+                )
+            low = c.tendon[h.TENSION_FLOOR, n]
+            high = c.tendon[h.TENSION_CEILING, n]
+            good &= (
+                c.tendon_int[h.HAS_UNIQUE_TENSIONS, n] == 1
+                and low <= x.tendon[s.REQUIRED_TENSION, n] <= high
+            )
+            if end - first == 1:
+                x.tendon[s.REQUIRED_TENSION, n] = min(
+                    max(x.tendon[s.REQUIRED_TENSION, n], low), high
+                )
+        if not good and end - first > 1:
+            undecided |= 1 << d
+    return undecided

@@ -1,0 +1,90 @@
+"""Transfer of the goals of all digits into the state block, which happens only when goals change."""
+
+import functools
+
+import numpy as np
+
+from handctl.core import state_block as s
+from handctl.core.block_schema import BlockArray, BlockLayout
+from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
+from handctl.core.control_law.digit_reference import MINIMUM_JERK, NO_TRAJECTORY, SAMPLED, STREAMED
+from handctl.core.control_law.trajectory import MinimumJerk, StreamedTrajectory, Trajectory
+from handctl.core.hand_model import HandModel
+
+
+def write_goals(
+    model: HandModel, layout: BlockLayout, block: BlockArray, goals: tuple[DigitGoal, ...]
+) -> None:
+    """Write the goals of all digits into the state block.
+
+    Args:
+        model: model of the hand.
+        layout: layout of the state block.
+        block: state block, modified in place.
+        goals: goal of each digit.
+    """
+    tendon = layout.table(block, "tendon")
+    digit = layout.table(block, "digit")
+    kinds = layout.table(block, "tendon_int")[s.GOAL_KIND]
+    ways = layout.table(block, "digit_int")[s.TRAJECTORY_KIND]
+    way = layout.table(block, "coordinate")
+    for d, (goal, tendons, places) in enumerate(
+        zip(goals, model.digit_tendons, model.digit_coordinates, strict=True)
+    ):
+        kinds[tendons] = int(_kind_of_control(goal))
+        if goal.kind == GoalKind.TENSION and goal.trajectory is not None:
+            # Spool pairs that move the digit sideways hold their position while the other tendons
+            # pull.
+            kinds[tendons][model.redundancy.side[tendons] == 0.0] = int(GoalKind.MOTION)
+        if goal.kind == GoalKind.TENSION and goal.tension is not None:
+            tendon[s.TENSION_TARGET, tendons] = np.clip(
+                goal.tension, np.minimum(model.floor[tendons], 0.0), model.ceiling[tendons]
+            )
+            tendon[s.SETPOINT_STEP, tendons] = goal.rate * model.period
+            tendon[s.FORCE_LIMIT, tendons] = goal.force_limit
+        ways[d] = NO_TRAJECTORY if goal.trajectory is None else SAMPLED
+        if isinstance(goal.trajectory, StreamedTrajectory):
+            ways[d] = STREAMED
+        if isinstance(goal.trajectory, MinimumJerk):
+            ways[d] = MINIMUM_JERK
+            way[s.TRAJECTORY_START, places] = goal.trajectory.start
+            way[s.TRAJECTORY_END, places] = goal.trajectory.end
+            digit[s.TRAJECTORY_SINCE, d] = goal.since
+            digit[s.TRAJECTORY_DURATION, d] = goal.trajectory.duration
+            blend = goal.trajectory.blend
+            digit[s.TRAJECTORY_BLEND, d] = blend.duration if blend else 1.0
+            way[s.TRAJECTORY_START_SPEED, places] = blend.speed if blend else 0.0
+            way[s.TRAJECTORY_START_ACCELERATION, places] = blend.acceleration if blend else 0.0
+
+
+def _kind_of_control(goal: DigitGoal) -> GoalKind:
+    """Return the kind of control of a goal: LIMP if its trajectory or tension is missing."""
+    if (goal.kind == GoalKind.MOTION and goal.trajectory is None) or (
+        goal.kind == GoalKind.TENSION and goal.tension is None
+    ):
+        return GoalKind.LIMP
+    return goal.kind
+
+
+def sample_trajectories(
+    model: HandModel, layout: BlockLayout, block: BlockArray, goals: tuple[DigitGoal, ...], t: float
+) -> None:
+    """Write position, rate and acceleration at time t [s] of trajectories that compiled code cannot evaluate."""
+    for trajectory, since, places in sampled_goals(model, goals):
+        layout.table(block, "coordinate")[s.TRAJECTORY : s.TRAJECTORY + 3, places] = (
+            trajectory.motion_at(t - since)
+        )
+
+
+@functools.lru_cache(maxsize=16)
+def sampled_goals(
+    model: HandModel, goals: tuple[DigitGoal, ...]
+) -> tuple[tuple[Trajectory, float, slice], ...]:
+    """Return trajectory, start time [s] and slice of coordinates of each goal whose trajectory Python samples."""
+    rows = zip(goals, model.digit_coordinates, strict=True)
+    return tuple(
+        (goal.trajectory, goal.since, places)
+        for goal, places in rows
+        if goal.trajectory is not None
+        and not isinstance(goal.trajectory, MinimumJerk | StreamedTrajectory)
+    )

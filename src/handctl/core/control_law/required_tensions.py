@@ -1,0 +1,130 @@
+"""Tensions at the joints that the goals require.
+
+Compiled code computes them, or else the bounded problem is solved in Python.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from handctl.core import tick_stages
+from handctl.core.block_schema import BlockArray, BlockLayout
+from handctl.core.control_law.tension_allocation import solve_bounded
+from handctl.core.control_law.tension_allocation import tensions_for_torque as allocate_tension
+from handctl.core.hand_constants import HandConstants
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Vector
+from handctl.hand.dynamics import DigitModel, required_torque
+from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED_M_S
+
+
+def write_tension_goals(
+    model: HandModel,
+    layout: BlockLayout,
+    constants: HandConstants,
+    block: BlockArray,
+    action: int = 0,
+) -> None:
+    """Evaluate the goals of all digits, and write the required tensions of all moving tendons.
+
+    Args:
+        model: model of the hand.
+        layout: layout of the state block.
+        constants: constants of the hand.
+        block: state block, modified in place.
+        action: reaction that safety demands, a number of ``safety.action.SafetyAction``.
+    """
+    constants_in = constants.block, constants.layout.places
+    undecided = tick_stages.evaluate_goals(block, layout.places, *constants_in, action)
+    required = layout.view(block, "joint_required")
+    if model.inverse is not required_torque:  # an experiment has replaced the inverse dynamics
+        way = tick_stages.joint_motion(block, layout.places, *constants_in)
+        for digit in model.digits:
+            required[digit.joints] = model.inverse(
+                digit, *(row[digit.joints].tolist() for row in way)
+            )
+        undecided = tick_stages.write_loads(block, layout.places, *constants_in)
+    if undecided:
+        way = tick_stages.joint_motion(block, layout.places, *constants_in)
+        allocate_bounded_tensions(model, layout, constants, block, undecided, way)
+
+
+def allocate_bounded_tensions(
+    model: HandModel,
+    layout: BlockLayout,
+    constants: HandConstants,
+    block: BlockArray,
+    undecided_digits: int,
+    trajectory: Vector,
+) -> None:
+    """Solve the bounded least-squares problem for digits whose tensions are out of bounds or not unique.
+
+    Args:
+        model: model of the hand.
+        layout: layout of the state block.
+        constants: constants of the hand, with the moment arms at the present angles.
+        block: state block, modified in place.
+        undecided_digits: a number with a bit for each of these digits.
+        trajectory: (3, J) angles, rates and accelerations of the joints on the trajectories.
+    """
+    required = layout.view(block, "joint_required")
+    load = layout.view(block, "load")
+    for d, digit in enumerate(model.digits):
+        if undecided_digits >> d & 1:
+            tendons = digit.tendons
+            if digit.has_varying_arm:
+                digit = _with_present_arms(digit, constants)
+            if model.redundancy.surplus[tendons.start]:
+                load[tendons] = _tensions_with_friction(
+                    model, digit, required[digit.joints], trajectory[:2, digit.joints]
+                )
+                continue
+            required_torque = required[digit.joints] @ digit.coupling
+            low = model.floor[tendons]
+            high = model.ceiling[tendons]
+            load[tendons] = solve_bounded(
+                digit.reduced_moment_arms, required_torque, low, high, load[tendons]
+            )
+
+
+def _with_present_arms(digit: DigitModel, constants: HandConstants) -> DigitModel:
+    """Return a copy of a digit's model with the moment arms at the present angles."""
+    arms = constants.layout.view(constants.block, "moment_arms")[digit.tendons, digit.joints]
+    return replace(digit, moment_arms=arms, reduced_moment_arms=arms @ digit.coupling)
+
+
+def _tensions_with_friction(
+    model: HandModel, digit: DigitModel, required: Vector, trajectory: Vector
+) -> Vector:
+    """Return the tensions at the joints (n_t,) of a digit whose tendons act against each other [N].
+
+    Each pulley of a tendon has its own friction. In a digit without springs, the torques of all
+    tendons must be in balance at each joint. So the problem is solved with moment arms that are
+    reduced by friction.
+
+    Args:
+        model: model of the hand.
+        digit: model of the digit.
+        required: (n,) joint torques [N m].
+        trajectory: (2, n) angles [rad] and rates [rad/s] of the joints on the trajectory.
+    """
+    tendons = digit.tendons
+    arms = digit.moment_arms
+    counted = model.gains.motion.friction_share
+    winding = np.tanh(arms @ trajectory[1] / CAPSTAN_FRICTION_SPEED_M_S)
+    passes = arms != 0.0
+    lost = digit.friction[:, None] * (
+        digit.wrap[:, None] + np.cumsum(passes * trajectory[0], axis=1)
+    )
+    factors = 1.0 - counted + counted * np.exp(-lost * winding[:, None])
+    low = model.floor[tendons]
+    high = model.ceiling[tendons]
+    reduced = (arms * factors) @ digit.coupling
+    tension, _ = allocate_tension(reduced, required @ digit.coupling, low, high)
+    # The control law divides by the mean efficiency over the pulleys, so the tensions are
+    # multiplied by it here.
+    weights = model.pulley_weights[tendons, digit.joints]
+    if digit.has_varying_arm:
+        weights = np.abs(arms) / np.abs(arms).sum(axis=1, keepdims=True)
+    efficiency = (weights * np.exp(-lost)).sum(axis=1)
+    return np.asarray(tension * (1.0 - counted + counted * efficiency**winding))

@@ -1,0 +1,223 @@
+"""Commands to drives that close the position loop of a moving digit by themselves.
+
+A command consists of a position p_d, a velocity v_d, a stiffness kp, a damping kd and a torque t.
+Many times within a tick, the drive computes its torque from its own measured position p and
+velocity v:
+
+    kp (p_d - p) + kd (v_d - v) + t
+
+The commanded position is the planned excursion s_d, plus the stretch of the tendon under its
+planned tension f_0, plus the estimated stretch offset o, all divided by the spool's radius r. The
+stiffness of the tendon is k, and f_hat is its estimated tension:
+
+    r p_d = s_d + f_0 / k + o
+    r (p_d - p) = (s_d - s) + (f_0 - f_hat) / k      by f_hat = k (r p - s - o)
+
+The controller does not know the torque that the drive will make. It predicts the mean torque of the
+coming period from the estimated p and v, half a period ahead, and limits this torque as in torque
+control. The commanded position is then chosen so that the drive would make the limited torque. So
+the commanded position never leads the motor by more than the torque limits allow.
+
+Most drives keep the commanded position until the next command. Their position contains the planned
+motion of half a period. Other drives move the position with the commanded velocity, and get the
+position for the start of the period. If the host fails, such a drive moves the position until its
+watchdog fires. Therefore its command contains a torque limit slightly above the predicted torque.
+
+In commands for a digit that moves freely under the program, kp and kd are above 0. In all other
+cases they are 0, and t is the whole torque. These cases are a digit that touches an object,
+relaxes, is held by safety, or takes up slack, and a tick without a measured motor position.
+"""
+
+import math
+
+from handctl.compiled import kernel_helper
+from handctl.core import constants as h
+from handctl.core import state_block as s
+from handctl.core.constants import ConstantTables
+from handctl.core.control_law.digit_reference import MOTION
+from handctl.core.estimation.take_up import SLACK_REGIME
+from handctl.core.estimation.varying_moment_arms import carrier_excursion
+from handctl.core.state_block import StateTables
+
+ACTIVE_MODE = 4
+"""Value of ``core.tick_types.HandMode.ACTIVE``."""
+MAX_PHASE_RAD = 0.3
+"""Largest product of the natural frequency of a drive's position loop and the control period [rad].
+
+The tension filter assumes that the motor force is constant within a period. In simulation, stiffer
+loops oscillated. Examples are loops with 0.5 rad on the hand ``jamia`` at 100 Hz and on
+``orca_like`` at 250 Hz.
+"""
+COMMAND_ROWS = 6
+"""Number of rows of a command: position, velocity, kp, kd, torque, limit."""
+LIMIT_MARGIN_N = 10.0
+"""Margin of the torque limit in a command above the predicted motor force [N].
+
+In free motions, the force changes by less than 1 N within a period.
+"""
+
+
+@kernel_helper
+def begin_servo_commands(x: StateTables, c: ConstantTables) -> None:
+    """Store the commands of the last tick, and set the commands of this tick to 0.
+
+    The position of a drive that moves it is stored as the drive has it now.
+    """
+    elapsed = c.run[h.PERIOD] * (1 + x.run_int[s.MISSED_TICKS])
+    for n in range(x.servo.shape[1]):
+        for row in range(COMMAND_ROWS):
+            x.servo[s.SERVO_BEFORE + row, n] = x.servo[s.SERVO_POSITION + row, n]
+            x.servo[s.SERVO_POSITION + row, n] = 0.0
+        if c.tendon_int[h.DRIVE_MOVES_TARGET, n]:
+            x.servo[s.SERVO_BEFORE, n] += elapsed * x.servo[s.SERVO_BEFORE + 1, n]
+
+
+@kernel_helper
+def command_torque_only(x: StateTables, n: int) -> None:
+    """Replace the command of a drive by a torque command, in a hand with at least one position loop in a drive."""
+    x.servo[s.SERVO_KP, n] = x.servo[s.SERVO_KD, n] = 0.0
+    x.servo[s.SERVO_TORQUE, n] = x.tendon[s.TORQUE, n]
+
+
+@kernel_helper
+def is_loop_closed_by_drive(x: StateTables, c: ConstantTables, n: int) -> bool:
+    """Return True if the drive of a tendon closes the position loop in this tick."""
+    if not c.tendon_int[h.DRIVE_CLOSES_LOOP, n] or x.tendon_int[s.GOAL_KIND, n] != MOTION:
+        return False
+    if x.run_int[s.MODE] != ACTIVE_MODE or x.run_int[s.HOLDING]:
+        return False
+    d = c.tendon_int[h.DIGIT_OF_TENDON, n]
+    if (
+        x.digit_int[s.BLOCKED, d]
+        or x.digit_int[s.PLANNED_CONTACT, d]
+        or math.isnan(x.tendon[s.MEASURED_TRAVEL, n])
+    ):
+        return False
+    return (
+        c.tendon_int[h.IS_SPOOL_PAIR, n] == 1 or x.tendon_int[s.REGIME, n] != SLACK_REGIME
+    ) and servo_stiffness(x, c, n) > 0.0
+
+
+@kernel_helper
+def servo_stiffness(x: StateTables, c: ConstantTables, n: int) -> float:
+    """Return the stiffness kp of a drive's loop for the present goal, rounded to the command's resolution [N m/rad]."""
+    step = c.tendon[h.SERVO_KP_STEP, n]
+    wanted = x.tendon[s.STIFFNESS_FRACTION, n] * max(c.tendon[h.SERVO_STIFFNESS, n], step)
+    return step * math.floor(min(wanted, c.tendon[h.SERVO_KP_MAX, n]) / step + 0.5)
+
+
+@kernel_helper
+def servo_damping(x: StateTables, c: ConstantTables, n: int) -> float:
+    """Return the damping kd of a drive's loop for the present goal, rounded to the command's resolution [N m s/rad]."""
+    step = c.tendon[h.SERVO_KD_STEP, n]
+    wanted = x.tendon[s.DAMPING_FRACTION, n] * c.tendon[h.SERVO_DAMPING, n]
+    return step * math.floor(min(wanted, c.tendon[h.SERVO_KD_MAX, n]) / step + 0.5)
+
+
+@kernel_helper
+def servo_speed_force(x: StateTables, c: ConstantTables, n: int, rate: float) -> float:
+    """Return the mean force that the speed error causes in a drive's loop over the coming period [N].
+
+    The speed error also changes the position error within the period, on average for half a period.
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        n: index of the tendon.
+        rate: rate of the digit's excursion on the trajectory [m/s].
+    """
+    gain = servo_damping(x, c, n) + 0.5 * c.run[h.PERIOD] * servo_stiffness(x, c, n)
+    return (
+        gain
+        / (c.tendon[h.SPOOL_RADIUS, n] * c.tendon[h.SPOOL_RADIUS, n])
+        * (rate - x.tendon[s.SPEED, n])
+    )
+
+
+@kernel_helper
+def servo_force(
+    x: StateTables, c: ConstantTables, n: int, excursion: float, rate: float, tension: float
+) -> float:
+    """Return the predicted mean force of the drive's loop over the coming period [N].
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        n: index of the tendon.
+        excursion: excursion of the digit on the trajectory [m].
+        rate: rate of the digit's excursion on the trajectory [m/s].
+        tension: planned tension at the load cell [N].
+    """
+    error = (
+        excursion
+        - x.tendon[s.EXCURSION, n]
+        + (tension - x.tendon[s.TENSION, n]) / c.tendon[h.TENDON_STIFFNESS, n]
+    )
+    stiffness = servo_stiffness(x, c, n) / (
+        c.tendon[h.SPOOL_RADIUS, n] * c.tendon[h.SPOOL_RADIUS, n]
+    )
+    return stiffness * error + servo_speed_force(x, c, n, rate)
+
+
+@kernel_helper
+def write_servo_command(
+    x: StateTables, c: ConstantTables, n: int, rate: float, feedforward: float, force: float
+) -> None:
+    """Write the command with which a drive makes a given mean force over the coming period.
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        n: index of the tendon.
+        rate: rate of the digit's excursion on the trajectory [m/s].
+        feedforward: motor force without the force of the drive's loop [N].
+        force: limited motor force, with the force of the drive's loop [N].
+    """
+    spool = c.tendon[h.SPOOL_RADIUS, n]
+    kp = servo_stiffness(x, c, n)
+    added = min(max(feedforward, c.tendon[h.FORCE_MIN, n]), c.tendon[h.FORCE_MAX, n])
+    lead = (force - added - servo_speed_force(x, c, n, rate)) * spool * spool / kp
+    travel = x.tendon[s.TRAVEL, n]
+    speed = rate
+    if c.run_int[h.HAS_CARRIER_ARMS]:
+        # Commanded position and speed follow the estimated motion of the carriers, so that tracking
+        # errors of carriers have no effect.
+        travel += carrier_excursion(c, n, x.joint[s.Q])
+        speed += carrier_excursion(c, n, x.joint[s.DQ])
+    ahead = 0.0 if c.tendon_int[h.DRIVE_MOVES_TARGET, n] else 0.5 * c.run[h.PERIOD] * speed
+    travel += lead + ahead
+    x.servo[s.SERVO_POSITION, n] = travel / spool + c.tendon[h.MOTOR_ZERO, n]
+    x.servo[s.SERVO_VELOCITY, n] = speed / spool
+    x.servo[s.SERVO_KP, n] = kp
+    x.servo[s.SERVO_KD, n] = servo_damping(x, c, n)
+    x.servo[s.SERVO_TORQUE, n] = added * spool
+    if c.tendon_int[h.DRIVE_MOVES_TARGET, n]:
+        x.servo[s.SERVO_LIMIT, n] = (
+            min(abs(force) + LIMIT_MARGIN_N, c.tendon[h.FORCE_MAX, n]) * spool
+        )
+
+
+@kernel_helper
+def predict_reports(x: StateTables, c: ConstantTables) -> None:
+    """Write the force that each drive of the servo table should report in this tick [N].
+
+    A drive reports position, speed and torque of one instant, at which it obeyed the command before
+    the last. The expected torque follows from this command and the reported position and speed.
+    """
+    for n in range(x.servo.shape[1]):
+        torque = x.servo[s.SERVO_BEFORE + 4, n]
+        kp = x.servo[s.SERVO_BEFORE + 2, n]
+        if kp > 0.0:
+            torque += kp * (x.servo[s.SERVO_BEFORE, n] - x.tendon[s.POSITION, n])
+            torque += x.servo[s.SERVO_BEFORE + 3, n] * (
+                x.servo[s.SERVO_BEFORE + 1, n] - x.tendon[s.VELOCITY, n]
+            )
+        limit = c.tendon[h.FORCE_MAX, n]
+        if kp > 0.0 and c.tendon_int[h.DRIVE_MOVES_TARGET, n]:
+            limit = x.servo[s.SERVO_BEFORE + 5, n] / c.tendon[h.SPOOL_RADIUS, n]
+        known = math.isfinite(x.tendon[s.COMMANDED_FORCE, n]) and math.isfinite(
+            x.tendon[s.MEASURED_FORCE, n]
+        )
+        x.servo[s.SERVO_REPORT, n] = (
+            min(max(torque / c.tendon[h.SPOOL_RADIUS, n], -limit), limit) if known else math.nan
+        )

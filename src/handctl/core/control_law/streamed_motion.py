@@ -1,0 +1,248 @@
+"""Motion along streamed targets: interpolation to the latest target, then limits on speed and acceleration.
+
+A segment is a polynomial of time for each coordinate. It leads from the reference at the arrival of
+a target to this target. After the end of a segment, the reference stays at the target, because
+targets are not extrapolated.
+
+The reference follows the segment exactly if speed and acceleration stay within their limits.
+Otherwise it approaches the target as fast as the limits allow, so that it arrives with the rate of
+the targets. The range of a joint limits the speed in a similar way, so that a motion stops before
+the end of the range. The reference never leads the digit by more than ``MAX_LEAD_RAD``. It waits for a
+digit that is held, and follows a digit that is pushed away.
+"""
+
+import math
+
+from handctl.compiled import kernel, kernel_helper
+from handctl.core import constants as h
+from handctl.core import state_block as s
+from handctl.core.block_schema import BlockArray, TablePlaces
+from handctl.core.constants import ConstantTables
+from handctl.core.state_block import StateTables, state_tables
+from handctl.core.tick_types import Vector
+
+MAX_LEAD_RAD = math.radians(8.0)
+"""Largest distance of the reference from the estimated position of the digit [rad], at full stiffness.
+
+If an object holds the digit, the reference waits at this distance, so that the digit does not jump
+when the object releases it.
+"""
+MIN_STIFFNESS = 0.05
+"""Smallest stiffness fraction by which ``MAX_LEAD_RAD`` is divided.
+
+A softer digit may be pushed away further.
+"""
+LIMIT_TOLERANCE = 1e-9
+"""Relative tolerance of the limits, for rounding errors."""
+CLIP_TOLERANCE = 1e-9
+"""If a value differs by more than this from the requested value, it counts as clipped [rad, N]."""
+
+
+@kernel("block", "layout", "vector", "vector", "real", "real", "real", "real", "count")
+def begin_segments(
+    block: BlockArray,
+    at: TablePlaces,
+    target_coordinates: Vector,
+    held_coordinates: Vector,
+    since: float,
+    duration: float,
+    target_interval: float,
+    max_rate: float,
+    minimum_jerk: int,
+) -> bool:
+    """Begin the motion from the present reference to a target. Return True if the target was clipped.
+
+    Args:
+        block: state block, modified in place.
+        at: ``Layout.places`` of the state block.
+        target_coordinates: (C,) requested coordinates [rad].
+        held_coordinates: (C,) the nearest coordinates that taut tendons can hold [rad].
+        since: start of the motion [s].
+        duration: duration of the motion [s].
+        target_interval: time between this target and the previous target [s]. With an infinite time, the
+            motion ends at rest.
+        max_rate: largest rate at the target [rad/s].
+        minimum_jerk: 1 for a motion of minimum jerk, 0 for a linear motion.
+    """
+    x = state_tables(block, at)
+    clipped = False
+    for k in range(x.coordinate.shape[1]):
+        low, high = x.coordinate[s.STREAM_RANGE, k], x.coordinate[s.STREAM_RANGE + 1, k]
+        target = min(max(held_coordinates[k], low), high)
+        clipped |= abs(target - target_coordinates[k]) > CLIP_TOLERANCE
+        rate = min(
+            max((target - x.coordinate[s.STREAM_TARGET, k]) / target_interval, -max_rate), max_rate
+        )
+        _write_segment(x, k, target, rate, duration, minimum_jerk == 1)
+        x.coordinate[s.STREAM_TARGET_RATE, k] = rate
+        x.coordinate[s.STREAM_TARGET, k] = target
+    x.run[s.STREAM_SINCE] = since
+    x.run[s.STREAM_DURATION] = duration
+    return clipped
+
+
+@kernel_helper
+def _write_segment(
+    x: StateTables, k: int, target: float, speed: float, duration: float, minimum_jerk: bool
+) -> None:
+    """Write the polynomial of a coordinate's motion to a target, lowest power first [rad, s].
+
+    The motion of minimum jerk begins with the position, rate and acceleration of the reference, and
+    ends at the target with the given speed. The acceleration at the end is free, so the jerk ends
+    at 0: it is b u + c u^2, with the remaining time u. The linear motion has a constant rate.
+
+    Args:
+        x: state tables.
+        k: index of the coordinate.
+        target: position at the end [rad].
+        speed: rate at the end of a motion of minimum jerk [rad/s].
+        duration: duration T of the motion [s].
+        minimum_jerk: True for a motion of minimum jerk, False for a linear motion.
+    """
+    position = x.coordinate[s.TRAJECTORY, k]
+    rate = x.coordinate[s.TRAJECTORY + 1, k]
+    acceleration = x.coordinate[s.TRAJECTORY + 2, k]
+    for power in range(6):
+        x.coordinate[s.STREAM_SEGMENT + power, k] = 0.0
+    x.coordinate[s.STREAM_SEGMENT, k] = position
+    if not minimum_jerk:
+        x.coordinate[s.STREAM_SEGMENT + 1, k] = (target - position) / duration
+        return
+    squared = duration * duration
+    missing = target - position - duration * rate - 0.5 * squared * acceleration
+    slower = speed - rate - duration * acceleration
+    b = 480.0 * (slower * duration / 10.0 - missing / 4.0) / (squared * squared)
+    c = 480.0 * (missing / 3.0 - slower * duration / 8.0) / (squared * squared * duration)
+    x.coordinate[s.STREAM_SEGMENT + 1, k] = rate
+    x.coordinate[s.STREAM_SEGMENT + 2, k] = 0.5 * acceleration
+    x.coordinate[s.STREAM_SEGMENT + 3, k] = (b * duration + c * squared) / 6.0
+    x.coordinate[s.STREAM_SEGMENT + 4, k] = -(b + 2.0 * c * duration) / 24.0
+    x.coordinate[s.STREAM_SEGMENT + 5, k] = c / 60.0
+
+
+@kernel_helper
+def position_on_segment(x: StateTables, k: int, t: float) -> tuple[float, float]:
+    """Return position [rad] and rate [rad/s] of a coordinate on the present segment at time t [s]."""
+    after = t - x.run[s.STREAM_SINCE]
+    if after >= x.run[s.STREAM_DURATION]:
+        return x.coordinate[s.STREAM_TARGET, k], 0.0
+    position = rate = 0.0
+    for power in range(5, -1, -1):  # Horner's scheme, for the polynomial and its derivative
+        rate = rate * after + position
+        position = position * after + x.coordinate[s.STREAM_SEGMENT + power, k]
+    return position, rate
+
+
+@kernel_helper
+def advance_reference(x: StateTables, c: ConstantTables, d: int, k: int) -> None:
+    """Move the reference of a streamed coordinate from the last tick to the present tick.
+
+    Args:
+        x: state tables, with the reference of the last tick in ``TRAJECTORY``.
+        c: constants of the hand.
+        d: index of the digit.
+        k: index of the coordinate.
+    """
+    period = c.run[h.PERIOD] * (1 + x.run_int[s.MISSED_TICKS])
+    position = x.coordinate[s.TRAJECTORY, k]
+    rate = x.coordinate[s.TRAJECTORY + 1, k]
+    gain = c.run[h.STREAM_ACCELERATION] * period
+    slowest, fastest = _allowed_rates(x, c, d, k, period)
+    now = x.run_int[s.T_NS] / 1e9
+    aim, aim_rate = position_on_segment(x, k, now)
+    remaining = max(x.run[s.STREAM_SINCE] + x.run[s.STREAM_DURATION] - now, 0.0)
+    end_rate = x.coordinate[s.STREAM_TARGET_RATE, k] if remaining > 0.0 else 0.0
+    # This point moves at the rate of the targets, and reaches the latest target at the end of the
+    # segment.
+    point = x.coordinate[s.STREAM_TARGET, k] - end_rate * remaining
+    mean = (aim - position) / period
+    allowed = gain * (1.0 + LIMIT_TOLERANCE)
+    free = abs(mean - rate) <= allowed and abs(aim_rate - rate) <= allowed
+    free &= (
+        slowest - gain * LIMIT_TOLERANCE <= min(mean, aim_rate)
+        and max(mean, aim_rate) <= fastest + gain * LIMIT_TOLERANCE
+    )
+    free &= (
+        abs(aim_rate - end_rate) <= max_stoppable_speed(abs(point - aim), gain, period) + allowed
+    )
+    new_rate = aim_rate
+    if not free:
+        x.run_int[s.STREAM_LIMITED] += 1
+        apart = point - position - end_rate * period
+        sought = min(max(end_rate + _speed_to(apart, gain, period), slowest), fastest)
+        new_rate = rate + min(max(sought - rate, -gain), gain)
+        aim = position + new_rate * period
+    x.coordinate[s.TRAJECTORY, k] = aim
+    x.coordinate[s.TRAJECTORY + 1, k] = new_rate
+    x.coordinate[s.TRAJECTORY + 2, k] = (new_rate - rate) / period
+
+
+@kernel_helper
+def _allowed_rates(
+    x: StateTables, c: ConstantTables, d: int, k: int, period: float
+) -> tuple[float, float]:
+    """Return the lowest and the highest allowed rate of a coordinate's reference [rad/s].
+
+    They follow from the speed limit, from the range of the coordinate, and from the distance
+    between reference and digit.
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        d: index of the digit.
+        k: index of the coordinate.
+        period: time since the last tick [s].
+    """
+    position = x.coordinate[s.TRAJECTORY, k]
+    top = c.run[h.STREAM_SPEED]
+    gain = c.run[h.STREAM_ACCELERATION] * period
+    slowest = max(
+        -top, -max_stoppable_speed(position - x.coordinate[s.STREAM_RANGE, k], gain, period)
+    )
+    fastest = min(
+        top, max_stoppable_speed(x.coordinate[s.STREAM_RANGE + 1, k] - position, gain, period)
+    )
+    lead = MAX_LEAD_RAD / max(
+        x.tendon[s.STIFFNESS_FRACTION, c.digit_int[h.TENDONS_FIRST, d]], MIN_STIFFNESS
+    )
+    digit, digit_rate = _estimated_coordinate(x, c, d, k)
+    back = _speed_to(digit - lead - position, gain, period) + min(digit_rate, 0.0)
+    ahead = _speed_to(digit + lead - position, gain, period) + max(digit_rate, 0.0)
+    slowest = max(slowest, min(back, fastest))
+    return slowest, min(fastest, max(ahead, slowest))
+
+
+@kernel_helper
+def _estimated_coordinate(x: StateTables, c: ConstantTables, d: int, k: int) -> tuple[float, float]:
+    """Return the estimate of a digit's coordinate [rad] and of its rate [rad/s], from the joints that it moves."""
+    position = rate = total = 0.0
+    for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+        coupling = c.joint_coordinate[h.COUPLING, j, k]
+        position += coupling * x.joint[s.Q, j]
+        rate += coupling * x.joint[s.DQ, j]
+        total += coupling * coupling
+    return position / total, rate / total
+
+
+@kernel_helper
+def _speed_to(distance: float, gain: float, period: float) -> float:
+    """Return the largest speed towards a point at a signed distance [rad] from which a motion stops there [rad/s]."""
+    return math.copysign(max_stoppable_speed(abs(distance), gain, period), distance)
+
+
+@kernel_helper
+def max_stoppable_speed(distance: float, gain: float, period: float) -> float:
+    """Return the largest speed from which a motion stops within a distance, in steps of a period [rad/s].
+
+    A speed w = n g + r, 0 <= r < g, falls to 0 over the distance ((n + 1) w - g n (n + 1) / 2) T.
+
+    Args:
+        distance: distance to the stop [rad]. 0 or less allows no speed.
+        gain: largest change g of the speed in a period [rad/s].
+        period: control period T [s].
+    """
+    if distance <= 0.0:
+        return 0.0
+    mean = distance / period
+    steps = math.floor(0.5 * (math.sqrt(1.0 + 8.0 * mean / gain) - 1.0))
+    return (mean + 0.5 * gain * steps * (steps + 1)) / (steps + 1)

@@ -1,0 +1,107 @@
+"""Digits without return springs, and digits with more tendons than coordinates.
+
+Antagonistic tendons return such a digit. Its tendons act against each other: a vector of tensions
+in the null space of (R B)^T, all above the floor, makes no torque. These are the balance tensions
+of the digit. For n coordinates, a digit with n + 1 tendons has a null space of one dimension, and a
+digit with 2 n tendons has one of n dimensions. Source: Lee & Tsai (1991), Salisbury & Craig (1982).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.core.control_law.tension_allocation import tensions_for_torque
+from handctl.core.tick_types import Vector
+from handctl.hand.digit import DigitModel
+from handctl.hand.moment_arms import excursions_at
+
+BoolArray = NDArray[np.bool_]
+MISSING_FRACTION = 1e-3
+"""Largest torque that balance tensions may make, as a fraction of the largest tension times the mean moment arm."""
+
+
+@dataclass(frozen=True, slots=True)
+class TendonRedundancy:
+    """Directions and balance tensions of the N tendons of a hand, each (N,).
+
+    Attributes:
+        side: 1 for a tendon that is wound while its digit closes, -1 for a tendon that is paid out,
+            0 for a spool pair that moves its digit sideways.
+        sprung: True if springs return the tendon's digit to its lower joint limits.
+        surplus: True for a tendon of a digit with more tendons than coordinates.
+        balance: smallest tensions that are all above the floor and make no torque [N]. They are 0
+            without surplus tendons.
+        open_excursion: excursion at the lower joint limits [m].
+        excursion_range: (2, N) smallest and largest excursion within the joint limits [m].
+    """
+
+    side: Vector
+    sprung: BoolArray
+    surplus: BoolArray
+    balance: Vector
+    open_excursion: Vector
+    excursion_range: Vector
+
+
+def redundancy_of_hand(
+    digits: tuple[DigitModel, ...], floor: Vector, ceiling: Vector, is_pair: BoolArray
+) -> TendonRedundancy:
+    """Derive the directions and the balance tensions of all tendons.
+
+    Args:
+        digits: digit models, in file order.
+        floor: (N,) smallest tensions [N].
+        ceiling: (N,) largest tensions [N].
+        is_pair: (N,) True for a spool pair.
+    """
+    counts = [len(digit.moment_arms) for digit in digits]
+    surplus = [len(digit.moment_arms) > digit.coupling.shape[1] for digit in digits]
+    balance = [
+        _balance_tensions(digit, floor[digit.tendons], ceiling[digit.tendons])
+        if more
+        else np.zeros(count)
+        for digit, more, count in zip(digits, surplus, counts, strict=True)
+    ]
+    return TendonRedundancy(
+        side=np.concatenate([tendon_directions(digit, is_pair[digit.tendons]) for digit in digits]),
+        sprung=np.repeat([is_sprung(digit) for digit in digits], counts),
+        surplus=np.repeat(surplus, counts),
+        balance=np.concatenate(balance),
+        open_excursion=np.concatenate([digit.excursion_at(digit.joint_min) for digit in digits]),
+        excursion_range=np.concatenate([_excursion_range(digit) for digit in digits], axis=1),
+    )
+
+
+def tendon_directions(digit: DigitModel, is_pair: BoolArray) -> Vector:
+    """Return the direction of each tendon of a digit (n_t,), see ``TendonRedundancy.side``."""
+    arms = digit.reduced_moment_arms
+    side = np.where(arms.sum(axis=1) < 0.0, -1.0, 1.0)
+    if not is_pair.any():
+        return side
+    return np.where((arms[:, ~digit.sideways_coordinates] != 0.0).any(axis=1), side, 0.0)
+
+
+def _excursion_range(digit: DigitModel) -> Vector:
+    """Return the smallest and the largest excursions of a digit within the joint limits, (2, n_t) [m]."""
+    if digit.has_varying_arm:
+        ends = excursions_at(digit.arm_polynomials, digit.joint_limits, digit.joint_limits)
+    else:
+        ends = np.stack((digit.moment_arms * digit.joint_min, digit.moment_arms * digit.joint_max))
+    return np.stack((ends.min(axis=0).sum(axis=1), ends.max(axis=0).sum(axis=1)))
+
+
+def is_sprung(digit: DigitModel) -> bool:
+    """Return True if springs push every coordinate of a digit towards the lower joint limits."""
+    torque = np.asarray(digit.spring_stiffness) * (
+        np.asarray(digit.spring_preload) + digit.joint_min
+    )
+    return bool((digit.coupling.T @ torque > 0.0).all())
+
+
+def _balance_tensions(digit: DigitModel, floor: Vector, ceiling: Vector) -> Vector:
+    """Return the balance tensions of a digit (n_t,) [N], or the floor if the bounds do not allow a balance."""
+    arms = digit.reduced_moment_arms
+    tension, missing = tensions_for_torque(arms, np.zeros(arms.shape[1]), floor, ceiling)
+    bearable = MISSING_FRACTION * float(tension.max() * np.abs(arms).mean())
+    return tension if np.abs(missing).max() <= bearable else floor

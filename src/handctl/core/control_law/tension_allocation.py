@@ -1,0 +1,118 @@
+"""Conversion of joint torque to tendon tensions: the bounded least-squares problem of a tendon-driven digit.
+
+The problem is: minimise |R^T f - tau|^2 / r^2 + regularisation |f - f_min|^2 subject to f_min <= f
+<= f_max, with the mean moment arm r. If the equations R^T f = tau have a unique solution within the
+bounds, this solution is used. If no tensions within the bounds make the torque, the closest torque
+is used, with equal weights of all coordinates, and the missing torque is returned. Source: Lee &
+Tsai (1991).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from handctl.core.tick_types import Vector
+
+REGULARISATION_WEIGHT = 1e-6
+"""Weight of squared tension against squared torque error, both in newtons.
+
+The weight is so small that it only selects one of several solutions with equal torque.
+"""
+
+
+def tensions_for_torque(
+    moment_arms: Vector, torque: Vector, floor: Vector, ceiling: Vector
+) -> tuple[Vector, Vector]:
+    """Return the tensions of a digit that make a torque, and the part of the torque that they do not make.
+
+    Args:
+        moment_arms: (n_t, n_c) reduced moment arms [m].
+        torque: (n_c,) torque in the digit's coordinates [N m].
+        floor: (n_t,) smallest tensions [N].
+        ceiling: (n_t,) largest tensions [N].
+
+    Returns:
+        Tensions (n_t,) [N], and the missing torque (n_c,) [N m].
+    """
+    tension = _unique_solution(moment_arms, torque)
+    if tension is None or (tension < floor).any() or (tension > ceiling).any():
+        tension = solve_bounded(
+            moment_arms, torque, floor, ceiling, floor if tension is None else tension
+        )
+    return tension, torque - moment_arms.T @ tension
+
+
+def _unique_solution(moment_arms: Vector, torque: Vector) -> Vector | None:
+    """Return the unique solution without bounds, or None if the digit has more tendons than coordinates."""
+    if moment_arms.shape[0] != moment_arms.shape[1]:
+        return None
+    if len(torque) == 1:
+        return np.asarray(torque / moment_arms[0])
+    return np.asarray(np.linalg.solve(moment_arms.T, torque))
+
+
+class _AllocationProblem(NamedTuple):
+    """Constants of a digit's quadratic program.
+
+    Attributes:
+        arms: (n_t, n_c) moment arms divided by their mean.
+        mean: mean moment arm [m].
+        weight: (n_t, n_t) matrix of the quadratic form.
+        unconstrained: (0, n_t) matrix of the linear constraints, of which there are none.
+    """
+
+    arms: Vector
+    mean: float
+    weight: Vector
+    unconstrained: Vector
+
+
+_cached_problems: dict[int, tuple[Vector, _AllocationProblem]] = {}
+MAX_CACHED_PROBLEMS = 64
+"""Largest number of quadratic programs in the cache."""
+
+
+def _cached_problem(moment_arms: Vector) -> _AllocationProblem:
+    """Return the quadratic program for moment arms.
+
+    The programs of read-only arms are cached by their identity.
+    """
+    result = _cached_problems.get(id(moment_arms))
+    if result is not None and result[0] is moment_arms:
+        return result[1]
+    if len(_cached_problems) >= MAX_CACHED_PROBLEMS:
+        _cached_problems.clear()
+    n = len(moment_arms)
+    mean = float(np.abs(moment_arms).mean())
+    arms = moment_arms / mean
+    weight = np.ascontiguousarray(arms @ arms.T + REGULARISATION_WEIGHT * np.eye(n))
+    problem = _AllocationProblem(arms, mean, weight, np.zeros((0, n)))
+    if not moment_arms.flags.writeable:
+        _cached_problems[id(moment_arms)] = moment_arms, problem
+    return problem
+
+
+def solve_bounded(
+    moment_arms: Vector, torque: Vector, floor: Vector, ceiling: Vector, preferred_tension: Vector
+) -> Vector:
+    """Return the tensions (n_t,) within the bounds that solve the quadratic program, by daqp.
+
+    Args:
+        moment_arms: see ``tensions_for_torque``.
+        torque: see ``tensions_for_torque``.
+        floor: see ``tensions_for_torque``.
+        ceiling: see ``tensions_for_torque``.
+        preferred_tension: (n_t,) start tensions [N], for example the solution without bounds. The bounds that
+            these tensions violate are the solver's first active set, which halves the number of its
+            steps.
+    """
+    from daqp import solve
+
+    arms, mean, weight, unconstrained = _cached_problem(moment_arms)
+    linear = -(arms.dot(torque / mean) + REGULARISATION_WEIGHT * floor)
+    start = np.minimum(np.maximum(preferred_tension, floor), ceiling)
+    # Bounds and weights are copied, because daqp may write into its arguments.
+    result = solve(
+        weight.copy(), linear, unconstrained, ceiling.copy(), floor.copy(), primal_start=start
+    )
+    return np.minimum(np.maximum(np.asarray(result[0], dtype=np.float64), floor), ceiling)

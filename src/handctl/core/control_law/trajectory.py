@@ -1,0 +1,252 @@
+"""Trajectories of a digit in its coordinates: minimum jerk to a pose, or a curve through given points."""
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from handctl.core.tick_types import Vector
+
+
+class Trajectory(Protocol):
+    """A trajectory of a digit, from rest to rest."""
+
+    @property
+    def duration(self) -> float:
+        """Return the duration of the trajectory [s]."""
+        ...
+
+    def motion_at(self, t: float) -> Vector:
+        """Return position [rad], velocity [rad/s] and acceleration [rad/s^2] at time t [s], (3, n).
+
+        After the end of the trajectory, the digit rests at the end position.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class BlendTrajectory:
+    """Part of a move that continues an earlier motion and fades.
+
+    It is the sum of two quintics. The first quintic has a rate of 1 at the start, and the second an
+    acceleration of 1. All other values, rates and accelerations at the start and at the end are 0.
+
+    Attributes:
+        speed: (n,) rate at t = 0 [rad/s].
+        acceleration: (n,) acceleration at t = 0 [rad/s^2].
+        duration: time in which the part fades [s], > 0.
+    """
+
+    speed: Vector
+    acceleration: Vector
+    duration: float
+
+    def motion_at(self, t: float) -> Vector:
+        """Return the added position [rad], velocity [rad/s] and acceleration [rad/s^2] at time t [s], (3, n)."""
+        T = self.duration
+        s = min(max(t / T, 0.0), 1.0)
+        by_speed = np.array((
+            T * s * (1.0 + s * s * (-6.0 + s * (8.0 - 3.0 * s))),
+            1.0 + s * s * (-18.0 + s * (32.0 - 15.0 * s)),
+            s * (-36.0 + s * (96.0 - 60.0 * s)) / T,
+        ))  # fmt: skip
+        by_acceleration = np.array((
+            0.5 * T * T * s * s * (1.0 + s * (-3.0 + s * (3.0 - s))),
+            0.5 * T * s * (2.0 + s * (-9.0 + s * (12.0 - 5.0 * s))),
+            1.0 + s * (-9.0 + s * (18.0 - 10.0 * s)),
+        ))  # fmt: skip
+        return np.outer(by_speed, self.speed) + np.outer(by_acceleration, self.acceleration)
+
+
+@dataclass(frozen=True, slots=True)
+class MinimumJerk:
+    """A straight move of a digit's coordinates with minimum jerk, which ends at rest.
+
+    Source: Flash & Hogan (1985): position 10 s^3 - 15 s^4 + 6 s^5 of normalised time s.
+
+    Attributes:
+        start: (n,) coordinates at t = 0 [rad].
+        end: (n,) coordinates at t = duration [rad].
+        duration: duration of the move [s], > 0.
+        blend: part that continues an earlier motion, None if the move starts at rest.
+    """
+
+    start: Vector
+    end: Vector
+    duration: float
+    blend: BlendTrajectory | None = None
+
+    def motion_at(self, t: float) -> Vector:
+        """Return the motion at time t, (3, n), see ``Trajectory.motion_at``."""
+        s = min(max(t / self.duration, 0.0), 1.0)
+        position = s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
+        velocity = 30.0 * s * s * (1.0 - s) * (1.0 - s) / self.duration
+        acceleration = 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / (self.duration * self.duration)
+        way = np.array(((position,), (velocity,), (acceleration,))) * (self.end - self.start)
+        way[0] += self.start
+        return way if self.blend is None else np.asarray(way + self.blend.motion_at(t))
+
+
+@dataclass(frozen=True, slots=True)
+class StreamedTrajectory:
+    """A motion along streamed targets of a client. The targets are in the state block.
+
+    Attributes:
+        duration: 0 [s], because the end is unknown.
+    """
+
+    duration: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class CurveTrajectory:
+    """A cubic spline through points, at rest at both ends: one for all coordinates of a digit, or one for each of them.
+
+    Attributes:
+        times: (k,) times of the points, rising from 0 [s].
+        coefficients: (4, k - 1) coefficients of the cubic in each piece, highest power first
+            [rad/s^3 .. rad], or (4, k - 1, n) with a cubic for each coordinate.
+        coordinates: number of the digit's coordinates.
+    """
+
+    times: Vector
+    coefficients: Vector
+    coordinates: int
+
+    @staticmethod
+    def through_points(
+        times: tuple[float, ...], angles: tuple[float, ...] | Vector, coordinates: int
+    ) -> "CurveTrajectory":
+        """Return the curve through angles (k,) or (k, n) [rad] at times [s]."""
+        from scipy.interpolate import CubicSpline
+
+        spline = CubicSpline(times, angles, bc_type="clamped")
+        return CurveTrajectory(np.array(times), np.asarray(spline.c), coordinates)
+
+    @property
+    def duration(self) -> float:
+        """Return the duration of the curve [s]."""
+        return float(self.times[-1])
+
+    def motion_at(self, t: float) -> Vector:
+        """Return the motion at time t, (3, n), see ``Trajectory.motion_at``."""
+        held = min(max(t, 0.0), self.duration)
+        piece = min(int(np.searchsorted(self.times, held, side="right")) - 1, len(self.times) - 2)
+        s = held - float(self.times[piece])
+        # The digit rests before the start and after the end of the curve.
+        moving = 1.0 if held == t else 0.0
+        if self.coefficients.ndim == 3:
+            a, b, c, d = self.coefficients[:, piece]
+            rate = moving * (c + s * (2 * b + s * 3 * a))
+            return np.array((d + s * (c + s * (b + s * a)), rate, moving * (2 * b + 6 * a * s)))
+        a, b, c, d = self.coefficients[:, piece].tolist()
+        values = (
+            d + s * (c + s * (b + s * a)),
+            moving * (c + s * (2 * b + s * 3 * a)),
+            moving * (2 * b + 6 * a * s),
+        )
+        return _equal_coordinates(values, self.coordinates)
+
+    def peak_speed(self) -> float:
+        """Return the peak speed [rad/s].
+
+        The peak is at an end of a piece, or where the acceleration is 0.
+        """
+        a, b, c, _ = self.coefficients
+        length = np.diff(self.times).reshape(-1, *(1,) * (a.ndim - 1))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            turning = np.clip(np.nan_to_num(-b / (3 * a)), 0.0, length)
+        candidates = [c + s * (2 * b + s * 3 * a) for s in (np.zeros_like(length), turning, length)]
+        return float(np.abs(candidates).max())
+
+
+@dataclass(frozen=True, slots=True)
+class SampledTrajectory:
+    """A single instant of a motion that comes from another source, for example from a log.
+
+    Attributes:
+        position: (n,) coordinates [rad].
+        velocity: (n,) rates of the coordinates [rad/s].
+        acceleration: (n,) accelerations of the coordinates [rad/s^2].
+        duration: 0 [s], because the end is unknown.
+    """
+
+    position: Vector
+    velocity: Vector
+    acceleration: Vector
+    duration: float = 0.0
+
+    def motion_at(self, t: float) -> Vector:
+        """Return the sample (3, n), which is the same for every time. See ``Trajectory.motion_at``."""
+        return np.array((self.position, self.velocity, self.acceleration))
+
+
+@dataclass(frozen=True, slots=True)
+class ChirpTrajectory:
+    """An oscillation about an angle with linearly rising frequency, and smooth growth and decay of the amplitude.
+
+    Attributes:
+        centre: mean angle [rad].
+        amplitude: largest amplitude [rad].
+        low: frequency at the start [Hz].
+        high: frequency at the end [Hz].
+        duration: duration of the oscillation [s].
+        coordinates: number of the digit's coordinates, all with the same motion.
+    """
+
+    centre: float
+    amplitude: float
+    low: float
+    high: float
+    duration: float
+    coordinates: int
+
+    def motion_at(self, t: float) -> Vector:
+        """Return the motion at time t, (3, n), see ``Trajectory.motion_at``."""
+        s = min(max(t, 0.0), self.duration)
+        size, growth, bend = self._amplitude_envelope(s)
+        rise = 2.0 * math.pi * (self.high - self.low) / self.duration
+        speed = 2.0 * math.pi * self.low + rise * s
+        phase = (math.pi * self.low + 0.5 * speed) * s
+        sine = math.sin(phase)
+        cosine = math.cos(phase)
+        way = size * sine
+        velocity = growth * sine + size * speed * cosine
+        acceleration = (
+            bend * sine + 2.0 * growth * speed * cosine + size * (rise * cosine - speed**2 * sine)
+        )
+        moving = self.amplitude if s == t else 0.0
+        values = (self.centre + self.amplitude * way, moving * velocity, moving * acceleration)
+        return _equal_coordinates(values, self.coordinates)
+
+    def _amplitude_envelope(self, t: float) -> tuple[float, float, float]:
+        """Return the factor on the amplitude at time t [s], with its rate [1/s] and its acceleration [1/s^2]."""
+        ramp = 0.1 * self.duration
+        left = min(t, self.duration - t)
+        if left >= ramp:
+            return 1.0, 0.0, 0.0
+        w = math.pi / ramp
+        sign = 1.0 if t <= self.duration - t else -1.0
+        return (
+            0.5 - 0.5 * math.cos(w * left),
+            sign * 0.5 * w * math.sin(w * left),
+            0.5 * w * w * math.cos(w * left),
+        )
+
+
+def _equal_coordinates(values: tuple[float, float, float], coordinates: int) -> Vector:
+    """Return position, rate and acceleration of a motion with n equal coordinates, (3, n)."""
+    return np.array([[value] * coordinates for value in values])
+
+
+PEAK_SPEED_RATIO = 1.875
+"""Ratio of peak to mean speed of a minimum-jerk move: 15 / 8."""
+
+
+def minimum_jerk_duration(distance: float, speed: float, shortest: float) -> float:
+    """Return the duration [s] of a minimum-jerk move over ``distance`` [rad] with peak speed ``speed`` [rad/s].
+
+    It is at least ``shortest`` [s].
+    """
+    return max(PEAK_SPEED_RATIO * abs(distance) / speed, shortest)

@@ -1,0 +1,102 @@
+"""Detectors of the bus faults, rows B01 to B17 of the fault catalogue, see ``safety.faults.bus``."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.compiled import kernel_helper
+from handctl.core import constants as h
+from handctl.core import state_block as s
+from handctl.core.constants import ConstantTables
+from handctl.core.detectors.frame_losses import (
+    count_lost_replies,
+    count_set_bits,
+    motor_ticks_overdue,
+)
+from handctl.core.state_block import StateTables
+from handctl.safety.faults.bus import (
+    B01,
+    B02,
+    B03A,
+    B03B,
+    B04,
+    B05,
+    B06,
+    B07,
+    B08,
+    B09,
+    B10,
+    B11A,
+    B11B,
+    B17,
+    HOLD_LOST_FRAMES,
+    MALFORMED_FRAMES_LIMIT,
+    MAX_UNKNOWN_FRAMES_PER_S,
+    RELAX_LOST_FRAMES,
+)
+
+Evidence = NDArray[np.float64]
+"""Result table of all detectors (faults, instances): a number that shows each fault, NaN where the fault is absent."""
+
+
+@kernel_helper
+def detect_bus_faults(x: StateTables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
+    """Run the detectors of bus faults, and write their results into the evidence table."""
+    if x.run[s.UNKNOWN_RATE] > MAX_UNKNOWN_FRAMES_PER_S:
+        evidence[B10, 0] = x.run[s.UNKNOWN_RATE]
+    if not armed:
+        return
+    _detect_overdue_feedback(x, c, evidence)
+    _detect_lost_replies(x, evidence)
+    _detect_bad_frames(x, evidence)
+    if x.run_int[s.STALE_NOW] == 1:
+        evidence[B04, 0] = 0.0
+    if x.run_int[s.STALE_NOW] == 2:
+        evidence[B07, 0] = 1.0
+    frames = x.run_int[s.RECEIVED_FRAMES]
+    if frames > c.run_int[h.FRAMES_LIMIT] * (1 + x.run_int[s.MISSED_TICKS]):
+        evidence[B11A, 0] = evidence[B11B, 0] = frames
+
+
+@kernel_helper
+def _detect_overdue_feedback(x: StateTables, c: ConstantTables, evidence: Evidence) -> None:
+    """Find motors with overdue feedback.
+
+    In a tick that the host missed, no feedback was requested.
+    """
+    youngest = motor_ticks_overdue(x, c, 0, x.run_int[s.T_NS])
+    for n in range(x.tendon.shape[1]):
+        youngest = min(youngest, motor_ticks_overdue(x, c, n, x.run_int[s.T_NS]))
+    for n in range(x.tendon.shape[1]):
+        age = motor_ticks_overdue(x, c, n, x.run_int[s.T_NS])
+        if age > x.run_int[s.MISSED_TICKS]:
+            evidence[B01, n] = age
+        if age >= c.run_int[h.SILENT_TICKS]:
+            evidence[B02, n] = age
+        if age >= c.run_int[h.ONE_SILENT_TICKS] and youngest == 0:
+            evidence[B17, n] = age
+
+
+@kernel_helper
+def _detect_lost_replies(x: StateTables, evidence: Evidence) -> None:
+    """Find nodes of which many replies are missing."""
+    for node in range(x.node_int.shape[1]):
+        number = count_lost_replies(x, node)
+        if number > HOLD_LOST_FRAMES:
+            evidence[B03A, node] = number
+        if number > RELAX_LOST_FRAMES:
+            evidence[B03B, node] = number
+
+
+@kernel_helper
+def _detect_bad_frames(x: StateTables, evidence: Evidence) -> None:
+    """Find malformed frames, and duplicate replies with equal or different bytes."""
+    for node in range(x.node_int.shape[1]):
+        if x.node_int[s.MALFORMED, node] & 1:
+            number = count_set_bits(x.node_int[s.MALFORMED, node])
+            evidence[B09, node] = number
+            if number >= MALFORMED_FRAMES_LIMIT:
+                evidence[B08, node] = number
+        if x.node_int[s.DUPLICATES, node] == 1:
+            evidence[B05, node] = 0.0
+        if x.node_int[s.DUPLICATES, node] == 2:
+            evidence[B06, node] = 1.0

@@ -1,0 +1,117 @@
+"""Fault detection of a tick: update the memory of the detectors, find faults, and debounce them.
+
+Afterwards ``safety.tick_verdict`` latches these faults, adds those that buses and host report, and chooses
+the reaction.
+"""
+
+import math
+
+import numpy as np
+
+from handctl.compiled import kernel_helper
+from handctl.core import state_block as s
+from handctl.core.constants import ConstantTables
+from handctl.core.control_law import servo_commands
+from handctl.core.detectors import (
+    bus_faults,
+    frame_losses,
+    host_faults,
+    node_faults,
+    replayed_readings,
+    residuals,
+    slack_history,
+    stuck_sensors,
+    tendon_faults,
+    tendon_slip,
+    tension_swings,
+    torque_correlation,
+)
+from handctl.core.detectors.bus_faults import Evidence
+from handctl.core.state_block import StateTables, reset_monitor
+from handctl.safety.faults.table import ACTION_NUMBERS, DEBOUNCE_TICKS
+
+FAULT_ROWS = len(ACTION_NUMBERS)
+ARMING, RELAX, DISARM, CUT = 3, 5, 6, 7
+"""Values of ``core.tick_types.HandMode``.
+
+Motor torque may act from ARMING to RELAX, and must not act in DISARM and CUT.
+"""
+
+
+@kernel_helper
+def find_and_debounce_faults(
+    x: StateTables, c: ConstantTables, initial: StateTables
+) -> tuple[int, Evidence]:
+    """Find the faults of a tick, debounce them, and write the number of newly active faults to ``NEW_FAULTS``.
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        initial: state tables before the first tick.
+
+    Returns:
+        Most severe action of all active faults, and the evidence of each fault (faults, instances),
+        NaN where the fault is absent.
+    """
+    mode = x.run_int[s.MODE]
+    armed = ARMING <= mode <= RELAX
+    cut = mode == CUT or mode == DISARM
+    evidence = np.full((FAULT_ROWS, x.instance_int.shape[1]), math.nan)
+    frame_losses.update_loss_counts(
+        x,
+        c,
+        x.run_int[s.T_NS],
+        x.run_int[s.UNKNOWN_FRAMES],
+        armed and x.run_int[s.MISSED_TICKS] == 0,
+    )
+    bus_faults.detect_bus_faults(x, c, armed, evidence)
+    node_faults.detect_node_faults(x, c, armed, evidence)
+    tendon_faults.detect_tendon_faults(x, c, armed, evidence)
+    host_faults.detect_host_faults(x, c, armed, evidence)
+    if armed:
+        update_fault_memory(x, c)
+        node_faults.detect_node_faults_under_torque(x, c, evidence)
+        tendon_faults.detect_tendon_faults_under_torque(x, c, evidence)
+    elif cut:
+        slack_history.update_history_after_cut(x, c, x.run_int[s.TARED] == 1)
+        node_faults.detect_tension_after_cut(x, c, evidence)
+    else:
+        reset_monitor(x, initial)
+    return debounce_faults(x, evidence), evidence
+
+
+@kernel_helper
+def update_fault_memory(x: StateTables, c: ConstantTables) -> None:
+    """Update the memory of the detectors that work while the hand is under torque."""
+    missed = x.run_int[s.MISSED_TICKS]
+    tared = x.run_int[s.TARED] == 1
+    tendon_slip.update_slip(x, c, tared)
+    servo_commands.predict_reports(x, c)
+    residuals.update_residuals(x, c, missed, tared)
+    slack_history.update_slack_history(x, c)
+    stuck_sensors.update_stuck_counts(x, c, tared)
+    torque_correlation.update_correlation(x, c, missed)
+    replayed_readings.update_repetitions(x, tared)
+    tension_swings.update_swing(x, c, tared)
+
+
+@kernel_helper
+def debounce_faults(x: StateTables, evidence: Evidence) -> int:
+    """Count the ticks in a row in which each fault is present.
+
+    Return the most severe action of the active faults.
+    """
+    action = 0
+    fresh = 0
+    for row in range(evidence.shape[0]):
+        for i in range(evidence.shape[1]):
+            if math.isnan(evidence[row, i]):
+                x.instance_int[s.FAULT_TICKS + row, i] = 0
+                continue
+            ticks = x.instance_int[s.FAULT_TICKS + row, i] + 1
+            x.instance_int[s.FAULT_TICKS + row, i] = ticks
+            if ticks >= DEBOUNCE_TICKS[row]:
+                action = max(action, ACTION_NUMBERS[row])
+                fresh += ticks == DEBOUNCE_TICKS[row]
+    x.run_int[s.NEW_FAULTS] = fresh
+    return action

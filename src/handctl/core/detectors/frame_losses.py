@@ -1,0 +1,131 @@
+"""Counts of lost, malformed and unknown frames.
+
+A word stores one bit for each tick in which a frame of a node was lost, the newest tick in bit 0.
+Another word stores the ticks with malformed frames.
+"""
+
+from handctl.compiled import kernel_helper
+from handctl.core import constants as h
+from handctl.core import state_block as s
+from handctl.core.constants import ConstantTables
+from handctl.core.state_block import StateTables
+from handctl.safety.faults.bus import LOSS_WINDOW_TICKS, MALFORMED_WINDOW_TICKS
+from handctl.safety.faults.node import HALF_RATE_MISSES
+
+AGE_WITHOUT_READING = 1_000_000
+"""Age that is used for a node from which no reading was received so far [ticks]."""
+BITS_PER_WORD = LOSS_WINDOW_TICKS // 2
+"""Number of bits in each of the two words that store the lost frames of ``LOSS_WINDOW_TICKS`` ticks."""
+WORD_MASK = (1 << BITS_PER_WORD) - 1
+"""Mask of the used bits of a word with ``BITS_PER_WORD`` bits."""
+SHORT_MASK = (1 << MALFORMED_WINDOW_TICKS) - 1
+"""Mask of the bits that belong to the last ``MALFORMED_WINDOW_TICKS`` ticks."""
+
+
+@kernel_helper
+def ticks_overdue(now_ns: int, heard_ns: int, cyclic_ns: int, period_ns: int) -> int:
+    """Return by how many whole ticks a reading of a node is overdue. A reading from the last period is in time.
+
+    Args:
+        now_ns: time of the tick [ns].
+        heard_ns: time of the latest reading [ns], -1 before the first reading.
+        cyclic_ns: period in which the node sends readings without a request [ns], 0 if every tick
+            requests a reading.
+        period_ns: control period [ns].
+    """
+    if heard_ns < 0:
+        return AGE_WITHOUT_READING
+    return max((now_ns - cyclic_ns - heard_ns) // period_ns, 0)
+
+
+@kernel_helper
+def motor_ticks_overdue(x: StateTables, c: ConstantTables, n: int, now_ns: int) -> int:
+    """Return by how many ticks the feedback of motor n is overdue."""
+    return ticks_overdue(
+        now_ns, x.tendon_int[s.FEEDBACK_NS, n], c.tendon_int[h.CYCLIC_NS, n], c.run_int[h.PERIOD_NS]
+    )
+
+
+@kernel_helper
+def cell_ticks_overdue(x: StateTables, c: ConstantTables, n: int, now_ns: int) -> int:
+    """Return by how many ticks the reading of a tendon's load cell is overdue.
+
+    For a tendon without a load cell, the latest load-cell frame of the sensor node is used. The
+    result is 0 in a hand without load cells.
+    """
+    group = c.tendon_int[h.CELL_GROUP, n]
+    heard_ns = -1
+    for g in range(c.run_int[h.TENSION_GROUPS]):
+        if g == group or group < 0:
+            heard_ns = max(heard_ns, x.group_int[s.GROUP_NS, g])
+    if c.run_int[h.TENSION_GROUPS] == 0:
+        return 0
+    return ticks_overdue(now_ns, heard_ns, 0, c.run_int[h.PERIOD_NS])
+
+
+@kernel_helper
+def update_loss_counts(
+    x: StateTables, c: ConstantTables, now_ns: int, unknown: int, counts_losses: bool
+) -> None:
+    """Update the counts of lost, malformed and unknown frames of all nodes.
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        now_ns: time of the tick [ns].
+        unknown: number of frames with unknown identifiers in the tick.
+        counts_losses: True if missing replies are counted, because torque may act and the host missed no
+            tick.
+    """
+    tendons = x.tendon.shape[1]
+    for node in range(tendons + 1):
+        late = False
+        if node < tendons:
+            late = motor_ticks_overdue(x, c, node, now_ns) > 0
+        else:
+            for n in range(tendons):
+                late |= cell_ticks_overdue(x, c, n, now_ns) > 0
+        recent = x.node_int[s.LOST_REPLIES, node]
+        earlier = x.node_int[s.LOST_REPLIES + 1, node]
+        # The two words form a shift register: the oldest bit of the recent word moves into the
+        # earlier word.
+        x.node_int[s.LOST_REPLIES + 1, node] = (
+            earlier << 1 | recent >> (BITS_PER_WORD - 1)
+        ) & WORD_MASK
+        x.node_int[s.LOST_REPLIES, node] = (recent << 1 | (late and counts_losses)) & WORD_MASK
+        misread = x.node_int[s.MALFORMED_NOW, node] != 0
+        x.node_int[s.MALFORMED, node] = (x.node_int[s.MALFORMED, node] << 1 | misread) & SHORT_MASK
+    # The rate of unknown frames is a leaky counter with a time constant of 1 s. A small remainder
+    # is set to 0, so that the counter becomes constant.
+    leaked = x.run[s.UNKNOWN_RATE] * (1.0 - c.run[h.PERIOD]) + unknown
+    x.run[s.UNKNOWN_RATE] = leaked if leaked > 1e-3 else 0.0
+
+
+@kernel_helper
+def count_set_bits(bits: int) -> int:
+    """Return the number of bits that are set in a word."""
+    number = 0
+    while bits:
+        # This clears the lowest set bit.
+        bits &= bits - 1
+        number += 1
+    return number
+
+
+@kernel_helper
+def count_lost_replies(x: StateTables, node: int) -> int:
+    """Return in how many of the last ``LOSS_WINDOW_TICKS`` ticks a node sent no reply."""
+    return count_set_bits(x.node_int[s.LOST_REPLIES, node]) + count_set_bits(
+        x.node_int[s.LOST_REPLIES + 1, node]
+    )
+
+
+@kernel_helper
+def misses_every_second(x: StateTables, node: int) -> bool:
+    """Return True if about every second reply of a node is missing in the last ``MALFORMED_WINDOW_TICKS`` ticks.
+
+    Two replies in a row may be missing at most once.
+    """
+    recent = x.node_int[s.LOST_REPLIES, node] & SHORT_MASK
+    # The word ANDed with itself, shifted by one, has a bit for each pair of misses in a row.
+    return count_set_bits(recent) >= HALF_RATE_MISSES and count_set_bits(recent & recent >> 1) <= 1

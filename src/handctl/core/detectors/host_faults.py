@@ -1,0 +1,43 @@
+"""Detectors of host faults, rows H01 to H03, I07 and I11 of the fault catalogue, see ``safety.faults.host``."""
+
+from handctl.compiled import kernel_helper
+from handctl.core import constants as h
+from handctl.core import state_block as s
+from handctl.core.constants import ConstantTables
+from handctl.core.detectors.bus_faults import Evidence
+from handctl.core.state_block import StateTables
+from handctl.safety.faults.host import (
+    H01,
+    H02,
+    H03,
+    I07A,
+    I07B,
+    I11A,
+    I11B,
+    LATE_FRACTION,
+    REFUSED_REQUESTS_LIMIT,
+)
+
+
+@kernel_helper
+def detect_host_faults(x: StateTables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
+    """Run the detectors of host faults, and write their results into the evidence table."""
+    # Delay of the tick's start, as a fraction of the control period.
+    late = x.run_int[s.LATE_NS] / c.run_int[h.PERIOD_NS]
+    missed = x.run_int[s.MISSED_TICKS]
+    if late > LATE_FRACTION:
+        evidence[H01, 0] = late
+    if missed >= 1:
+        evidence[H02, 0] = missed
+    if armed and missed >= c.run_int[h.STALLED_TICKS]:
+        evidence[H03, 0] = missed
+    if armed and x.run_int[s.REFUSED_REQUESTS_NOW]:
+        evidence[I07A, 0] = x.run_int[s.REFUSED_REQUESTS_NOW]
+        if x.run_int[s.REFUSED_REQUESTS] >= REFUSED_REQUESTS_LIMIT:
+            evidence[I07B, 0] = x.run_int[s.REFUSED_REQUESTS]
+    if armed and x.run_int[s.STREAMING] == 2:
+        silence_ns = x.run_int[s.T_NS] - x.run_int[s.STREAM_SENT_NS]
+        if silence_ns > c.run_int[h.STREAM_HOLD_NS]:
+            evidence[I11A, 0] = silence_ns / 1e9
+        if silence_ns > c.run_int[h.STREAM_RELAX_NS]:
+            evidence[I11B, 0] = silence_ns / 1e9

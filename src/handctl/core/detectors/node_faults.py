@@ -1,0 +1,188 @@
+"""Detectors of the faults of drives and sensors, rows N01 to N17 of the fault catalogue, see ``safety.faults.node``."""
+
+import math
+
+from handctl.compiled import kernel_helper
+from handctl.core import constants as h
+from handctl.core import state_block as s
+from handctl.core.constants import ConstantTables
+from handctl.core.detectors import residuals, stuck_sensors, torque_correlation
+from handctl.core.detectors.bus_faults import Evidence
+from handctl.core.detectors.frame_losses import cell_ticks_overdue, misses_every_second
+from handctl.core.detectors.tendon_slip import DEG_PER_RAD
+from handctl.core.state_block import StateTables
+from handctl.safety.faults.node import (
+    N01,
+    N02,
+    N02B,
+    N04,
+    N05A,
+    N05B,
+    N06A,
+    N06B,
+    N07,
+    N08,
+    N09A,
+    N09B,
+    N10,
+    N11,
+    N11B,
+    N12,
+    N13,
+    N14,
+    N14B,
+    N15,
+    N16,
+    N17,
+    NOT_OBEYED_N,
+    SLIP_TRIP_DEG,
+    SLIP_WARN_DEG,
+    STILL_PULLING_FRACTION,
+    STILL_PULLING_N,
+    STILL_PULLING_S,
+    STUCK_GOAL_M,
+    STUCK_JOINT_DEG,
+    STUCK_S,
+    STUCK_TENSION_N,
+    SWING_S,
+)
+
+ROW_OF_CAUSE = (N11, N01, N08, N10, N11, N12, N11, N11B)
+"""Fault for each value of ``drives.fault_causes.DriveFaultCause``."""
+PHASE_FAULT = 4
+"""Value of ``drives.contract.DrivePhase.FAULT``."""
+
+
+@kernel_helper
+def detect_node_faults(x: StateTables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
+    """Run the detectors of node faults that need no torque, and write their results into the evidence table."""
+    for n in range(x.tendon.shape[1]):
+        if x.tendon[s.TEMPERATURE, n] > c.run[h.TEMPERATURE_SOFT]:
+            evidence[N09A, n] = x.tendon[s.TEMPERATURE, n]
+        if x.tendon[s.TEMPERATURE, n] > c.run[h.TEMPERATURE_HARD]:
+            evidence[N09B, n] = x.tendon[s.TEMPERATURE, n]
+    _detect_rejected_positions(x, evidence)
+    if not armed:
+        return
+    _detect_drive_errors(x, evidence)
+    _detect_silent_sensors(x, c, evidence)
+    for node in range(x.node_int.shape[1]):
+        if misses_every_second(x, node):
+            evidence[N15, node] = 0.5
+        if x.node_int[s.DUPLICATES, node]:
+            evidence[N13, node] = x.node_int[s.DUPLICATES, node] - 1.0
+
+
+@kernel_helper
+def _detect_drive_errors(x: StateTables, evidence: Evidence) -> None:
+    """Find the errors that drives report.
+
+    Each cause of an error has its row in the evidence table.
+    """
+    for n in range(x.tendon.shape[1]):
+        if x.tendon_int[s.PHASE, n] == PHASE_FAULT:
+            evidence[ROW_OF_CAUSE[x.tendon_int[s.FAULT_CAUSE, n]], n] = x.tendon_int[
+                s.FAULT_CODE, n
+            ]
+
+
+@kernel_helper
+def _detect_silent_sensors(x: StateTables, c: ConstantTables, evidence: Evidence) -> None:
+    """Find load cells and joint encoders that have sent no reading for too long."""
+    now_ns = x.run_int[s.T_NS]
+    for n in range(x.tendon.shape[1]):
+        age = cell_ticks_overdue(x, c, n, now_ns)
+        if age >= c.run_int[h.SILENT_TICKS]:
+            evidence[N02, n] = age
+    last = -1
+    for j in range(x.joint.shape[1]):
+        group = c.joint_int[h.JOINT_GROUP, j]
+        if group > last:  # the first joint of a frame represents the frame
+            last = group
+            heard_ns = x.group_int[s.GROUP_NS, group]
+            if heard_ns < now_ns - c.run_int[h.MUTE_NS]:
+                evidence[N02B, j] = (now_ns - heard_ns) * 1e-9
+
+
+@kernel_helper
+def _detect_rejected_positions(x: StateTables, evidence: Evidence) -> None:
+    """Find rejected positions of motors and joints.
+
+    The evidence row of joints follows the evidence row of motors.
+    """
+    for n in range(x.tendon.shape[1]):
+        if x.tendon[s.REJECTED_STEP, n] > 0.0:
+            evidence[N05A, n] = x.tendon[s.REJECTED_STEP, n]
+            if x.tendon[s.REJECTED_POSITIONS, n] > 1.0:
+                evidence[N05B, n] = x.tendon[s.REJECTED_STEP, n]
+    for j in range(x.joint.shape[1]):
+        if x.joint[s.REJECTED_JOINT_STEP, j] > 0.0:
+            # A fault that motors and joints can have takes two rows of the evidence table. The
+            # second row is for joints.
+            evidence[N05A + 1, j] = x.joint[s.REJECTED_JOINT_STEP, j]
+            if x.joint[s.REJECTED_JOINT_ANGLES, j] > 1.0:
+                evidence[N05B + 1, j] = x.joint[s.REJECTED_JOINT_STEP, j]
+
+
+@kernel_helper
+def detect_node_faults_under_torque(x: StateTables, c: ConstantTables, evidence: Evidence) -> None:
+    """Run the detectors of node faults that need torque, and write their results into the evidence table."""
+    for n in range(x.tendon.shape[1]):
+        slip = abs(x.tendon[s.RESIDUAL + residuals.SLIP, n])
+        if slip > SLIP_WARN_DEG:
+            evidence[N06A, n] = slip
+        if slip > SLIP_TRIP_DEG:
+            evidence[N06B, n] = slip
+        jerk = abs(x.tendon[s.RESIDUAL + residuals.JERK, n])
+        if jerk > c.run[h.NOISE_LIMIT]:
+            evidence[N07, n] = jerk
+        disobeyed = abs(x.tendon[s.RESIDUAL + residuals.COMMAND_DIFFERENCE, n])
+        if disobeyed > NOT_OBEYED_N:
+            evidence[N14, n] = disobeyed
+        if x.tendon[s.SWING_S, n] > SWING_S:
+            evidence[N14B, n] = math.sqrt(x.tendon[s.SWING_SQUARE, n])
+        if torque_correlation.is_command_ignored(x, c, n):
+            evidence[N17, n] = torque_correlation.fraction_of_command_reported(x, n)
+    _detect_stuck_encoders(x, c, evidence)
+
+
+@kernel_helper
+def _detect_stuck_encoders(x: StateTables, c: ConstantTables, evidence: Evidence) -> None:
+    """Find encoders whose readings are constant despite motion.
+
+    The evidence row of joints follows that of motors.
+    """
+    for n in range(x.tendon.shape[1]):
+        if x.tendon_int[s.MOTOR_STUCK, n] * c.tendon[h.MOTOR_PERIOD, n] > STUCK_S:
+            goal = stuck_sensors.motion_since_reading(
+                x.tendon[s.FILTERED_GOAL, n], x.tendon[s.MOTOR_ANCHOR, n]
+            )
+            tension = stuck_sensors.motion_since_reading(
+                stuck_sensors.reference_tension(x, c, n), x.tendon[s.MOTOR_ANCHOR + 1, n]
+            )
+            if goal > STUCK_GOAL_M or tension > STUCK_TENSION_N:
+                evidence[N04, n] = max(goal * 1e3, tension)
+    for j in range(x.joint.shape[1]):
+        if x.joint_int[s.JOINT_STUCK, j] * c.run[h.JOINT_PERIOD] > STUCK_S:
+            turned = (
+                stuck_sensors.motion_since_reading(
+                    stuck_sensors.joint_angle_by_spools(x, c, j), x.joint[s.JOINT_ANCHOR, j]
+                )
+                * DEG_PER_RAD
+            )
+            if turned > STUCK_JOINT_DEG:
+                evidence[N04 + 1, j] = turned
+
+
+@kernel_helper
+def detect_tension_after_cut(x: StateTables, c: ConstantTables, evidence: Evidence) -> None:
+    """Find tendons that are still under tension after the torque was cut."""
+    if x.run_int[s.CUT_TICKS] * c.run[h.PERIOD] < STILL_PULLING_S:
+        return
+    for n in range(x.tendon.shape[1]):
+        tension = x.tendon[s.TENSION_AFTER_CUT, n]
+        if (
+            tension > STILL_PULLING_N
+            and tension > STILL_PULLING_FRACTION * x.tendon[s.TENSION_AT_CUT, n]
+        ):
+            evidence[N16, n] = tension

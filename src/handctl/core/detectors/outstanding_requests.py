@@ -1,0 +1,70 @@
+"""Requests that motors have not yet answered. A late reply answers an old request, so it is not counted as a duplicate.
+
+The host sends a request to each motor in every tick. A missing reply may be lost. It may also come
+later, together with other replies. Or all replies come a tick late because a computer is busy. At
+first the host cannot distinguish these cases, so a request stays outstanding until its reply comes,
+or for ``LOSS_WINDOW_TICKS`` ticks. The last request to a motor stays outstanding without a time limit. If more
+replies come than requests are outstanding, a reply is a duplicate, or it comes from another node.
+"""
+
+from handctl.compiled import kernel_helper
+from handctl.core import constants as h
+from handctl.core import state_block as s
+from handctl.core.constants import ConstantTables
+from handctl.core.state_block import StateTables
+from handctl.safety.faults.bus import LOSS_WINDOW_TICKS
+
+MAX_REQUESTS = 8
+"""Largest number of outstanding requests of a motor.
+
+A motor with more of them is silent, and its older requests are dropped.
+"""
+PHASE_READY = 2
+"""Value of ``drives.contract.DrivePhase.READY``."""
+
+
+@kernel_helper
+def close_answered_requests(x: StateTables, c: ConstantTables) -> bool:
+    """Close the newest outstanding request for each reply of this tick.
+
+    The request of a lost reply stays outstanding.
+
+    Returns:
+        True if a motor or the sensor node sent more replies than it had outstanding requests.
+        ``EXCESS_REPLIES`` of such a motor is set to the number of its outstanding requests plus 1.
+        It is set to 0 for all other motors.
+    """
+    any_excess = False
+    for n in range(x.tendon.shape[1]):
+        replies = x.tendon_int[s.FEEDBACKS_NOW, n]
+        outstanding = x.tendon_int[s.OUTSTANDING_REQUESTS, n]
+        x.tendon_int[s.EXCESS_REPLIES, n] = 0
+        if replies > outstanding and c.tendon_int[h.ANSWERS_ONCE, n]:
+            x.tendon_int[s.EXCESS_REPLIES, n] = 1 + outstanding
+            any_excess = True
+        x.tendon_int[s.OUTSTANDING_REQUESTS, n] = max(outstanding - replies, 0)
+    for g in range(x.group_int.shape[1]):
+        any_excess |= x.group_int[s.GROUP_FRAMES_NOW, g] > 1
+    return any_excess
+
+
+@kernel_helper
+def add_requests(x: StateTables, k: int) -> None:
+    """Add an outstanding request for every motor in tick k.
+
+    A motor that was not ready before this tick does not answer older requests. The new request is
+    then its only outstanding request.
+    """
+    for n in range(x.tendon.shape[1]):
+        count = x.tendon_int[s.OUTSTANDING_REQUESTS, n]
+        if x.tendon_int[s.PHASE_BEFORE, n] < PHASE_READY:
+            count = 0
+        remaining = 0
+        # Keep at most MAX_REQUESTS - 1 old requests, to leave a place for the new request.
+        for i in range(max(count - MAX_REQUESTS + 1, 0), count):
+            outstanding = x.tendon_int[s.REQUEST_TICKS + i, n]
+            if i == count - 1 or k - outstanding < LOSS_WINDOW_TICKS:
+                x.tendon_int[s.REQUEST_TICKS + remaining, n] = outstanding
+                remaining += 1
+        x.tendon_int[s.REQUEST_TICKS + remaining, n] = k
+        x.tendon_int[s.OUTSTANDING_REQUESTS, n] = remaining + 1

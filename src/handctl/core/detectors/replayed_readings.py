@@ -1,0 +1,83 @@
+"""Detection of old load-cell readings in frames with a fresh SYNC counter.
+
+The reading of a load cell has noise of several counts. If each reading of a channel equals its
+reading a fixed number of ticks ago, the channel sends old readings. If a delay of n ticks starts
+without a gap, n readings are sent twice. A channel with a constant reading repeats its readings
+too, and so does a control loop in a limit cycle of a few counts. These repetitions are no fault
+here. The detector ``stuck_sensors`` judges constant readings.
+"""
+
+import math
+
+from handctl.compiled import kernel_helper
+from handctl.core import state_block as s
+from handctl.core.state_block import StateTables
+from handctl.safety.faults.tendon import MIN_REPEATS, REPEAT_WINDOW
+
+MAX_AGE_TICKS = 64
+"""Number of earlier readings of a channel with which each reading is compared."""
+LIMIT_CYCLE_VALUES = 5
+"""Largest number of different readings in a limit cycle.
+
+The readings of a limit cycle are not independent of each other.
+"""
+MIN_LOG_IMPROBABILITY = math.log(1e16)
+"""Threshold for a repetition: negative logarithm of the probability that a run of equal readings occurs by chance.
+
+With noise of 8 counts, two readings are equal in 4 of 100 cases, and a run of 12 equal pairs
+reaches the threshold. With noise of 1.5 counts, a run of 22 pairs is necessary.
+"""
+
+
+@kernel_helper
+def update_repetitions(x: StateTables, tared: bool) -> None:
+    """Compare the load-cell readings of this tick with the readings of the last ``MAX_AGE_TICKS`` ticks."""
+    count = x.tendon.shape[1]
+    for n in range(count):
+        x.tendon[s.COMPARED_READING, n] = x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
+        x.tendon_int[s.LONGEST_REPETITION, n] = 0
+    for age in range(MAX_AGE_TICKS):
+        for n in range(count):
+            same = x.tendon[s.PAST_READINGS + age, n] == x.tendon[s.COMPARED_READING, n]
+            run = min(x.tendon_int[s.REPETITIONS + age, n] + 1, MAX_AGE_TICKS) if same else 0
+            x.tendon_int[s.REPETITIONS + age, n] = run
+            x.tendon_int[s.LONGEST_REPETITION, n] = max(x.tendon_int[s.LONGEST_REPETITION, n], run)
+    for age in range(MAX_AGE_TICKS - 1, 0, -1):
+        for n in range(count):
+            x.tendon[s.PAST_READINGS + age, n] = x.tendon[s.PAST_READINGS + age - 1, n]
+    for n in range(count):
+        x.tendon[s.PAST_READINGS, n] = x.tendon[s.COMPARED_READING, n]
+
+
+@kernel_helper
+def age_of_repeated_readings(x: StateTables, n: int) -> int:
+    """Return the age of the readings that a load-cell channel repeats [ticks], 0 if it repeats none."""
+    longest = x.tendon_int[s.LONGEST_REPETITION, n]
+    # The probability of a run of this length is compared as a logarithm, because the power itself
+    # is too small a number.
+    if (
+        longest < MIN_REPEATS
+        or -longest * math.log(_chance_of_equal_readings(x, n)) < MIN_LOG_IMPROBABILITY
+    ):
+        return 0
+    for age in range(MAX_AGE_TICKS):
+        if x.tendon_int[s.REPETITIONS + age, n] == longest:
+            return age + 1
+    return 0
+
+
+@kernel_helper
+def _chance_of_equal_readings(x: StateTables, n: int) -> float:
+    """Return the probability that two readings are equal, from all pairs of the last ``REPEAT_WINDOW`` readings."""
+    pairs = 0
+    different = 0
+    for a in range(REPEAT_WINDOW):
+        first = True
+        for b in range(a):
+            if x.tendon[s.PAST_READINGS + a, n] == x.tendon[s.PAST_READINGS + b, n]:
+                pairs += 1
+                first = False
+        different += first
+    if different <= LIMIT_CYCLE_VALUES:
+        return 1.0
+    return min(1.0, (pairs + 1) / (REPEAT_WINDOW * (REPEAT_WINDOW - 1) // 2 + 1))

@@ -1,0 +1,75 @@
+"""Tension history of a tendon: time since it was taut, duration of slack, tensions at and after a cut of the torque."""
+
+import math
+
+from handctl.compiled import kernel_helper
+from handctl.core import constants as h
+from handctl.core import state_block as s
+from handctl.core.constants import ConstantTables
+from handctl.core.detectors.residuals import TENSION
+from handctl.core.state_block import StateTables
+from handctl.safety.faults.tendon import SLACK_N, TAUT_N
+
+LATE_READING_S = 0.08
+"""Time after a cut of the torque from which each new reading is stored as the tension after the cut [s]."""
+
+
+@kernel_helper
+def update_slack_history(x: StateTables, c: ConstantTables) -> None:
+    """Update the tension history of a hand under torque.
+
+    Tensions of a spool pair are positive in the direction of the commanded tension.
+    """
+    x.run_int[s.CUT_TICKS] = -1
+    for n in range(x.tendon.shape[1]):
+        tension = x.tendon[s.RESIDUAL + TENSION, n]
+        commanded = x.tendon[s.COMMANDED_TENSION, n]
+        pair = c.tendon_int[h.IS_SPOOL_PAIR, n] == 1
+        if pair and commanded < 0.0:
+            tension = -tension
+            commanded = -commanded
+        # Without a commanded tension, the history of a tendon is cleared, so that the tendon does
+        # not count as snapped.
+        if math.isnan(commanded):
+            x.tendon_int[s.TICKS_SINCE_TAUT, n] = -1
+            x.tendon_int[s.SLACK_TICKS, n] = 0
+        elif tension > TAUT_N:
+            x.tendon_int[s.TICKS_SINCE_TAUT, n] = 0
+            x.tendon_int[s.SLACK_TICKS, n] = 0
+        elif x.tendon_int[s.TICKS_SINCE_TAUT, n] >= 0:
+            x.tendon_int[s.TICKS_SINCE_TAUT, n] += 1
+            # As long as less than twice the pretension is commanded, no tendon of a spool pair
+            # counts as slack, because both are taut at any smaller net tension.
+            loose = tension < SLACK_N and commanded > max(TAUT_N, 2.0 * c.tendon[h.PRETENSION, n])
+            x.tendon_int[s.SLACK_TICKS, n] = x.tendon_int[s.SLACK_TICKS, n] + 1 if loose else 0
+        is_taut = tension > TAUT_N or (x.tendon_int[s.IS_TAUT, n] == 1 and tension > SLACK_N)
+        x.tendon_int[s.IS_TAUT, n] = is_taut or pair  # one tendon of a spool pair is always taut
+
+
+@kernel_helper
+def update_history_after_cut(x: StateTables, c: ConstantTables, tared: bool) -> None:
+    """Update the tension history of a hand whose torque was cut.
+
+    The tension at the cut is the reading of the tick in which the torque is cut. If this reading is
+    missing, the last reading before the cut is used, or else the first later reading. Readings are
+    often missing in a tick in which a cut is necessary.
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        tared: True if the load cells' zero is known.
+    """
+    ticks = x.run_int[s.CUT_TICKS] + 1
+    for n in range(x.tendon.shape[1]):
+        tension = x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
+        if ticks == 0:
+            x.tendon[s.TENSION_AT_CUT, n] = (
+                x.tendon[s.STUCK_TEST_TENSION, n] if math.isnan(tension) else tension
+            )
+        elif math.isnan(x.tendon[s.TENSION_AT_CUT, n]):
+            x.tendon[s.TENSION_AT_CUT, n] = tension
+        if ticks * c.run[h.PERIOD] < LATE_READING_S:
+            x.tendon[s.TENSION_AFTER_CUT, n] = math.nan
+        elif not math.isnan(tension):
+            x.tendon[s.TENSION_AFTER_CUT, n] = tension
+    x.run_int[s.CUT_TICKS] = ticks

@@ -1,0 +1,166 @@
+"""Detection of stuck readings. A reading is stuck if it is constant while a correlated reference signal moves.
+
+A constant reading is no fault while its reference is at rest. A motor's encoder has two references:
+the goal of the tendon's excursion, and its tension. The reference of a load cell is the motor
+force. The reference of a joint encoder is the joint angle that is computed from the positions of
+the spools.
+"""
+
+import math
+
+from handctl.compiled import kernel_helper
+from handctl.core import constants as h
+from handctl.core import state_block as s
+from handctl.core.constants import ConstantTables
+from handctl.core.control_law.digit_reference import is_tendon_streamed
+from handctl.core.detectors.residuals import QUICK_FORCE, TENSION
+from handctl.core.estimation.varying_moment_arms import joint_excursion
+from handctl.core.state_block import StateTables
+
+MOTOR_FOLLOWING_TIME_CONSTANT_S = 0.1
+"""Time constant that is assumed for a motor that follows a jump of its goal, with a large margin [s]."""
+SLOW_GOAL_M_S = 2e-3
+"""Speed of a goal below which the motor is assumed to follow without delay [m/s]."""
+ARRIVAL_DISTANCE_M = 0.2e-3
+"""Distance between excursion and goal below which a motor has reached its goal [m]."""
+GOAL_JUMP_M = 2.0 * ARRIVAL_DISTANCE_M
+"""Step of the filtered goal in a tick above which the step counts as a jump, and not as a motion of the digit [m]."""
+PRESSING_TENSION_N = 8.0
+"""Tension in excess of its goal above which a streamed digit counts as held by an object [N]."""
+
+
+@kernel_helper
+def update_stuck_counts(x: StateTables, c: ConstantTables, tared: bool) -> None:
+    """Update the number of constant readings of each sensor. A missing reading changes no number.
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        tared: True if the load cells' zero is known.
+    """
+    for n in range(x.tendon.shape[1]):
+        # The position of the encoder is tested, and not the travel. The travel also changes with
+        # the angle of a carrying joint.
+        value = x.tendon[s.MEASURED_POSITION, n] * c.tendon[h.SPOOL_RADIUS, n]
+        last = x.tendon[s.STUCK_TEST_POSITION, n]
+        moved = not math.isnan(value) and value != last
+        goal = x.tendon[s.FILTERED_GOAL, n]
+        tension = reference_tension(x, c, n)
+        if moved or math.isnan(x.tendon[s.MOTOR_ANCHOR, n]):
+            x.tendon[s.MOTOR_ANCHOR, n] = goal
+        if moved or math.isnan(x.tendon[s.MOTOR_ANCHOR + 1, n]):
+            x.tendon[s.MOTOR_ANCHOR + 1, n] = tension
+        if not math.isnan(value):
+            x.tendon_int[s.MOTOR_STUCK, n] = 0 if moved else x.tendon_int[s.MOTOR_STUCK, n] + 1
+            x.tendon[s.STUCK_TEST_POSITION, n] = value
+        cell = x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
+        last = x.tendon[s.STUCK_TEST_TENSION, n]
+        moved = not math.isnan(cell) and cell != last
+        if moved or math.isnan(x.tendon[s.CELL_ANCHOR, n]):
+            x.tendon[s.CELL_ANCHOR, n] = x.tendon[s.RESIDUAL + QUICK_FORCE, n]
+        if not math.isnan(cell):
+            x.tendon_int[s.CELL_STUCK, n] = 0 if moved else x.tendon_int[s.CELL_STUCK, n] + 1
+            x.tendon[s.STUCK_TEST_TENSION, n] = cell
+    for j in range(x.joint.shape[1]):
+        value = x.joint[s.MEASURED_JOINT, j]
+        last = x.joint[s.STUCK_TEST_ANGLE, j]
+        moved = not math.isnan(value) and value != last
+        reference = joint_angle_by_spools(x, c, j)
+        if not are_all_tendons_taut(x, c, j):
+            x.joint[s.JOINT_ANCHOR, j] = math.nan
+        if moved or math.isnan(x.joint[s.JOINT_ANCHOR, j]):
+            x.joint[s.JOINT_ANCHOR, j] = reference
+        if not math.isnan(value):
+            x.joint_int[s.JOINT_STUCK, j] = 0 if moved else x.joint_int[s.JOINT_STUCK, j] + 1
+            x.joint[s.STUCK_TEST_ANGLE, j] = value
+
+
+@kernel_helper
+def reference_tension(x: StateTables, c: ConstantTables, n: int) -> float:
+    """Return the tension of a tendon as a reference for its motor's encoder [N], NaN if other motors change it too.
+
+    In a digit with surplus tendons an antagonist can stretch a tendon whose own motor is at rest.
+    """
+    return math.nan if c.tendon_int[h.HAS_SURPLUS, n] else x.tendon[s.RESIDUAL + TENSION, n]
+
+
+@kernel_helper
+def are_all_tendons_taut(x: StateTables, c: ConstantTables, j: int) -> bool:
+    """Return True if all tendons that move a joint are taut.
+
+    The spool of a slack tendon does not move the joint.
+    """
+    for n in range(x.tendon.shape[1]):
+        if c.joint_tendon[h.MOVES_JOINT, j, n] != 0.0 and not x.tendon_int[s.IS_TAUT, n]:
+            return False
+    return True
+
+
+@kernel_helper
+def joint_angle_by_spools(x: StateTables, c: ConstantTables, j: int) -> float:
+    """Return the joint angle by the positions of the spools [rad], NaN if a tendon that moves the joint is slack."""
+    if not are_all_tendons_taut(x, c, j):
+        return math.nan
+    angle = c.joint[h.ANGLE_OFFSET, j]
+    for n in range(x.tendon.shape[1]):
+        if c.joint_tendon[h.MOVES_JOINT, j, n] != 0.0:
+            stretch = x.tendon[s.RESIDUAL + TENSION, n] / c.tendon[h.TENDON_STIFFNESS, n]
+            angle += c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n] * (
+                x.tendon[s.MEASURED_TRAVEL, n] - stretch
+            )
+    return angle
+
+
+@kernel_helper
+def motion_since_reading(reference: float, anchor: float) -> float:
+    """Return how far a reference has moved since the sensor's reading became constant, 0 if unknown."""
+    apart = abs(reference - anchor)
+    return 0.0 if math.isnan(apart) else apart
+
+
+@kernel_helper
+def filter_goals(x: StateTables, c: ConstantTables) -> None:
+    """Filter the goal of each motor to the speed of a motor, so that no motor counts as stuck when its goal jumps.
+
+    While the encoder's reading changes, the filtered goal equals the goal. The detector judges the
+    motion of the filtered goal since the reading became constant, because friction may stop the
+    motor before the goal. When a motor has reached its goal, the filtered goal is set to the
+    estimated excursion. A jump of the filtered goal by this setting is not judged. The goal of a
+    streamed digit that presses on an object is not judged either, because a client may send targets
+    beyond an object that the client does not know.
+    """
+    fraction = 1.0 - math.exp(-c.run[h.PERIOD] / MOTOR_FOLLOWING_TIME_CONSTANT_S)
+    min_step = SLOW_GOAL_M_S * c.run[h.PERIOD]
+    for n in range(x.tendon.shape[1]):
+        goal = 0.0
+        d = c.tendon_int[h.DIGIT_OF_TENDON, n]
+        for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+            if c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0:
+                goal += joint_excursion(c, n, j, x.joint[s.Q_GOAL, j])
+        before = x.tendon[s.FILTERED_GOAL, n]
+        present = x.tendon[s.EXCURSION, n]
+        x.tendon[s.FILTERED_GOAL, n] = goal
+        if math.isnan(before):
+            continue
+        change = goal - before
+        if abs(change) > min_step and x.tendon_int[s.MOTOR_STUCK, n] != 0:
+            x.tendon[s.FILTERED_GOAL, n] = before + math.copysign(
+                max(fraction * abs(change), min_step), change
+            )
+        if abs(goal - present) < ARRIVAL_DISTANCE_M:
+            x.tendon[s.FILTERED_GOAL, n] = present
+            if abs(present - before) > GOAL_JUMP_M:
+                # The filtered goal jumps to the estimated excursion. No motor had to follow this
+                # jump, so the anchor moves too.
+                x.tendon[s.MOTOR_ANCHOR, n] += present - before
+        elif _is_digit_pressing(x, c, n):
+            x.tendon[s.MOTOR_ANCHOR, n] += x.tendon[s.FILTERED_GOAL, n] - before
+
+
+@kernel_helper
+def _is_digit_pressing(x: StateTables, c: ConstantTables, n: int) -> bool:
+    """Return True if a streamed digit presses: the tension of its tendon is much larger than the tension goal."""
+    return (
+        is_tendon_streamed(x, c, n)
+        and x.tendon[s.TENSION, n] - x.tendon[s.TENSION_GOAL, n] > PRESSING_TENSION_N
+    )

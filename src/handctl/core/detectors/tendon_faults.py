@@ -1,0 +1,152 @@
+"""Detectors of the faults of tendons and load cells, rows T01 to T09 of the catalogue, see ``safety.faults.tendon``."""
+
+import math
+
+from handctl.compiled import kernel_helper
+from handctl.core import constants as h
+from handctl.core import state_block as s
+from handctl.core.constants import ConstantTables
+from handctl.core.control_law.digit_reference import is_tendon_streamed
+from handctl.core.detectors import residuals, stuck_sensors
+from handctl.core.detectors.bus_faults import Evidence
+from handctl.core.detectors.replayed_readings import age_of_repeated_readings
+from handctl.core.estimation.measurements import monitored_tension
+from handctl.core.estimation.varying_moment_arms import moment_arm
+from handctl.core.state_block import StateTables
+from handctl.safety.faults.tendon import (
+    CELL_FORCE_N,
+    CELL_TICKS,
+    DERAILED_DEG,
+    DERAILED_READINGS,
+    FRICTION_WARN_N,
+    RELAXED_S,
+    RESIDUAL_TRIP_N,
+    RESIDUAL_WARN_N,
+    SLACK_TRIP_S,
+    SLACK_WARN_S,
+    SNAP_FRACTION,
+    SNAP_MEMORY_S,
+    SNAP_N,
+    SNAP_SPEED,
+    T01,
+    T02A,
+    T02B,
+    T03,
+    T03B,
+    T03C,
+    T04A,
+    T04B,
+    T05,
+    T05B,
+    T06,
+    T08,
+    T09,
+    TAUT_N,
+)
+
+MODE_RELAX = 5
+"""Value of ``core.tick_types.HandMode.RELAX``."""
+
+
+@kernel_helper
+def detect_tendon_faults(
+    x: StateTables, c: ConstantTables, armed: bool, evidence: Evidence
+) -> None:
+    """Run the detectors of tendon faults that need no torque, and write their results into the evidence table."""
+    rail = c.run[h.TENSION_RAIL]
+    low = c.run[h.TENSION_LOW]
+    relaxing_s = x.run_int[s.T_NS] * 1e-9 - x.run[s.MODE_SINCE]
+    relaxed = x.run_int[s.MODE] == MODE_RELAX and relaxing_s > RELAXED_S
+    for n in range(x.tendon.shape[1]):
+        # The load-cell reading is tested even before the tare of the load cell is known.
+        tension = monitored_tension(x, c, n, True)
+        if c.tendon_int[h.IS_SPOOL_PAIR, n]:
+            tension = abs(tension)  # both directions of a spool pair have the same limit
+        if c.tendon[h.TENSION_TRIP, n] < tension < rail:
+            evidence[T03, n] = tension
+        # A measured tension above the drive's torque limit proves that the drive does not obey this
+        # limit. An estimated tension proves nothing.
+        if c.tendon[h.DRIVE_LIMIT, n] < tension < rail and c.tendon_int[h.CELL_GROUP, n] >= 0:
+            evidence[T03B, n] = tension
+        if relaxed and tension > c.tendon[h.TENSION_TRIP, n]:
+            evidence[T03C, n] = tension
+        # The raw reading may be at an end of its range, or the tared reading may be beyond any
+        # possible tension. The tare may hide either case, so both are tested.
+        if armed and (tension >= rail or tension <= low or x.tendon_int[s.SATURATED, n]):
+            evidence[T06, n] = tension
+
+
+@kernel_helper
+def detect_tendon_faults_under_torque(
+    x: StateTables, c: ConstantTables, evidence: Evidence
+) -> None:
+    """Run the detectors of tendon faults that need torque, and write their results into the evidence table."""
+    for n in range(x.tendon.shape[1]):
+        _detect_slack(x, c, n, evidence)
+        unexplained = residuals.unexplained_tension(x, c, n)
+        rubs = residuals.excess_friction(x, n)
+        if unexplained > RESIDUAL_WARN_N:
+            evidence[T04A, n] = unexplained
+        if unexplained > RESIDUAL_TRIP_N:
+            evidence[T04B, n] = unexplained
+        if rubs > FRICTION_WARN_N:
+            evidence[T09, n] = rubs
+        pushed = stuck_sensors.motion_since_reading(
+            x.tendon[s.RESIDUAL + residuals.QUICK_FORCE, n], x.tendon[s.CELL_ANCHOR, n]
+        )
+        same = x.tendon_int[s.CELL_STUCK, n] >= CELL_TICKS
+        if same and pushed > CELL_FORCE_N and x.tendon[s.STUCK_TEST_TENSION, n] > TAUT_N:
+            evidence[T05, n] = pushed
+        age = age_of_repeated_readings(x, n)
+        if age > 0:
+            evidence[T05B, n] = age
+        slip = abs(x.tendon[s.SLIP, n])
+        if x.tendon[s.DERAILED_READINGS, n] >= DERAILED_READINGS and slip > DERAILED_DEG:
+            evidence[T08, n] = slip
+
+
+@kernel_helper
+def _planned_speed(x: StateTables, c: ConstantTables, n: int) -> float:
+    """Return the speed of a tendon on the streamed trajectory of its joints [m/s].
+
+    It is 0 for a digit without a stream. The moves of tasks are slow, and the spool of a torn
+    tendon still follows them. If the speed of these moves were subtracted too, a torn tendon would
+    be found half a second later, as a slack tendon (fault T02b).
+    """
+    speed = 0.0
+    if not is_tendon_streamed(x, c, n):
+        return speed
+    d = c.tendon_int[h.DIGIT_OF_TENDON, n]
+    for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+        if not math.isnan(x.joint[s.DQ_GOAL, j]):
+            speed += moment_arm(c, n, j, x.joint[s.Q_GOAL, j]) * x.joint[s.DQ_GOAL, j]
+    return speed
+
+
+@kernel_helper
+def _detect_slack(x: StateTables, c: ConstantTables, n: int, evidence: Evidence) -> None:
+    """Find a tendon that lost its tension: snapped if its spool runs, slack if tension is commanded."""
+    period = c.run[h.PERIOD]
+    commanded = x.tendon[s.COMMANDED_TENSION, n]
+    speed = x.tendon[s.SPEED, n]
+    since = x.tendon_int[s.SLACK_TICKS, n] * period
+    if since > SLACK_WARN_S:
+        evidence[T02A, n] = since
+    if since > SLACK_TRIP_S:
+        evidence[T02B, n] = since
+    tension = monitored_tension(x, c, n, x.run_int[s.TARED] == 1)
+    planned = _planned_speed(x, c, n)
+    if c.tendon_int[h.IS_SPOOL_PAIR, n] and commanded < 0.0:
+        commanded = -commanded
+        speed = -speed
+        planned = -planned
+        tension = -tension
+    was_taut = 0.0 <= x.tendon_int[s.TICKS_SINCE_TAUT, n] * period < SNAP_MEMORY_S
+    beyond = speed - max(planned, 0.0)
+    if (
+        beyond > SNAP_SPEED
+        and commanded > SNAP_N
+        and tension < SNAP_FRACTION * commanded
+        and was_taut
+    ):
+        evidence[T01, n] = beyond

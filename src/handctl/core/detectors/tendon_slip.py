@@ -1,0 +1,50 @@
+"""Slip of a tendon: change of the difference between spool and joint encoders, since the tendon became taut."""
+
+import math
+
+from handctl.compiled import kernel_helper
+from handctl.core import constants as h
+from handctl.core import state_block as s
+from handctl.core.constants import ConstantTables
+from handctl.core.estimation.measurements import monitored_tension
+from handctl.core.state_block import StateTables
+from handctl.safety.faults.tendon import DERAILED_DEG, SLACK_N, TAUT_N
+
+SETTLE_S = 0.1
+"""Time for which a tendon must be taut before the reference for its slip is measured [s]."""
+DEG_PER_RAD = 180.0 / math.pi
+
+
+@kernel_helper
+def update_slip(x: StateTables, c: ConstantTables, tared: bool) -> None:
+    """Update the slip of each tendon.
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        tared: True if the load cells' zero is known.
+    """
+    read = x.run_int[s.JOINTS_READ] == 1
+    for n in range(x.tendon.shape[1]):
+        tension = monitored_tension(x, c, n, tared)
+        if c.tendon_int[h.IS_SPOOL_PAIR, n]:
+            x.tendon[s.TAUT_S, n] += c.run[h.PERIOD]  # one tendon of a spool pair is always taut
+        elif tension < SLACK_N:
+            x.tendon[s.TAUT_S, n] = 0.0
+        elif tension > TAUT_N:
+            x.tendon[s.TAUT_S, n] += c.run[h.PERIOD]
+        stretch = tension / c.tendon[h.TENDON_STIFFNESS, n]
+        apart = x.tendon[s.MEASURED_TRAVEL, n] - stretch - x.tendon[s.MEASURED_EXCURSION, n]
+        if read and math.isnan(x.tendon[s.SLIP_REFERENCE, n]):
+            x.tendon[s.SLIP_REFERENCE, n] = apart
+        if x.tendon[s.TAUT_S, n] <= SETTLE_S:
+            x.tendon[s.SLIP_REFERENCE, n] = math.nan
+        x.tendon[s.SLIP, n] = math.nan
+        if read:
+            x.tendon[s.SLIP, n] = (
+                (apart - x.tendon[s.SLIP_REFERENCE, n]) / c.tendon[h.ARMS_SUM, n] * DEG_PER_RAD
+            )
+            far = abs(x.tendon[s.SLIP, n]) > DERAILED_DEG
+            x.tendon[s.DERAILED_READINGS, n] = (
+                x.tendon[s.DERAILED_READINGS, n] + 1.0 if far else 0.0
+            )

@@ -1,0 +1,183 @@
+"""Test whether a drive obeys, by the correlation of its reported torque with its commanded torque.
+
+A drive that obeys reports the commanded torque, including the small changes that noise adds to
+every command. The changes in the reports differ from those in the commands in three cases: the
+reports come from another drive, the torque acts on another joint, or the drive obeys late. The
+difference is visible even if all motors pull equally and no joint moves. Let a be the increment of
+the command from one tick to the next, and b that of the report, as forces at the spool [N]. The
+test uses low-passed products S of these increments:
+
+    S_ab + 4 sqrt(S_aa S_bb / n) < 0.4 S_aa      n = 2 tau / T samples
+
+Here tau is the time constant of the low-pass filter, and T is the control period. The fault is
+present if the drive reports less than 0.4 of the command's changes, with a margin of four standard
+deviations of this estimate. The sample covariance of uncorrelated increments has the variance S_aa
+S_bb / n. Source: Bartlett's formula for white noise.
+
+The increments of a contact are a hundred times as large as those of a hold. Unlimited, they would
+dominate the products for seconds after the contact. All increments are therefore limited to two
+counts of the torque. For an obeying drive the limited increments have the same signs.
+
+A pair of increments is counted after ``SETTLED_TICKS`` ticks in a row with a reply in time. After a
+pause, a drive replies to every queued command before it obeys the last one, so its next report
+belongs to an older command. On a slow bus a report may come a tick late. It then belongs to the
+command of a tick earlier. The test uses the larger of the two correlations, with and without this
+delay.
+"""
+
+import math
+
+from handctl.compiled import kernel_helper, square
+from handctl.core import constants as h
+from handctl.core import state_block as s
+from handctl.core.constants import ConstantTables
+from handctl.core.state_block import StateTables
+from handctl.safety.faults.node import REPORTED_FRACTION, REPORTED_S
+
+MIN_FILLING = 0.9
+"""Response of the low-pass filter to a constant 1 above which the test is made.
+
+Its memory is then 90 % filled.
+"""
+COVARIANCE_MARGIN_SIGMAS = 4.0
+"""Margin of the test, in standard deviations of the estimated covariance."""
+SETTLED_TICKS = 3
+"""Ticks in a row with a reply in time after which a report is attributed to a command.
+
+A command takes effect a tick later, and an increment needs two commands.
+"""
+MOVED_FRACTION = 1.0 / 4000.0
+"""Smallest increment (rms) for the test, as a fraction of the largest force: half a count of a 12-bit torque.
+
+Smaller increments consist mostly of rounding errors. If one count of a drive's torque is larger,
+half of that count is used.
+"""
+LARGEST_INCREMENT = 4.0
+"""Limit of an increment, as a multiple of the smallest one. Noise makes increments of about this size in a hold."""
+SERVO_COUNTS = 0.75
+"""Smallest increment (rms) for a drive that closes the position loop, in counts of position and speed.
+
+The report contains a rounded position and speed, but the drive computes with unrounded values. They
+differ by 0.3 counts (rms).
+"""
+MIN_SERVO_SHARE = 0.01
+"""If a drive closed its position loop in a larger fraction of the recent ticks, ``SERVO_COUNTS`` applies."""
+(
+    COMMAND_SQUARED_ROW,
+    COMMAND_REPORT_ROW,
+    LATE_COMMAND_REPORT_ROW,
+    REPORT_SQUARED_ROW,
+    FILTER_RESPONSE_ROW,
+) = range(5)
+"""Rows of ``state_block.REPORT_MOMENTS``, low-passed products of increments.
+
+They are: command squared, command times report, the earlier command times report (for a report that
+comes a tick late), report squared, and the response of the filter to a constant 1.
+"""
+
+
+@kernel_helper
+def update_correlation(x: StateTables, c: ConstantTables, missed: int) -> None:
+    """Update the low-passed products of the increments of command and report.
+
+    A drive replies to a command before it obeys the command, so its report in this tick belongs to
+    the command before the last.
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        missed: ticks missed before the present tick.
+    """
+    fraction = 1.0 - math.exp(-c.run[h.PERIOD] / REPORTED_S)
+    for n in range(x.tendon.shape[1]):
+        # The last command, and the three commands before it, the newest first.
+        command = x.tendon[s.COMMANDED_FORCE, n]
+        first = x.tendon[s.REPORT_FORCES, n]
+        second = x.tendon[s.REPORT_FORCES + 1, n]
+        last = x.tendon[s.REPORT_FORCES + 2, n]
+        if c.tendon_int[h.DRIVE_CLOSES_LOOP, n]:
+            closed = 1.0 if x.servo[s.SERVO_BEFORE + 2, n] > 0.0 else 0.0
+            x.servo[s.SERVO_SHARE, n] += fraction * (closed - x.servo[s.SERVO_SHARE, n])
+            last = second
+            second = first
+            first = x.servo[s.SERVO_REPORT, n]
+        report = x.tendon[s.MEASURED_FORCE, n]
+        largest = LARGEST_INCREMENT * _smallest_increment(x, c, n)
+        a = _clipped_increment(first - second, largest)
+        b = _clipped_increment(report - x.tendon[s.REPORT_FORCES + 3, n], largest)
+        late = _clipped_increment(second - last, largest)
+        settled = 0.0
+        if missed == 0 and math.isfinite(report):
+            settled = x.tendon[s.REPORT_ON_TIME, n] + 1.0
+        if math.isfinite(a + b + late) and settled > SETTLED_TICKS:
+            _low_pass_moment(x, n, COMMAND_SQUARED_ROW, fraction, a * a)
+            _low_pass_moment(x, n, COMMAND_REPORT_ROW, fraction, a * b)
+            _low_pass_moment(x, n, LATE_COMMAND_REPORT_ROW, fraction, late * b)
+            _low_pass_moment(x, n, REPORT_SQUARED_ROW, fraction, b * b)
+            _low_pass_moment(x, n, FILTER_RESPONSE_ROW, fraction, 1.0)
+        x.tendon[s.REPORT_ON_TIME, n] = settled
+        if c.tendon_int[h.DRIVE_CLOSES_LOOP, n]:
+            # For such a drive, the force predicted for this report replaces the command, so the
+            # stored history is shifted by a tick.
+            x.tendon[s.REPORT_FORCES, n] = first
+            x.tendon[s.REPORT_FORCES + 1, n] = second
+        else:
+            x.tendon[s.REPORT_FORCES, n] = command
+            x.tendon[s.REPORT_FORCES + 1, n] = first
+            x.tendon[s.REPORT_FORCES + 2, n] = second
+        x.tendon[s.REPORT_FORCES + 3, n] = report
+
+
+@kernel_helper
+def _smallest_increment(x: StateTables, c: ConstantTables, n: int) -> float:
+    """Return the smallest increment of a motor's torque, as force at the spool, that counts as a change [N]."""
+    rounding = max(MOVED_FRACTION * c.tendon[h.DRIVE_LIMIT, n], 0.5 * c.tendon[h.TORQUE_STEP, n])
+    if c.tendon_int[h.DRIVE_CLOSES_LOOP, n] and x.servo[s.SERVO_SHARE, n] > MIN_SERVO_SHARE:
+        rounding = max(rounding, SERVO_COUNTS * c.tendon[h.SERVO_ROUNDING, n])
+    return float(rounding)
+
+
+@kernel_helper
+def _clipped_increment(increment: float, largest: float) -> float:
+    """Return an increment limited to plus or minus ``largest``. NaN stays NaN."""
+    if increment > largest:
+        return largest
+    return -largest if increment < -largest else increment
+
+
+@kernel_helper
+def _low_pass_moment(x: StateTables, n: int, moment: int, fraction: float, value: float) -> None:
+    x.tendon[s.REPORT_MOMENTS + moment, n] += fraction * (
+        value - x.tendon[s.REPORT_MOMENTS + moment, n]
+    )
+
+
+@kernel_helper
+def is_command_ignored(x: StateTables, c: ConstantTables, n: int) -> bool:
+    """Return True if the torque that a motor reports does not follow its commanded torque."""
+    aa = x.tendon[s.REPORT_MOMENTS + COMMAND_SQUARED_ROW, n]
+    bb = x.tendon[s.REPORT_MOMENTS + REPORT_SQUARED_ROW, n]
+    ab = max(
+        x.tendon[s.REPORT_MOMENTS + COMMAND_REPORT_ROW, n],
+        x.tendon[s.REPORT_MOMENTS + LATE_COMMAND_REPORT_ROW, n],
+    )
+    # Command and report must both change by more than rounding errors. A constant report is a sign
+    # of another fault.
+    moves = min(aa, bb) > square(_smallest_increment(x, c, n))
+    if x.tendon[s.REPORT_MOMENTS + FILTER_RESPONSE_ROW, n] <= MIN_FILLING or not moves:
+        return False
+    return (
+        ab + COVARIANCE_MARGIN_SIGMAS * math.sqrt(aa * bb * c.run[h.PERIOD] / (2.0 * REPORTED_S))
+        < REPORTED_FRACTION * aa
+    )
+
+
+@kernel_helper
+def fraction_of_command_reported(x: StateTables, n: int) -> float:
+    """Return the fraction of the changes of a motor's command that its reports show, 1 for a drive that obeys."""
+    ab = max(
+        x.tendon[s.REPORT_MOMENTS + COMMAND_REPORT_ROW, n],
+        x.tendon[s.REPORT_MOMENTS + LATE_COMMAND_REPORT_ROW, n],
+    )
+    # The lower bound of the divisor prevents a division by 0.
+    return ab / max(x.tendon[s.REPORT_MOMENTS + COMMAND_SQUARED_ROW, n], 1e-300)

@@ -1,0 +1,63 @@
+"""Detection of blocked digits: digits in an unplanned contact with a stop or an object.
+
+A digit is blocked if its unexplained tension exceeds any error of the model. ``programs.task_program`` has
+a finer test for closing digits. The tension filter must know which digits are blocked, because it
+assumes that a free digit follows its tendon. With this assumption, the control loop would oscillate
+against a blocked digit.
+"""
+
+from handctl.compiled import kernel_helper
+from handctl.core import constants as h
+from handctl.core import state_block as s
+from handctl.core.constants import ConstantTables
+from handctl.core.state_block import StateTables
+
+TOUCH_TIME_CONSTANT_S = 20e-3
+"""Time constant of the low-pass filter for the unexplained tension of a digit [s]."""
+FREE_BELOW_N = 3.0
+"""Mean unexplained tension of a digit's tendons below which the digit counts as free again [N]."""
+BLOCKED_ABOVE_N = 6.0
+"""Mean unexplained tension of a digit's tendons above which the digit counts as blocked [N].
+
+In this mean, the tension of a tendon that opens the digit has the opposite sign.
+
+In fast free motion, with friction that differs from the model by 50 %, the mean reaches 3.6 N. The
+tension is not converted to a force at the tip, because the tip of a fully flexed digit has no
+lever.
+"""
+MAX_PRESS_N = 30.0
+"""Largest tension of a blocked digit in excess of the tension that the trajectory requires [N].
+
+Without this limit, the motion loop would wind the tendon of a blocked digit up to the limits of
+safety.
+"""
+
+
+@kernel_helper
+def update_blocked(x: StateTables, c: ConstantTables) -> None:
+    """Update for each digit whether it is blocked."""
+    for d in range(x.digit.shape[1]):
+        first = c.digit_int[h.TENDONS_FIRST, d]
+        end = c.digit_int[h.TENDONS_END, d]
+        mean = 0.0
+        margin = 0.0
+        for n in range(first, end):
+            margin += c.tendon[h.BLIND_MARGIN, n] / (end - first)
+            mean += c.tendon[h.CLOSING_SIGN, n] * x.tendon[s.EXTERNAL_TENSION, n] / (end - first)
+        retained = c.run[h.TOUCH_DECAY]
+        x.digit[s.TOUCH, d] = retained * x.digit[s.TOUCH, d] + (1.0 - retained) * mean
+        limit = FREE_BELOW_N if x.digit_int[s.BLOCKED, d] else BLOCKED_ABOVE_N + margin
+        blocked = x.digit[s.TOUCH, d] > limit
+        if blocked != x.digit_int[s.BLOCKED, d]:
+            x.run_int[s.CONSISTENCY_CHANGED] = 1
+        x.digit_int[s.BLOCKED, d] = blocked
+
+
+@kernel_helper
+def reset_blocked(x: StateTables) -> None:
+    """Set all digits to not blocked, because no contact is observable without torque."""
+    for d in range(x.digit.shape[1]):
+        x.digit[s.TOUCH, d] = 0.0
+        if x.digit_int[s.BLOCKED, d]:
+            x.run_int[s.CONSISTENCY_CHANGED] = 1
+        x.digit_int[s.BLOCKED, d] = 0

@@ -1,0 +1,54 @@
+"""Log events for tendons whose model has become inconsistent or consistent again, and for blocked digits."""
+
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.core.estimation.kalman import NIS_AVERAGING_TIME_S
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import TickEvent
+
+
+class NamedFields(Protocol):
+    """State block whose fields are read by name."""
+
+    def view(self, name: str) -> NDArray[Any]:
+        """Return the array of a field."""
+        ...
+
+
+def consistency_events(
+    model: HandModel, before: NamedFields, after: NamedFields
+) -> tuple[TickEvent, ...]:
+    """Return the log events for changes of consistency and blocking between two ticks.
+
+    Args:
+        model: model of the hand.
+        before: state after the last tick.
+        after: state in the present tick.
+    """
+    events: list[TickEvent] = []
+    doubtful = after.view("doubtful")
+    was = before.view("doubtful")
+    if (doubtful != was).any():
+        for n in np.flatnonzero(doubtful != was).tolist():
+            name = model.hand.tendon_names[n]
+            nis = after.view("nis_mean")[n]
+            verdict = (
+                "the estimate is not to be trusted" if doubtful[n] else "the estimate is good again"
+            )
+            text = f"{name}: NIS {nis:.1f} over {NIS_AVERAGING_TIME_S:g} s, 2 is right: {verdict}"
+            events.append(TickEvent("warn" if doubtful[n] else "info", "estimate", name, text))
+    blocked = after.view("blocked")
+    was = before.view("blocked")
+    if (blocked != was).any():
+        planned = after.view("planned_contact")
+        for d in np.flatnonzero((blocked != was) & (planned == 0)).tolist():
+            name = model.hand.digit_names[d]
+            tension = after.view("touch")[d]
+            text = f"{name} is blocked: {tension:.1f} N of unexplained tension"
+            events.append(
+                TickEvent("info", "blocked", name, text if blocked[d] else f"{name} is free again")
+            )
+    return tuple(events)

@@ -1,0 +1,120 @@
+"""Force at the tip of a closing digit, which shows a contact, and opening of a digit that holds an object.
+
+While a digit closes, the unexplained tensions of its tendons are converted into a force at its tip.
+Each tendon is weighted by its load under a unit force at the tip. A proximal tendon has the largest
+load and the least friction, so it has the largest weight. The force is low-passed over a few
+milliseconds. The force of a contact then remains, and the alternating force of a chattering tendon
+cancels.
+
+Two errors of this force are corrected. If the model expects too much tension, the force is negative
+and hides a contact. This error lasts longer than a contact force takes to grow, so a negative mean
+is subtracted. If a load cell drifts, the force is positive from the start to the end of closing, so
+a positive mean over a long time is subtracted too.
+
+While a digit holds an object, the length wound on the spool minus the stretch of the tendon is
+known to a few micrometres. If the digit is pushed open, a fast and a slow average of this length
+differ.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.compiled import kernel_helper
+from handctl.core import constants as h
+from handctl.core import state_block as s
+from handctl.core.constants import ConstantTables
+from handctl.core.estimation.kalman import write_free_angles
+from handctl.core.estimation.statics import link_poses_of_hand, write_tip_levers
+from handctl.core.state_block import StateTables
+
+Vector = NDArray[np.float64]
+
+TIP_FORCE_TIME_CONSTANT_S = 5e-3
+"""Time constant of the smoothed tip force [s]. A contact is found within four times this time."""
+TIP_FORCE_MEAN_TIME_CONSTANT_S = 0.15
+"""Time constant of the mean tip force [s]. A contact force grows within a fraction of this time."""
+TIP_FORCE_DRIFT_TIME_CONSTANT_S = 2.0
+"""Time constant of the mean tip force that is subtracted as drift [s], about the time in which a digit closes."""
+FAST_GRIP_TIME_CONSTANT_S = 0.02
+"""Time constant of the fast average of wound length minus stretch, while the hand holds an object [s]."""
+SLOW_GRIP_TIME_CONSTANT_S = 0.2
+"""Time constant of the slow average of wound length minus stretch, while the hand holds an object [s]."""
+
+
+@kernel_helper
+def update_tip_forces(x: StateTables, c: ConstantTables) -> None:
+    """Update the tip forces of closing digits.
+
+    Reset those of all other digits, but keep their drift.
+    """
+    closing = False
+    for d in range(x.digit.shape[1]):
+        if x.digit_int[s.CLOSING, d]:
+            closing = True
+        else:
+            x.digit[s.SMOOTHED_TIP_FORCE, d] = x.digit[s.CONTACT_FORCE, d] = 0.0
+            x.digit[s.TIP_FORCE_MEAN, d] = math.nan
+    if not closing:
+        return
+    lever = np.zeros(x.joint.shape[1])
+    _write_tip_levers(x, c, lever)
+    for d in range(x.digit.shape[1]):
+        if not x.digit_int[s.CLOSING, d]:
+            continue
+        force = x.digit[s.SMOOTHED_TIP_FORCE, d]
+        force += c.run[h.TIP_FORCE_FRACTION] * (_fit_tip_force(x, c, d, lever) - force)
+        mean = force if math.isnan(x.digit[s.TIP_FORCE_MEAN, d]) else x.digit[s.TIP_FORCE_MEAN, d]
+        drift = 0.0 if math.isnan(x.digit[s.TIP_FORCE_DRIFT, d]) else x.digit[s.TIP_FORCE_DRIFT, d]
+        x.digit[s.SMOOTHED_TIP_FORCE, d] = force
+        # A negative mean is attributed to an error of the model, and a positive drift to an error
+        # of the load cell.
+        x.digit[s.CONTACT_FORCE, d] = force - min(mean, 0.0) - max(drift, 0.0)
+        x.digit[s.TIP_FORCE_MEAN, d] = mean + c.run[h.TIP_FORCE_MEAN_FRACTION] * (force - mean)
+        x.digit[s.TIP_FORCE_DRIFT, d] = drift + c.run[h.DRIFT_FRACTION] * (force - drift)
+
+
+@kernel_helper
+def _write_tip_levers(x: StateTables, c: ConstantTables, lever: Vector) -> None:
+    """Write the lever (J,) [m] of a force at a digit's tip about each joint, at the joint angles of a free digit.
+
+    A digit that closes counts as free until its contact is found.
+    """
+    q = np.zeros(x.joint.shape[1])
+    write_free_angles(x, c, s.EXCURSION, q)
+    pose = link_poses_of_hand(c, q)
+    for d in range(x.digit.shape[1]):
+        write_tip_levers(c, d, pose, lever)
+
+
+@kernel_helper
+def _fit_tip_force(x: StateTables, c: ConstantTables, d: int, lever: Vector) -> float:
+    """Return the tip force that fits the unexplained tensions of a digit best, by least squares [N]."""
+    work = 0.0
+    size = 0.0
+    for n in range(c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d]):
+        response = 0.0
+        for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+            response += c.tendon_joint[h.TORQUE_TO_TENSION, n, j] * lever[j]
+        work += response * x.tendon[s.EXTERNAL_TENSION, n]
+        size += response * response
+    return work / size
+
+
+@kernel_helper
+def average_grip_travel(x: StateTables, c: ConstantTables) -> None:
+    """Update both averages of wound length minus stretch.
+
+    The slow one equals the fast one until slip is judged.
+    """
+    judged = x.run[s.GOAL_TIME] + c.run[h.PERIOD] >= x.run[s.SLIP_JUDGED_FROM]
+    for n in range(x.tendon.shape[1]):
+        # Wound length minus elastic stretch is the tendon length that moves the joints.
+        here = x.tendon[s.TRAVEL, n] - x.tendon[s.TENSION, n] / c.tendon[h.TENDON_STIFFNESS, n]
+        fast = x.tendon[s.GRIP_TRAVEL_FAST, n]
+        slow = x.tendon[s.GRIP_TRAVEL_SLOW, n]
+        fast = fast + (here - fast) * c.run[h.GRIP_FAST_FRACTION] if x.run_int[s.GRIPPING] else here
+        slow = slow + (here - slow) * c.run[h.GRIP_SLOW_FRACTION]
+        x.tendon[s.GRIP_TRAVEL_FAST, n] = fast
+        x.tendon[s.GRIP_TRAVEL_SLOW, n] = slow if judged and x.run_int[s.GRIPPING] else fast

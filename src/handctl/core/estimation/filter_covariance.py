@@ -1,0 +1,217 @@
+"""Propagation of the tension filter's covariance, from a missing measurement until the covariance is steady again.
+
+The steady-state gains of the filter assume a measurement in every tick. If a measurement comes in
+every second tick only, these gains overestimate the error of the speed, and correct the speed for
+too long. The estimate then oscillates or diverges. Therefore the covariances of all tendons are
+propagated from the first missing measurement on. The propagation ends when all covariances are
+close to their steady values.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.compiled import kernel_helper
+from handctl.core import constants as h
+from handctl.core import state_block as s
+from handctl.core.constants import ConstantTables
+from handctl.core.state_block import StateTables
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+STATE_COUNT = 7
+CELL_ERROR = 5
+"""Index of the load-cell error among the states of a tendon."""
+MISSING_VARIANCE_FACTOR = 1e12
+"""Factor on the variance of a missing measurement. It makes the Kalman gain practically zero."""
+STEADY_FRACTION = 0.02
+"""If each variance differs from its steady value by at most this fraction, the covariance counts as steady."""
+HELD_TORQUE_S = 0.05
+"""Longest time without a command over which states are predicted [s].
+
+After this time the watchdogs of the drives have removed the torque.
+"""
+
+
+@kernel_helper
+def correct_covariance(
+    x: StateTables,
+    c: ConstantTables,
+    n: int,
+    z: Vector,
+    gain: Matrix,
+    predicted: Matrix,
+    information: Vector,
+) -> float:
+    """Correct the covariance of a tendon by its encoder and load cell. The gain for joint encoders does not change.
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        n: index of the tendon.
+        z: (3,) measurements, NaN if missing.
+        gain: (7, 3) steady gains. The first two columns, encoder and load cell, are replaced.
+        predicted: (7, 7) result: covariance after the update.
+        information: (3,) result: inverse covariance of the innovations, see
+            ``constants.INFORMATION_AT``.
+
+    Returns:
+        Standard deviation of the load-cell innovation [N].
+    """
+    kind = x.tendon_int[s.FILTER_KIND, n]
+    H = np.zeros((2, STATE_COUNT))
+    for m in range(2):
+        for i in range(STATE_COUNT):
+            H[m, i] = c.design[n, kind, h.H_AT + STATE_COUNT * m + i]
+    observable = c.design[n, kind, h.CELL_ERROR_OBSERVABLE_AT]
+    H[1, CELL_ERROR] = observable
+    P = _present_covariance(x, c, n, kind)
+    crossed = _multiply_by_transposed(P, H)
+    size = _multiply_matrices(H, crossed)
+    R = np.zeros(2)
+    for m in range(2):
+        R[m] = c.design[n, kind, h.R_AT + m] * (
+            MISSING_VARIANCE_FACTOR if math.isnan(z[m]) else 1.0
+        )
+    # Innovation covariance [[a, b], [b, d]], inverted in closed form.
+    a = size[0, 0] + R[0]
+    b = size[0, 1]
+    d = size[1, 1] + R[1]
+    determinant = a * d - b * b
+    information[0] = d / determinant
+    information[1] = -2.0 * b / determinant
+    information[2] = a / determinant
+    for i in range(STATE_COUNT):
+        # A load-cell error that cannot be distinguished from tension is not corrected. Instead, the
+        # variance of this error grows.
+        observed = observable if i == CELL_ERROR else 1.0
+        gain[i, 0] = observed * (crossed[i, 0] * d - crossed[i, 1] * b) / determinant
+        gain[i, 1] = observed * (crossed[i, 1] * a - crossed[i, 0] * b) / determinant
+    rest = np.zeros((STATE_COUNT, STATE_COUNT))
+    for i in range(STATE_COUNT):
+        for j in range(STATE_COUNT):
+            rest[i, j] = (1.0 if i == j else 0.0) - (gain[i, 0] * H[0, j] + gain[i, 1] * H[1, j])
+    # Joseph form (I - K H) P (I - K H)^T + K R K^T. It is symmetric and positive for any gain, also
+    # for a gain that does not correct the cell error (Schmidt's consider filter).
+    joseph = _multiply_by_transposed(_multiply_matrices(rest, P), rest)
+    for i in range(STATE_COUNT):
+        for j in range(STATE_COUNT):
+            predicted[i, j] = (
+                joseph[i, j] + gain[i, 0] * R[0] * gain[j, 0] + gain[i, 1] * R[1] * gain[j, 1]
+            )
+    return math.sqrt(d)
+
+
+@kernel_helper
+def predict_covariances(x: StateTables, c: ConstantTables, predicted: Matrix, missed: int) -> None:
+    """Predict the covariances (N, 7, 7) of all tendons to the next tick. End the propagation if all are steady.
+
+    If the filter design of a tendon has changed, its covariance becomes the steady covariance of
+    the new design.
+    """
+    periods = 1 + ticks_to_predict(c, missed)
+    steady = True
+    for n in range(len(predicted)):
+        kind = x.tendon_int[s.FILTER_KIND, n]
+        F = _copy_design_matrix(c, n, kind, h.F_AT)
+        Q = _copy_design_matrix(c, n, kind, h.Q_AT)
+        P = predicted[n]
+        for _ in range(periods):
+            P = _multiply_by_transposed(_multiply_matrices(F, P), F)
+            for i in range(STATE_COUNT):
+                for j in range(STATE_COUNT):
+                    P[i, j] += Q[i, j]
+        # The propagated covariance belongs to the old filter design.
+        if kind != x.tendon_int[s.FILTER_KIND_BEFORE, n]:
+            P = _copy_design_matrix(c, n, kind, h.P_AT)
+        for i in range(STATE_COUNT):
+            for j in range(STATE_COUNT):
+                x.tendon[s.COVARIANCE + STATE_COUNT * i + j, n] = P[i, j]
+        steady &= _is_steady(c, n, kind, P)
+    x.run_int[s.COVARIANCE_PROPAGATED] = not steady
+
+
+@kernel_helper
+def ticks_to_predict(c: ConstantTables, missed: int) -> int:
+    """Return for how many of the missed ticks the covariance is predicted."""
+    return min(missed, round(HELD_TORQUE_S / c.run[h.PERIOD]))
+
+
+@kernel_helper
+def predicted_tension_sigma(x: StateTables, c: ConstantTables, n: int) -> float:
+    """Return the standard deviation of a tendon's predicted tension [N], from the propagated covariance."""
+    kind = x.tendon_int[s.FILTER_KIND, n]
+    P = np.empty((STATE_COUNT, STATE_COUNT))
+    for i in range(STATE_COUNT):
+        for j in range(STATE_COUNT):
+            P[i, j] = x.tendon[s.COVARIANCE + STATE_COUNT * i + j, n]
+    return math.sqrt(_tension_variance(c, n, kind, P) + c.design[n, kind, h.CELL_ERROR_VARIANCE_AT])
+
+
+@kernel_helper
+def _present_covariance(x: StateTables, c: ConstantTables, n: int, kind: int) -> Matrix:
+    """Return the covariance (7, 7) of a tendon's predicted states: the propagated or else the steady covariance."""
+    P = _copy_design_matrix(c, n, kind, h.P_AT)
+    if x.run_int[s.COVARIANCE_PROPAGATED]:
+        for i in range(STATE_COUNT):
+            for j in range(STATE_COUNT):
+                P[i, j] = x.tendon[s.COVARIANCE + STATE_COUNT * i + j, n]
+    return P
+
+
+@kernel_helper
+def _is_steady(c: ConstantTables, n: int, kind: int, P: Matrix) -> bool:
+    steady = _copy_design_matrix(c, n, kind, h.P_AT)
+    for i in range(STATE_COUNT):
+        observed = c.design[n, kind, h.CELL_ERROR_OBSERVABLE_AT] if i == CELL_ERROR else 1.0
+        if abs(P[i, i] - steady[i, i]) * observed > STEADY_FRACTION * steady[i, i] * observed:
+            return False
+    variance = _tension_variance(c, n, kind, steady)
+    return abs(_tension_variance(c, n, kind, P) - variance) <= STEADY_FRACTION * variance
+
+
+@kernel_helper
+def _tension_variance(c: ConstantTables, n: int, kind: int, P: Matrix) -> float:
+    variance = 0.0
+    for i in range(STATE_COUNT):
+        for j in range(STATE_COUNT):
+            variance += (
+                c.design[n, kind, h.TENSION_ROW_AT + i]
+                * P[i, j]
+                * c.design[n, kind, h.TENSION_ROW_AT + j]
+            )
+    return variance
+
+
+@kernel_helper
+def _copy_design_matrix(c: ConstantTables, n: int, kind: int, at: int) -> Matrix:
+    """Return a copy of a (7, 7) matrix of a tendon's filter design."""
+    matrix = np.empty((STATE_COUNT, STATE_COUNT))
+    for i in range(STATE_COUNT):
+        for j in range(STATE_COUNT):
+            matrix[i, j] = c.design[n, kind, at + STATE_COUNT * i + j]
+    return matrix
+
+
+@kernel_helper
+def _multiply_matrices(left: Matrix, right: Matrix) -> Matrix:
+    """Return the product of two matrices. The sums are added in a fixed order."""
+    matrix = np.zeros((left.shape[0], right.shape[1]))
+    for i in range(left.shape[0]):
+        for j in range(right.shape[1]):
+            for k in range(left.shape[1]):
+                matrix[i, j] += left[i, k] * right[k, j]
+    return matrix
+
+
+@kernel_helper
+def _multiply_by_transposed(left: Matrix, right: Matrix) -> Matrix:
+    """Return the product of a matrix and a transposed matrix."""
+    matrix = np.zeros((left.shape[0], right.shape[0]))
+    for i in range(left.shape[0]):
+        for j in range(right.shape[0]):
+            for k in range(left.shape[1]):
+                matrix[i, j] += left[i, k] * right[j, k]
+    return matrix

@@ -1,0 +1,39 @@
+"""Prediction of the tension filter's states to the present, by filterpy."""
+
+import numpy as np
+
+from handctl.core import state_block as s
+from handctl.core.block_schema import BlockArray, BlockLayout
+from handctl.core.deferred_imports import deferred_imports
+from handctl.core.estimation.filter_covariance import HELD_TORQUE_S
+from handctl.core.hand_model import HandModel
+
+with deferred_imports():
+    from filterpy.kalman import predict_steadystate
+
+
+def predict_filter_states(
+    model: HandModel, layout: BlockLayout, block: BlockArray, missed: int = 0
+) -> None:
+    """Predict the states of all tendons to the next tick.
+
+    Missed ticks are predicted with the motor force of the last tick, and without a planned change
+    of tension.
+
+    Args:
+        model: model of the hand.
+        layout: layout of the state block.
+        block: state block, modified in place.
+        missed: ticks missed before the present tick.
+    """
+    n = model.tendon_count
+    first = layout.start("tendon")
+    states = block[first : first + 7 * n]
+    inputs = block[first + 7 * n : first + 9 * n]
+    F, B = model.filter.transition(layout.table(block, "tendon_int")[s.FILTER_KIND].tobytes())
+    x = predict_steadystate(states, F, inputs, B)
+    if missed:
+        held = np.concatenate((inputs[:n], np.zeros(n)))
+        for _ in range(min(missed, round(HELD_TORQUE_S / model.period))):
+            x = predict_steadystate(x, F, held, B)
+    states[:] = x

@@ -1,0 +1,184 @@
+"""Conversion of received readings into the measurements of a tick, and rejection of impossible positions."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.compiled import kernel_helper
+from handctl.core import constants as h
+from handctl.core import state_block as s
+from handctl.core.constants import ConstantTables
+from handctl.core.estimation.kalman import write_free_angles
+from handctl.core.estimation.varying_moment_arms import carrier_excursion, joint_excursion
+from handctl.core.state_block import StateTables
+
+
+@kernel_helper
+def write_measurements(x: StateTables, c: ConstantTables) -> None:
+    """Write the readings received in this tick as measurements, and NaN for missing readings."""
+    for n in range(x.tendon.shape[1]):
+        x.tendon[s.MEASURED_POSITION, n] = math.nan
+        if x.tendon_int[s.FEEDBACKS_NOW, n] > 0:
+            x.tendon[s.MEASURED_POSITION, n] = x.tendon[s.POSITION, n] - c.tendon[h.MOTOR_ZERO, n]
+        x.tendon[s.MEASURED_TENSION, n] = math.nan
+        x.tendon_int[s.SATURATED, n] = 0
+        if x.tendon_int[s.CELL_FRESH, n]:
+            cell = x.tendon[s.CELL_READING, n]
+            saturated = not c.run[h.CELL_LOW] < cell < c.run[h.CELL_HIGH]
+            if saturated:
+                # When a load cell is overloaded, its amplifier may send NaN, or a number far
+                # outside of the range.
+                cell = c.run[h.CELL_HIGH] if cell >= c.run[h.CELL_HIGH] else c.run[h.CELL_LOW]
+            x.tendon[s.MEASURED_TENSION, n] = cell - (
+                c.tendon[h.CELL_TARE, n] + x.tendon[s.PROGRAM_TARE, n]
+            )
+            x.tendon_int[s.SATURATED, n] = saturated
+    x.run_int[s.JOINTS_READ] = 0
+    for j in range(x.joint.shape[1]):
+        x.joint[s.MEASURED_JOINT, j] = math.nan
+        if x.joint_int[s.JOINT_FRESH, j]:
+            x.run_int[s.JOINTS_READ] = 1
+            x.joint[s.MEASURED_JOINT, j] = x.joint[s.JOINT_ANGLE, j]
+
+
+@kernel_helper
+def reject_outliers(x: StateTables, c: ConstantTables, missed: int) -> None:
+    """Reject positions that rotor or joint cannot have reached since the last accepted position.
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        missed: ticks missed before the present tick. The hand moved on in these ticks, and a
+            reading may be the reply to an older request.
+    """
+    for n in range(x.tendon.shape[1]):
+        _reject_outlier(
+            x.tendon, n, s.MEASURED_POSITION, s.ACCEPTED_POSITION, s.ACCEPTED_GAP, s.REJECTED_STEP,
+            s.REJECTED_POSITIONS, c.tendon[h.STEP_LIMIT, n], missed,
+        )  # fmt: skip
+    for j in range(x.joint.shape[1]):
+        _reject_outlier(
+            x.joint, j, s.MEASURED_JOINT, s.ACCEPTED_JOINT_ANGLE, s.ACCEPTED_JOINT_GAP, s.REJECTED_JOINT_STEP,
+            s.REJECTED_JOINT_ANGLES, c.joint[h.JOINT_STEP_LIMIT, j], missed,
+        )  # fmt: skip
+
+
+@kernel_helper
+def _reject_outlier(
+    table: NDArray[np.float64],
+    i: int,
+    measured: int,
+    accepted: int,
+    gap_row: int,
+    jump: int,
+    dropped: int,
+    limit: float,
+    missed: int,
+) -> None:
+    """Reject a position that is too far from the last accepted position.
+
+    Args:
+        table: table of the position, (rows, n).
+        i: column of the position in the table.
+        measured: row of the measured position.
+        accepted: row of the last accepted position.
+        gap_row: row of a number of ticks. The accepted position may have been measured this long
+            before the last tick.
+        jump: row of the rejected step.
+        dropped: row of the number of rejections in a row.
+        limit: largest step in a period [rad].
+        missed: see ``reject_outliers``.
+    """
+    value = table[measured, i]
+    # A comparison with NaN is False. So no step is rejected if the measured or the accepted
+    # position is missing.
+    step = abs(value - table[accepted, i])
+    gap = table[gap_row, i] + 1.0 + missed
+    table[jump, i] = 0.0
+    if step > limit * gap:
+        table[jump, i] = step
+        table[dropped, i] += 1.0
+        table[measured, i] = math.nan
+    elif not math.isnan(value):
+        table[accepted, i] = value
+        table[dropped, i] = 0.0
+        gap = float(missed)
+    table[gap_row, i] = gap
+
+
+@kernel_helper
+def clear_rejected_steps(x: StateTables) -> None:
+    """Set all rejected steps to 0, because positions are not tested while no torque acts."""
+    for n in range(x.tendon.shape[1]):
+        x.tendon[s.REJECTED_STEP, n] = 0.0
+    for j in range(x.joint.shape[1]):
+        x.joint[s.REJECTED_JOINT_STEP, j] = 0.0
+
+
+@kernel_helper
+def convert_positions(x: StateTables, c: ConstantTables) -> None:
+    """Write the measured travel, motor force and excursion of each tendon from the accepted positions."""
+    for n in range(x.tendon.shape[1]):
+        spool = c.tendon[h.SPOOL_RADIUS, n]
+        x.tendon[s.MEASURED_TRAVEL, n] = x.tendon[s.MEASURED_POSITION, n] * spool
+        if c.run_int[h.HAS_CARRIER_ARMS]:
+            # The estimated joint angles are from the last tick, which predicted them to the time of
+            # this measurement.
+            x.tendon[s.MEASURED_TRAVEL, n] -= carrier_excursion(c, n, x.joint[s.Q])
+        valid = not math.isnan(x.tendon[s.MEASURED_TRAVEL, n])
+        # A drive reports the torque that an ideal motor would make. The real motor makes this
+        # torque times ``TORQUE_GAIN``.
+        made = x.tendon[s.REPORTED_TORQUE, n] * c.tendon[h.TORQUE_GAIN, n]
+        x.tendon[s.MEASURED_FORCE, n] = made / spool if valid else math.nan
+        d = c.tendon_int[h.DIGIT_OF_TENDON, n]
+        excursion = 0.0
+        for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+            if c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0:
+                excursion += joint_excursion(c, n, j, x.joint[s.MEASURED_JOINT, j])
+        x.tendon[s.MEASURED_EXCURSION, n] = excursion
+
+
+@kernel_helper
+def monitored_tension(x: StateTables, c: ConstantTables, n: int, tared: bool) -> float:
+    """Return the tension that detectors judge [N]: the load-cell reading, or the estimate if there is no load cell.
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        n: index of the tendon.
+        tared: True if the load cells' zero is known.
+    """
+    if c.tendon_int[h.CELL_GROUP, n] < 0:
+        return x.tendon[s.TENSION, n]
+    return x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
+
+
+@kernel_helper
+def start_filter(x: StateTables, c: ConstantTables) -> None:
+    """Start the tension filter once all encoders and load cells were read.
+
+    The first state assumes that the hand is open and its tendons are slack.
+    """
+    for n in range(x.tendon.shape[1]):
+        group = c.tendon_int[h.CELL_GROUP, n]
+        if (group >= 0 and x.group_int[s.GROUP_FRAMES, group] == 0) or math.isnan(
+            x.tendon[s.POSITION, n]
+        ):
+            return
+    for n in range(x.tendon.shape[1]):
+        for state in range(7):
+            x.tendon[s.TRAVEL + state, n] = 0.0
+        x.tendon[s.EXCURSION, n] = c.tendon[h.OPEN_EXCURSION, n]
+        x.tendon_int[s.ON_OPEN_STOP, n] = c.tendon_int[h.HAS_RETURN_SPRINGS, n]
+        x.tendon[s.TRAVEL, n] = (x.tendon[s.POSITION, n] - c.tendon[h.MOTOR_ZERO, n]) * c.tendon[
+            h.SPOOL_RADIUS, n
+        ]
+        if c.run_int[h.HAS_CARRIER_ARMS]:
+            # The tendons of a carrying digit come before the tendons of the digits that it carries,
+            # so its angles are known here.
+            write_free_angles(x, c, s.EXCURSION, x.joint[s.Q])
+            x.tendon[s.TRAVEL, n] -= carrier_excursion(c, n, x.joint[s.Q])
+        if c.tendon_int[h.IS_SPOOL_PAIR, n]:
+            x.tendon[s.EXCURSION, n] = x.tendon[s.TRAVEL, n]  # zero net tension: no stretch
+    x.run_int[s.FILTER_STARTED] = 1

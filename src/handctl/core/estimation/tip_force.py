@@ -1,0 +1,42 @@
+"""Tip-equivalent force: a force normal to the last link, at the tip, that makes the torque of the actual contact.
+
+The tension of a finger with one tendon does not depend on the place of contact, so the tip is a
+convention.
+"""
+
+import numpy as np
+
+from handctl.core.tick_types import Vector
+from handctl.hand import rigid_body
+from handctl.hand.digit import DigitModel
+
+
+def joint_lever(digit: DigitModel, q: Vector) -> Vector:
+    """Return the levers about each joint of a force at the tip along the y axis of the last link: J^T n, (n,) [m].
+
+    Args:
+        digit: model of the digit.
+        q: (n,) joint angles [rad].
+    """
+    last = digit.joint_count - 1
+    return rigid_body.tip_levers(
+        digit.table, digit.parent, np.asarray(q), last, digit.lengths[last]
+    )
+
+
+def reduced_tip_lever(digit: DigitModel, q: Vector) -> Vector:
+    """Return the levers of such a force at the tip about the coordinates of the digit: B^T J^T n, (n_c,) [m]."""
+    return np.asarray(digit.coupling.T @ joint_lever(digit, q))
+
+
+def tip_force(digit: DigitModel, q: Vector, external: Vector) -> float:
+    """Return the tip-equivalent force of a contact with a digit [N].
+
+    Args:
+        digit: model of the digit.
+        q: (n,) joint angles [rad].
+        external: (n_t,) tensions in balance with the contact [N].
+    """
+    lever = reduced_tip_lever(digit, q)
+    torque = digit.reduced_moment_arms.T @ external
+    return float(lever @ torque / (lever @ lever))

@@ -1,0 +1,289 @@
+"""Moment arms that depend on the joint angles, and the structure tables at the present angles.
+
+Filter, control law and allocation use the linear relation q = B (R B)^+ s of joint angles q and
+excursions s. For a digit with varying arms, the tables of ``constants`` that depend on R are
+evaluated at the angles of the free digit: q0 = B theta, for which the excursions e(q0) equal s.
+Around q0 the excursion is e(q0) + R (q - q0), so the linear relation has an offset. With constant
+arms, the offsets are 0 and the tables do not change. The tables depend only on the state block.
+They are evaluated before each use in a tick, so a tick that is computed again from a stored state
+gives the same result.
+
+The tendons of a finger pass the wrist that carries the finger. If a tendon does not pass through
+the axis of the wrist, the motion of the wrist winds this tendon, and its tension turns the wrist.
+Both effects are known from the estimated angle of the wrist and from the tension. The part of the
+travel that carriers such as the wrist wind is subtracted (``carrier_excursion``). So filter, goals
+and detectors treat the finger like a digit on a base at rest. The tendons of the wrist bear the
+torque of the tendons that pass the wrist (``statics.subtract_passing_torque``).
+
+Source: Tsai, Robot Analysis (1999), structure matrix; Gauss-Newton method.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.compiled import kernel_helper
+from handctl.core import constants as h
+from handctl.core import state_block as s
+from handctl.core.constants import ConstantTables
+from handctl.core.estimation.statics import part_explained_by_motion
+from handctl.core.state_block import StateTables
+from handctl.hand.file.quantities import POLYNOMIAL_COEFFICIENTS
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+NEWTON_STEPS = 8
+"""Largest number of Newton steps for a digit's joint angles in a tick.
+
+One or two steps are usual.
+"""
+NEWTON_TOLERANCE_RAD = 1e-6
+"""Newton step below which the iteration ends [rad].
+
+The remaining error is of the order of the step squared.
+"""
+MIN_SPRING_STIFFNESS = 1e-3
+"""Smallest spring stiffness used in the null space [N m/rad].
+
+With softer springs, the ranges of the joints limit the turn by a contact.
+"""
+REGULARISATION_FRACTION = 1e-9
+"""Regularisation of R K^-1 R^T for dependent rows of R, as a fraction of the mean diagonal element."""
+MIN_BALANCE_FRACTION = 0.05
+"""Smallest balance tension of a tendon, as a fraction of its balance tension with mean moment arms."""
+
+
+@kernel_helper
+def moment_arm(c: ConstantTables, n: int, j: int, q: float) -> float:
+    """Return the moment arm of tendon n about joint j, at an angle q of this joint [m]."""
+    if not c.tendon_int[h.HAS_VARYING_ARM, n]:
+        return c.tendon_joint[h.MOMENT_ARMS, n, j]
+    held = min(max(q, c.joint[h.JOINT_MIN, j]), c.joint[h.JOINT_MAX, j])
+    value = 0.0
+    for order in range(POLYNOMIAL_COEFFICIENTS - 1, -1, -1):
+        value = value * held + c.tendon_joint[h.ARM_POLYNOMIAL + order, n, j]
+    return value
+
+
+@kernel_helper
+def joint_excursion(c: ConstantTables, n: int, j: int, q: float) -> float:
+    """Return the part of tendon n's excursion that the angle of joint j causes: the integral of the moment arm [m]."""
+    if not c.tendon_int[h.HAS_VARYING_ARM, n]:
+        return c.tendon_joint[h.MOMENT_ARMS, n, j] * q
+    held = min(max(q, c.joint[h.JOINT_MIN, j]), c.joint[h.JOINT_MAX, j])
+    value = 0.0
+    for order in range(POLYNOMIAL_COEFFICIENTS - 1, -1, -1):
+        value = value * held + c.tendon_joint[h.ARM_POLYNOMIAL + order, n, j] / (order + 1.0)
+    return value * held + moment_arm(c, n, j, held) * (q - held)
+
+
+@kernel_helper
+def carrier_excursion(c: ConstantTables, n: int, values: Vector) -> float:
+    """Return the part of tendon n's excursion, or of its rate, that the joints of its carriers cause [m, m/s].
+
+    Args:
+        c: constants of the hand.
+        n: index of the tendon.
+        values: (J,) angles [rad] or rates [rad/s] of the joints. An unknown value (NaN) counts as
+            0.
+    """
+    total = 0.0
+    for j in range(len(values)):
+        arm = c.tendon_joint[h.CARRIER_ARMS, n, j]
+        if arm != 0.0 and not math.isnan(values[j]):
+            total += arm * values[j]
+    return total
+
+
+@kernel_helper
+def motor_speed(x: StateTables, c: ConstantTables, n: int) -> float:
+    """Return the speed of a tendon at its spool [m/s], including the speed that the carriers of its digit cause."""
+    speed = x.tendon[s.SPEED, n]
+    if c.run_int[h.HAS_CARRIER_ARMS]:
+        speed += carrier_excursion(c, n, x.joint[s.DQ])
+    return speed
+
+
+@kernel_helper
+def arm_slope(c: ConstantTables, n: int, j: int, q: float) -> float:
+    """Return the derivative of tendon n's moment arm with respect to the angle of joint j [m/rad]."""
+    if (
+        not c.tendon_int[h.HAS_VARYING_ARM, n]
+        or q < c.joint[h.JOINT_MIN, j]
+        or q > c.joint[h.JOINT_MAX, j]
+    ):
+        return 0.0
+    value = 0.0
+    for order in range(POLYNOMIAL_COEFFICIENTS - 1, 0, -1):
+        value = value * q + c.tendon_joint[h.ARM_POLYNOMIAL + order, n, j] * order
+    return value
+
+
+@kernel_helper
+def update_structure(x: StateTables, c: ConstantTables) -> None:
+    """Write the structure tables of all digits with varying moment arms, for the joint angles of the free digits."""
+    q = np.empty(x.joint.shape[1])
+    for d in range(x.digit.shape[1]):
+        if not c.digit_int[h.DIGIT_VARYING, d]:
+            continue
+        first = c.digit_int[h.JOINTS_FIRST, d]
+        end = c.digit_int[h.JOINTS_END, d]
+        for j in range(first, end):
+            q[j] = c.joint[h.JOINT_MIN, j] if math.isnan(x.joint[s.Q, j]) else x.joint[s.Q, j]
+        for _ in range(NEWTON_STEPS):
+            _write_structure(c, d, q)
+            change = 0.0
+            for j in range(first, end):
+                angle = c.joint[h.ANGLE_OFFSET, j]
+                for n in range(c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d]):
+                    angle += c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n] * x.tendon[s.EXCURSION, n]
+                change = max(change, abs(angle - q[j]))
+                q[j] = angle
+            if change < NEWTON_TOLERANCE_RAD:
+                break
+        _write_weights(c, d)
+        if c.joint_joint[h.COMPLIANCE, first, first] > 0.0:
+            _write_compliance(c, d)
+
+
+@kernel_helper
+def keep_excursion(x: StateTables, c: ConstantTables) -> None:
+    """Correct the joint angles of digits with varying moment arms, so that they agree with the estimated excursions."""
+    for d in range(x.digit.shape[1]):
+        if not c.digit_int[h.DIGIT_VARYING, d]:
+            continue
+        first = c.digit_int[h.TENDONS_FIRST, d]
+        missing = np.empty(c.digit_int[h.TENDONS_END, d] - first)
+        for i in range(len(missing)):
+            missing[i] = x.tendon[s.EXCURSION, first + i]
+            for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+                missing[i] -= joint_excursion(c, first + i, j, x.joint[s.Q, j])
+        for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+            for i in range(len(missing)):
+                x.joint[s.Q, j] += c.joint_tendon[h.EXCURSION_TO_JOINTS, j, first + i] * missing[i]
+
+
+@kernel_helper
+def _write_structure(c: ConstantTables, d: int, q: Vector) -> None:
+    """Write the tables R, R B, B (R B)^+ and the offsets of a digit, at joint angles q (J,) [rad]."""
+    joints = (c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d])
+    tendons = (c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d])
+    first = c.digit_int[h.COORDINATES_FIRST, d]
+    count = c.digit_int[h.COORDINATES_END, d] - first
+    gram = np.zeros((count, count))
+    rest = np.zeros(tendons[1] - tendons[0])  # excursion minus R q
+    for n in range(tendons[0], tendons[1]):
+        for j in range(joints[0], joints[1]):
+            arm = moment_arm(c, n, j, q[j])
+            rest[n - tendons[0]] += joint_excursion(c, n, j, q[j]) - arm * q[j]
+            c.tendon_joint[h.MOMENT_ARMS, n, j] = arm
+        for k in range(count):
+            reduced = 0.0
+            for j in range(joints[0], joints[1]):
+                reduced += (
+                    c.tendon_joint[h.MOMENT_ARMS, n, j]
+                    * c.joint_coordinate[h.COUPLING, j, first + k]
+                )
+            c.tendon_coordinate[h.REDUCED_ARMS, n, first + k] = reduced
+        for k in range(count):
+            for other in range(count):
+                product = c.tendon_coordinate[h.REDUCED_ARMS, n, first + k]
+                gram[k, other] += product * c.tendon_coordinate[h.REDUCED_ARMS, n, first + other]
+    _invert_matrix(gram)
+    for j in range(joints[0], joints[1]):
+        c.joint[h.ANGLE_OFFSET, j] = 0.0
+        for n in range(tendons[0], tendons[1]):
+            angle = 0.0
+            for k in range(count):
+                for other in range(count):
+                    product = c.joint_coordinate[h.COUPLING, j, first + k] * gram[k, other]
+                    angle += product * c.tendon_coordinate[h.REDUCED_ARMS, n, first + other]
+            c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n] = c.tendon_joint[
+                h.TORQUE_TO_TENSION, n, j
+            ] = angle
+            c.joint[h.ANGLE_OFFSET, j] -= angle * rest[n - tendons[0]]
+    for n in range(tendons[0], tendons[1]):
+        c.tendon[h.EXPLAINED_OFFSET, n] = rest[n - tendons[0]]
+        for j in range(joints[0], joints[1]):
+            c.tendon[h.EXPLAINED_OFFSET, n] += (
+                c.tendon_joint[h.MOMENT_ARMS, n, j] * c.joint[h.ANGLE_OFFSET, j]
+            )
+
+
+@kernel_helper
+def _write_weights(c: ConstantTables, d: int) -> None:
+    """Write pulley weights, ``POSTURE_TORQUE`` and balance tensions of a digit, from its present moment arms R."""
+    for n in range(c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d]):
+        total = 0.0
+        for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+            total += abs(c.tendon_joint[h.MOMENT_ARMS, n, j])
+        for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+            c.tendon_joint[h.PULLEY_WEIGHTS, n, j] = (
+                abs(c.tendon_joint[h.MOMENT_ARMS, n, j]) / total
+            )
+            torque = 0.0
+            for i in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+                torque += (
+                    c.joint_joint[h.COORDINATE_PROJECTION, j, i]
+                    * c.tendon_joint[h.MOMENT_ARMS, n, i]
+                )
+            c.joint_tendon[h.POSTURE_TORQUE, j, n] = torque
+        mean = c.tendon[h.MEAN_BALANCE, n]
+        if c.tendon_int[h.HAS_SURPLUS, n] and mean > 0.0:
+            # The new balance tension is the part of the mean one that makes no torque with the
+            # present moment arms.
+            balance = mean - part_explained_by_motion(c, n, c.tendon[h.MEAN_BALANCE])
+            c.tendon[h.BALANCE_TENSION, n] = c.tendon[h.RELAXED_TENSION, n] = max(
+                balance, MIN_BALANCE_FRACTION * mean
+            )
+
+
+@kernel_helper
+def _write_compliance(c: ConstantTables, d: int) -> None:
+    """Write how far torques turn the joints at constant excursion: K^-1 - K^-1 R^T (R K^-1 R^T)^-1 R K^-1."""
+    joints = (c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d])
+    tendons = (c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d])
+    count = tendons[1] - tendons[0]
+    stiff = np.zeros((count, count))
+    soft = np.empty(joints[1])
+    for j in range(joints[0], joints[1]):
+        soft[j] = 1.0 / max(c.joint[h.SPRING_STIFFNESS, j], MIN_SPRING_STIFFNESS)
+        for a in range(count):
+            for b in range(count):
+                product = c.tendon_joint[h.MOMENT_ARMS, tendons[0] + a, j] * soft[j]
+                stiff[a, b] += product * c.tendon_joint[h.MOMENT_ARMS, tendons[0] + b, j]
+    trace = 0.0
+    for a in range(count):
+        trace += stiff[a, a]
+    for a in range(count):
+        stiff[a, a] += REGULARISATION_FRACTION * trace / count
+    _invert_matrix(stiff)
+    for i in range(joints[0], joints[1]):
+        for j in range(joints[0], joints[1]):
+            value = soft[i] if i == j else 0.0
+            for a in range(count):
+                for b in range(count):
+                    product = (
+                        soft[i] * c.tendon_joint[h.MOMENT_ARMS, tendons[0] + a, i] * stiff[a, b]
+                    )
+                    value -= product * c.tendon_joint[h.MOMENT_ARMS, tendons[0] + b, j] * soft[j]
+            c.joint_joint[h.COMPLIANCE, i, j] = value
+
+
+@kernel_helper
+def _invert_matrix(matrix: Matrix) -> None:
+    """Invert a symmetric positive definite matrix in place, by Gauss-Jordan elimination."""
+    count = len(matrix)
+    for k in range(count):
+        pivot = 1.0 / matrix[k, k]
+        matrix[k, k] = 1.0
+        for j in range(count):
+            matrix[k, j] *= pivot
+        for i in range(count):
+            if i != k:
+                factor = matrix[i, k]
+                matrix[i, k] = 0.0
+                for j in range(count):
+                    matrix[i, j] -= factor * matrix[k, j]

@@ -1,0 +1,235 @@
+"""Bounds of the gains as data: range, default and meaning of each key, and whether it may change in a run."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any, NamedTuple, cast
+
+from annotated_types import Ge, Gt, Le
+
+from handctl.core.gains.gains import Gains, TendonForces
+from handctl.document import Document, validate_content
+from handctl.errors import ConfigError
+from handctl.hand.file.key_descriptions import key_description
+from handctl.printing import similar_name
+
+GAIN_SECTIONS = ("filter", "motion", "tension", "contact")
+TENDON_SECTION = "tendon"
+"""Section of forces for single tendons, with keys such as ``tendon.wrist_flex.motion_force_N``."""
+LIVE_SECTIONS = ("motion", "tension", "contact", TENDON_SECTION)
+"""Sections that a running controller accepts.
+
+The design of the filter takes too long for the ticks of a run.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class GainBounds:
+    """A key of the gains, with the bounds of its value.
+
+    Attributes:
+        key: section and name, for example ``motion.force_N``.
+        low: smallest value, excluded if ``open_low``.
+        high: largest value.
+        open_low: True if the value must be greater than ``low``.
+        default: default value.
+        whole: True for integers.
+        live: True if a running controller accepts changes.
+        why: meaning of the key, empty if the name is clear.
+    """
+
+    key: str
+    low: float
+    high: float
+    open_low: bool
+    default: float
+    whole: bool
+    live: bool
+    why: str
+
+    def __str__(self) -> str:
+        """Return the bounds of the value in words."""
+        lower = f"more than {self.low:g}" if self.open_low else f"at least {self.low:g}"
+        return f"{'a whole number, ' if self.whole else ''}{lower}, at most {self.high:g}"
+
+
+class TendonKey(NamedTuple):
+    """Parts of a key for the force of a single tendon.
+
+    Attributes:
+        tendon: name of the tendon.
+        field: field of ``TendonForces`` with the force.
+        shared: key of the force for all tendons.
+    """
+
+    tendon: str
+    field: str
+    shared: str
+
+
+SHARED_KEYS = {"motion_force_N": "motion.force_N", "tension_force_N": "tension.force_N"}
+"""Key of the force for all tendons, by the field of ``TendonForces``."""
+
+
+def tendon_key(key: str) -> TendonKey | None:
+    """Return the parts of a key for the force of a single tendon, or None for any other key."""
+    section, _, rest = key.partition(".")
+    tendon, _, field = rest.rpartition(".")
+    if section != TENDON_SECTION or not tendon or field not in SHARED_KEYS:
+        return None
+    return TendonKey(tendon, field, SHARED_KEYS[field])
+
+
+@cache
+def gain_bounds() -> Mapping[str, GainBounds]:
+    """Return the bounds of all keys that apply to the whole hand, as ``Gains`` declares them and in its order."""
+    result = {}
+    for section in GAIN_SECTIONS:
+        model = cast(type[Document], Gains.model_fields[section].annotation)
+        for name, field in model.model_fields.items():
+            low, high, open_low = _range_of_field(field.metadata)
+            key = f"{section}.{name}"
+            whole = field.annotation is int
+            why = key_description(model, name)
+            result[key] = GainBounds(
+                key, low, high, open_low, field.default, whole, section in LIVE_SECTIONS, why
+            )
+    return result
+
+
+def _range_of_field(metadata: list[Any]) -> tuple[float, float, bool]:
+    """Return the smallest and largest value of a field, and True if the smallest value is excluded."""
+    low = float("-inf")
+    high = float("inf")
+    open_low = False
+    for limit in metadata:
+        if isinstance(limit, Gt):
+            low = cast(float, limit.gt)
+            open_low = True
+        elif isinstance(limit, Ge):
+            low = cast(float, limit.ge)
+        elif isinstance(limit, Le):
+            high = cast(float, limit.le)
+    return low, high, open_low
+
+
+def bounds_of_key(key: str) -> GainBounds | None:
+    """Return the bounds of a key for the whole hand or for a single tendon, or None for an unknown key."""
+    parts = tendon_key(key)
+    if parts is None:
+        return gain_bounds().get(key)
+    why = key_description(TendonForces, parts.field)
+    return replace(gain_bounds()[parts.shared], key=key, why=why)
+
+
+def values_by_key(gains: Gains) -> dict[str, float]:
+    """Return the value of every key, including the keys for forces of single tendons."""
+    values = {
+        key: getattr(getattr(gains, key.partition(".")[0]), key.partition(".")[2])
+        for key in gain_bounds()
+    }
+    for one in gains.tendon:
+        forces = {field: getattr(one, field) for field in SHARED_KEYS}
+        values |= {
+            f"{TENDON_SECTION}.{one.name}.{field}": force
+            for field, force in forces.items()
+            if force
+        }
+    return values
+
+
+def different_values(old_gains: Gains, new_gains: Gains) -> dict[str, tuple[float, float]]:
+    """Return the old and the new value of every key whose value differs.
+
+    A tendon without a separate force has the force for all tendons.
+    """
+    old = values_by_key(old_gains)
+    new = values_by_key(new_gains)
+    pairs = {key: (_value_of(old, key), _value_of(new, key)) for key in {**old, **new}}
+    return {key: pair for key, pair in pairs.items() if pair[0] != pair[1]}
+
+
+def _value_of(values: Mapping[str, float], key: str) -> float:
+    """Return the value of a key.
+
+    If a single tendon has no value, return the value for all tendons.
+    """
+    parts = tendon_key(key)
+    return values[parts.shared] if parts and key not in values else values[key]
+
+
+def with_values(
+    gains: Gains, values: Mapping[str, float], source_name: str, live: bool = False
+) -> Gains:
+    """Return a copy of gains with some values replaced. All new values are checked first.
+
+    Args:
+        gains: gains to copy.
+        values: new values by key.
+        source_name: name of the source of the values, for messages.
+        live: True to accept only keys that may change during a run.
+
+    Raises:
+        ConfigError: for an unknown key, a value out of bounds, or a key that must not change during
+            a run.
+    """
+    content = gains.model_dump(by_alias=True)
+    for key, value in values.items():
+        bound = bounds_after_check(key, value, source_name)
+        if live and not bound.live:
+            right = f"a key of {', '.join(LIVE_SECTIONS)}, or handctl gains apply and a new run"
+            raise ConfigError(
+                "is designed before arming and cannot change in a run",
+                f"{source_name}: {key}",
+                right,
+            )
+        if parts := tendon_key(key):
+            _set_tendon_force(content, parts, float(value))
+            continue
+        section, _, name = key.partition(".")
+        content[section][name] = int(value) if bound.whole else float(value)
+    return validate_content(content, Gains, source_name)
+
+
+def _set_tendon_force(content: dict[str, Any], parts: TendonKey, force: float) -> None:
+    """Set the force of a single tendon in the content of gains [N]."""
+    entries = [dict(entry) for entry in content[TENDON_SECTION]]
+    entry = next((one for one in entries if one["name"] == parts.tendon), None)
+    if entry is None:
+        entries.append(entry := {"name": parts.tendon})
+    entry[parts.field] = force
+    content[TENDON_SECTION] = entries
+
+
+def check_tendon_names(gains: Gains, tendons: Sequence[str]) -> None:
+    """Check that the hand has each tendon for which the gains contain separate forces.
+
+    Args:
+        gains: gains to check.
+        tendons: names of the hand's tendons.
+
+    Raises:
+        ConfigError: for a tendon that the hand does not have.
+    """
+    for one in gains.tendon:
+        if one.name not in tendons:
+            near = similar_name(one.name, tendons, cutoff=0.5)
+            right = f"{near}?" if near else f"one of {', '.join(tendons)}"
+            raise ConfigError(f"no tendon {one.name!r}", f"gains: {TENDON_SECTION}", right)
+
+
+def bounds_after_check(key: str, value: float, source_name: str) -> GainBounds:
+    """Return the bounds of a key after checking a value.
+
+    Raises:
+        ConfigError: for an unknown key, or a value out of bounds.
+    """
+    known = bounds_of_key(key)
+    if known is None:
+        near = similar_name(key, gain_bounds(), cutoff=0.5)
+        right = f"{near}?" if near else "one of those that handctl gains show lists"
+        raise ConfigError("no such gain", f"{source_name}: {key}", right)
+    inside = known.low < value if known.open_low else known.low <= value
+    if not (inside and value <= known.high) or (known.whole and value != int(value)):
+        raise ConfigError(f"{value:g}", f"{source_name}: {key}", str(known))
+    return known

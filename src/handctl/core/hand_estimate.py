@@ -1,0 +1,179 @@
+"""Estimate and measurements of a tick, for programs. They are views into the state block."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.core import state_block as s
+from handctl.core.tick_types import Vector
+
+QuantityTable = NDArray[np.float64]
+
+
+class HandEstimate:
+    """Estimate of the hand's state at the present time. Each property is (N,) unless its docstring gives another shape.
+
+    Attributes:
+        tendon: table ``tendon`` of the state block.
+        joint: table ``joint`` of the state block.
+        digit: table ``digit`` of the state block.
+        regimes: (N,) regime of each tendon: 0 free, 1 held, 2 slack.
+    """
+
+    __slots__ = ("digit", "joint", "regimes", "tendon")
+
+    def __init__(
+        self,
+        tendon: QuantityTable,
+        joint: QuantityTable,
+        digit: QuantityTable,
+        regimes: NDArray[np.int64],
+    ) -> None:
+        """Keep the tables of the state block, without a copy.
+
+        Args:
+            tendon: table ``tendon`` of the state block.
+            joint: table ``joint`` of the state block.
+            digit: table ``digit`` of the state block.
+            regimes: (N,) regime of each tendon.
+        """
+        self.tendon = tendon
+        self.joint = joint
+        self.digit = digit
+        self.regimes = regimes
+
+    @property
+    def tension(self) -> Vector:
+        """Return the tension of each tendon at its load cell [N], 0 for a slack tendon."""
+        return self.tendon[s.TENSION]
+
+    @property
+    def tension_sigma(self) -> Vector:
+        """Return the standard deviation of each tension [N]."""
+        return self.tendon[s.TENSION_SIGMA]
+
+    @property
+    def travel(self) -> Vector:
+        """Return the length of each tendon that is wound on its spool [m]."""
+        return self.tendon[s.TRAVEL]
+
+    @property
+    def tendon_speed(self) -> Vector:
+        """Return the rate of each tendon's travel [m/s]."""
+        return self.tendon[s.SPEED]
+
+    @property
+    def excursion(self) -> Vector:
+        """Return the excursion of each tendon at the joints [m]."""
+        return self.tendon[s.EXCURSION]
+
+    @property
+    def excursion_rate(self) -> Vector:
+        """Return the rate of each tendon's excursion [m/s]."""
+        return self.tendon[s.EXCURSION_RATE]
+
+    @property
+    def motor_disturbance(self) -> Vector:
+        """Return the force on each motor that the model does not explain [N]."""
+        return self.tendon[s.DISTURBANCE]
+
+    @property
+    def external_tension(self) -> Vector:
+        """Return the load force on each tendon that the model does not explain [N].
+
+        It is positive if it acts against closing. Contact with an object causes such a force.
+        """
+        return self.tendon[s.EXTERNAL_TENSION]
+
+    @property
+    def stretch_offset(self) -> Vector:
+        """Return the difference of travel and excursion at which the stretch of each tendon begins [m]."""
+        return self.tendon[s.STRETCH_OFFSET]
+
+    @property
+    def innovation(self) -> Vector:
+        """Return the load-cell reading minus its prediction [N], NaN if the reading is missing."""
+        return self.tendon[s.INNOVATION]
+
+    @property
+    def nis(self) -> Vector:
+        """Return the normalised innovation squared of encoder and load cell, NaN if a reading is missing."""
+        return self.tendon[s.NIS]
+
+    @property
+    def is_slack(self) -> NDArray[np.bool_]:
+        """Return for each tendon True if it is slack."""
+        return np.asarray(self.regimes == 2)
+
+    @property
+    def q(self) -> Vector:
+        """Return the estimated joint angles (J,) [rad]."""
+        return self.joint[s.Q]
+
+    @property
+    def dq(self) -> Vector:
+        """Return the estimated joint rates (J,) [rad/s]."""
+        return self.joint[s.DQ]
+
+    @property
+    def q_sigma(self) -> Vector:
+        """Return the standard deviations of the joint angles (J,) [rad]."""
+        return self.joint[s.Q_SIGMA]
+
+    @property
+    def contact_force(self) -> Vector:
+        """Return (D,) contact forces at the tips of closing digits [N], less the errors found before the contact."""
+        return self.digit[s.CONTACT_FORCE]
+
+    @property
+    def grip_opening(self) -> Vector:
+        """Return the recent opening of the digits that hold an object, along each tendon [m]."""
+        return np.asarray(self.tendon[s.GRIP_TRAVEL_SLOW] - self.tendon[s.GRIP_TRAVEL_FAST])
+
+    @property
+    def grip_travel(self) -> Vector:
+        """Return the length wound on each spool minus the stretch of the tendon, averaged over 0.2 s [m]."""
+        return self.tendon[s.GRIP_TRAVEL_SLOW]
+
+
+class TickMeasurements:
+    """Measurements of a tick, NaN if missing.
+
+    Each property is (N,) unless its docstring gives another shape.
+    """
+
+    __slots__ = ("joint", "tendon")
+
+    def __init__(self, tendon: QuantityTable, joint: QuantityTable) -> None:
+        """Keep the tables of the state block, without a copy.
+
+        Args:
+            tendon: table ``tendon`` of the state block.
+            joint: table ``joint`` of the state block.
+        """
+        self.tendon = tendon
+        self.joint = joint
+
+    @property
+    def travel(self) -> Vector:
+        """Return the tendon length wound on each spool, as the motor encoders measure it [m]."""
+        return self.tendon[s.MEASURED_TRAVEL]
+
+    @property
+    def motor_position(self) -> Vector:
+        """Return the positions that the motor encoders measure, converted to the spool [rad]."""
+        return self.tendon[s.MEASURED_POSITION]
+
+    @property
+    def tension(self) -> Vector:
+        """Return the load-cell readings minus their tare [N]."""
+        return self.tendon[s.MEASURED_TENSION]
+
+    @property
+    def excursion(self) -> Vector:
+        """Return the tendon excursions, computed from the readings of the joint encoders [m]."""
+        return self.tendon[s.MEASURED_EXCURSION]
+
+    @property
+    def joint_angles(self) -> Vector:
+        """Return the readings of the joint encoders (J,) [rad]."""
+        return self.joint[s.MEASURED_JOINT]

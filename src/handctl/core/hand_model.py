@@ -1,0 +1,210 @@
+"""Model of a hand: all constants of a run that follow from the hand description and the gains."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.core.control_law.computed_torque import RELAX_FLOOR_N
+from handctl.core.control_law.tendon_redundancy import TendonRedundancy, redundancy_of_hand
+from handctl.core.deferred_imports import deferred_imports
+from handctl.core.estimation.filter_stack import FilterDesign
+from handctl.core.gains.filter_design import design_filter
+from handctl.core.gains.gains import Gains
+from handctl.core.gains.motion_design import MotionDesign, design_motion
+from handctl.core.tendon_space import TendonSpace, tendon_space
+from handctl.core.tick_types import Vector
+from handctl.hand.description import Hand
+from handctl.hand.digit import JointValues
+from handctl.hand.dynamics import DigitModel, required_torque
+from handctl.hand.hand_tree import HandTree
+
+with deferred_imports():
+    from scipy.linalg import block_diag
+
+BLIND_SIGMAS = 2.0
+"""Margin of the tension limits of a tendon without load cell, in standard deviations of its estimated tension."""
+InverseDynamics = Callable[[DigitModel, JointValues, JointValues, JointValues], tuple[float, ...]]
+"""Inverse dynamics: a function of digit, joint angles, rates and accelerations that returns the joint torques."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HandModel:
+    """A hand, its gains, and all quantities that follow from both.
+
+    Attributes:
+        hand: description of the hand.
+        gains: gains of the controller.
+        period: control period [s].
+        digits: digit models, in file order.
+        coupling: (J, C) joint angles per coordinate of the digits.
+        digit_tendons: for each digit, the slice of its tendons among all tendons.
+        digit_coordinates: for each digit, the slice of its coordinates among all coordinates.
+        reach: (2, C) lowest and highest value of each coordinate [rad].
+        space: constants of the hand along the tendons.
+        filter: steady-state filter of each tendon.
+        motion: feedback gains of each tendon.
+        digit_of: for each tendon, the index of its digit.
+        excursion_to_joints: (J, N) joint angles per excursion [rad/m].
+        torque_to_tension: (N, J) smallest tensions per joint torque [1/m].
+        pulleys: (N, J) 1 where a tendon passes the pulley of a joint, else 0.
+        pulley_weights: (N, J) moment arm at each pulley, as a fraction of the sum over all pulleys
+            of the tendon.
+        friction: (N,) friction coefficient of the pulleys.
+        wrap: (N,) wrap angle before the first joint pulley [rad].
+        floor: (N,) smallest tension at the load cell [N]. For a spool pair it is the negative
+            ceiling.
+        ceiling: (N,) largest tension at the load cell [N]. For a spool pair it is the largest net
+            tension.
+        torque_limit: (N,) largest motor torque that the host may command [N m].
+        redundancy: directions of the tendons, and tensions that are in balance.
+        tree: tree of all links of the hand.
+        blind_margin: (N,) margin of the tension limits of a tendon without load cell [N]. It is 0
+            with a load cell.
+        torque_gain: (N,) torque at the spool per commanded torque, None if it was not identified.
+        inverse: inverse dynamics of a digit. Experiments replace it.
+    """
+
+    hand: Hand
+    gains: Gains
+    period: float
+    digits: tuple[DigitModel, ...]
+    coupling: Vector
+    digit_tendons: tuple[slice, ...]
+    digit_coordinates: tuple[slice, ...]
+    reach: Vector
+    digit_of: tuple[int, ...]
+    space: TendonSpace
+    filter: FilterDesign
+    motion: MotionDesign
+    excursion_to_joints: Vector
+    torque_to_tension: Vector
+    pulleys: Vector
+    pulley_weights: Vector
+    friction: Vector
+    wrap: Vector
+    floor: Vector
+    ceiling: Vector
+    torque_limit: Vector
+    redundancy: TendonRedundancy
+    tree: HandTree
+    blind_margin: Vector
+    torque_gain: Vector | None = None
+    inverse: InverseDynamics = required_torque
+
+    @staticmethod
+    def from_hand(
+        hand: Hand, gains: Gains, rate_hz: float, torque_gain: Vector | None = None
+    ) -> "HandModel":
+        """Derive the model of a hand, and design all its gains, which takes about 0.1 s.
+
+        Args:
+            hand: description of the hand.
+            gains: gains of the controller.
+            rate_hz: control rate [Hz].
+            torque_gain: (N,) identified torque at the spool per commanded torque, None if it was
+                not identified.
+        """
+        digits = tuple(DigitModel.from_hand(hand, digit.name) for digit in hand.digit)
+        space = tendon_space(hand, digits)
+        tendons = hand.tendon
+        arms = np.abs(hand.own_arms)
+        period = 1.0 / rate_hz
+        filters = design_filter(space, gains.filter, period, _joint_period(hand, period))
+        margin = np.where(hand.has_cell, 0.0, BLIND_SIGMAS * filters.held_sigma)
+        # The floor is raised by the margin only in digits with surplus tendons. Any other digit
+        # would be closed by a higher floor.
+        held = np.array(
+            [
+                len(digit.moment_arms) > digit.coupling.shape[1]
+                for digit in digits
+                for _ in digit.moment_arms
+            ]
+        )
+        floor = np.array([tendon.tension_floor_N for tendon in tendons]) + np.where(
+            held, margin, 0.0
+        )
+        ceiling = np.array([tendon.tension_max_N for tendon in tendons]) - margin
+        floor = np.where(hand.is_pair, -ceiling, floor)
+        return HandModel(
+            hand=hand,
+            gains=gains,
+            period=1.0 / rate_hz,
+            digits=digits,
+            coupling=block_diag(*(digit.coupling for digit in digits)),
+            digit_tendons=tuple(digit.tendons for digit in digits),
+            digit_coordinates=_coordinate_slices(digits),
+            reach=np.concatenate([digit.reach for digit in digits], axis=1),
+            digit_of=tuple(
+                d
+                for d, one in enumerate(digits)
+                for _ in range(one.tendons.start, one.tendons.stop)
+            ),
+            space=space,
+            filter=filters,
+            motion=design_motion(space, gains, 1.0 / rate_hz),
+            excursion_to_joints=block_diag(*(digit.excursion_to_joints for digit in digits)),
+            torque_to_tension=block_diag(*(digit.torque_to_tension for digit in digits)),
+            pulleys=(arms > 0.0).astype(np.float64),
+            pulley_weights=arms / arms.sum(axis=1, keepdims=True),
+            friction=np.array([tendon.friction_coefficient for tendon in tendons]),
+            wrap=np.array([tendon.wrap_angle_rad for tendon in tendons]),
+            floor=floor,
+            ceiling=ceiling,
+            torque_limit=_torque_limit(hand, torque_gain),
+            redundancy=redundancy_of_hand(digits, floor, ceiling, hand.is_pair),
+            tree=HandTree.from_hand(hand, digits),
+            blind_margin=margin,
+            torque_gain=torque_gain,
+        )
+
+    @property
+    def tendon_count(self) -> int:
+        """Return N, the number of tendons."""
+        return len(self.floor)
+
+    @property
+    def relaxed(self) -> Vector:
+        """Return the tensions (N,) of a relaxed hand [N].
+
+        Surplus tendons keep their balance tensions. A spool pair has no net tension.
+        """
+        single = np.where(self.redundancy.balance > 0.0, self.redundancy.balance, RELAX_FLOOR_N)
+        return np.where(self.is_pair, 0.0, single)
+
+    @property
+    def is_pair(self) -> NDArray[np.bool_]:
+        """Return for each tendon True if it is a spool pair, (N,)."""
+        return self.hand.is_pair
+
+    @property
+    def coordinate_count(self) -> int:
+        """Return C, the number of reduced coordinates of all digits."""
+        return int(self.coupling.shape[1])
+
+
+def _coordinate_slices(digits: tuple[DigitModel, ...]) -> tuple[slice, ...]:
+    """Return the slice of each digit's coordinates among all coordinates."""
+    counts = [digit.coupling.shape[1] for digit in digits]
+    ends = np.cumsum(counts).tolist()
+    return tuple(slice(end - count, end) for end, count in zip(ends, counts, strict=True))
+
+
+def _torque_limit(hand: Hand, gain: Vector | None) -> Vector:
+    """Return the largest torque (N,) at the spool [N m]: the limit of the hand file, within the drive's range.
+
+    A drive that makes less torque than commanded needs a larger command, so its limit is lower. The
+    limit has a margin of 1e-12 of its value, because drives refuse commands that exceed their limit
+    even by the last bit. Such an excess could come from rounding, when torques are divided or
+    multiplied by spool radius and torque gain.
+    """
+    largest = np.array([hand.motor_of(tendon.name).torque_max_N_m for tendon in hand.tendon]) * (
+        1.0 - 1e-12
+    )
+    return largest if gain is None else largest * np.minimum(gain, 1.0)
+
+
+def _joint_period(hand: Hand, period: float) -> Vector:
+    """Return the time (N,) between two readings of all joints of a tendon [s], inf if a joint has no encoder."""
+    return np.where(hand.tendons_with_encoders, hand.sensor_node.joint_decimation * period, np.inf)

@@ -1,0 +1,215 @@
+"""Parameters that were identified from runs, and the hand description with these parameters for the controller."""
+
+import copy
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from pydantic import Field, field_validator, model_validator
+
+from handctl.core.tick_types import Vector
+from handctl.document import Document
+from handctl.errors import ConfigError
+from handctl.hand.description import Hand
+from handctl.hand.hand_loading import hand_from_content
+
+TENDON_KEYS = {
+    "tendon_stiffness": "stiffness_N_per_m",
+    "capstan": "friction_coefficient",
+    "pretension": "pretension_N",
+}
+"""Key in the hand file's tendon table whose value each identified parameter replaces."""
+MOTOR_KEYS = {
+    "motor_inertia": "inertia_kg_m2",
+    "motor_viscous": "viscous_N_m_s_per_rad",
+    "motor_coulomb": "coulomb_N_m",
+}
+"""Key in the hand file's motor table whose value each identified parameter replaces."""
+DIGIT_KEYS = {
+    "spring_stiffness": "spring_stiffness_N_m_per_rad",
+    "spring_preload": "spring_preload_rad",
+    "joint_damping": "joint_damping_N_m_s_per_rad",
+}
+"""Key in the hand file's digit table whose values each identified parameter scales.
+
+The parameter is a factor on the values of all joints of the digit.
+"""
+LENGTH_KEYS = ("polynomial_m", "arm_m")
+"""Keys whose values are lengths, in the hand file's table of a moment arm that depends on the joint angle."""
+PARAMETER_UNITS = {
+    "torque_gain": "1", "motor_inertia": "kg m2", "motor_viscous": "N m s/rad", "motor_coulomb": "N m", "delay": "s",
+    "tendon_stiffness": "N/m", "spring_stiffness": "x file", "spring_preload": "x file", "capstan": "1",
+    "joint_damping": "x file", "moment_arm": "x file", "pretension": "N",
+}  # fmt: skip
+"""Unit of each parameter that can be identified. ``x file`` is a factor on the value of the hand file.
+
+``torque_gain`` is the torque at the spool per commanded torque. ``moment_arm`` is one factor on the
+moment arms of a tendon about all its joints.
+"""
+
+FORMER_NAMES = {"rope_stiffness": "tendon_stiffness"}
+"""Present name of a renamed parameter, by its name in earlier versions of handctl."""
+
+
+class IdentifiedParameters(Document):
+    """Identified parameters of a tendon, of its motor and of its digit."""
+
+    names: tuple[str, ...] = Field(min_length=1)
+    """Names of the identified parameters, from ``PARAMETER_UNITS``."""
+    values: tuple[float, ...]
+    """Identified values, in the units of ``PARAMETER_UNITS``."""
+    half_widths: tuple[float, ...]
+    """Half widths of the 95 % confidence intervals of the values."""
+    covariance: tuple[tuple[float, ...], ...]
+    """Covariance of the values in their units. Rows and columns have the order of ``names``."""
+    missing: tuple[str, ...] = ()
+    """Parameters that the data cannot identify, each with the reason."""
+    log: tuple[str, ...] = ()
+    """Logs of the runs from which the values were identified."""
+    made: str = ""
+    """Date and time of the identification, ISO 8601, UTC."""
+
+    @field_validator("names", mode="before")
+    @classmethod
+    def _replace_former_names(cls, names: object) -> object:
+        """Replace parameter names of earlier versions by the present names."""
+        return (
+            tuple(FORMER_NAMES.get(name, name) for name in names)
+            if isinstance(names, list | tuple)
+            else names
+        )
+
+    @model_validator(mode="after")
+    def _check_shapes(self) -> "IdentifiedParameters":
+        n = len(self.names)
+        unknown = set(self.names) - PARAMETER_UNITS.keys()
+        if unknown:
+            raise ValueError(
+                f"names from {', '.join(PARAMETER_UNITS)}, not {', '.join(sorted(unknown))}"
+            )
+        if not n == len(self.values) == len(self.half_widths) == len(self.covariance):
+            raise ValueError("one value, half width and row of the covariance for every name")
+        if any(len(row) != n for row in self.covariance):
+            raise ValueError("a square covariance")
+        return self
+
+    def get(self, name: str, default: float) -> float:
+        """Return the value of a parameter, or ``default`` if this parameter was not identified."""
+        return self.values[self.names.index(name)] if name in self.names else default
+
+    def beside(self, older: "IdentifiedParameters | None") -> "IdentifiedParameters":
+        """Return these parameters, together with the parameters of an older identification that are missing here.
+
+        So a run that identifies few parameters does not remove the other parameters. Parameters of
+        different runs count as uncorrelated.
+        """
+        others = (
+            [i for i, name in enumerate(older.names) if name not in self.names] if older else []
+        )
+        if older is None or not others:
+            return self
+        n = len(self.names)
+        m = len(others)
+        joined = np.zeros((n + m, n + m))
+        joined[:n, :n] = self.covariance
+        joined[n:, n:] = np.array(older.covariance)[np.ix_(others, others)]
+        return self.model_copy(
+            update={
+                "names": self.names + tuple(older.names[i] for i in others),
+                "values": self.values + tuple(older.values[i] for i in others),
+                "half_widths": self.half_widths + tuple(older.half_widths[i] for i in others),
+                "covariance": tuple(map(tuple, joined.tolist())),
+                "log": tuple(dict.fromkeys((*self.log, *older.log))),
+            }
+        )
+
+
+def identified_hand(hand: Hand, identified: dict[str, IdentifiedParameters]) -> Hand:
+    """Return the hand description with identified parameters in place of the values of the hand file.
+
+    Args:
+        hand: description from the hand file.
+        identified: identified parameters by tendon.
+
+    Raises:
+        ConfigError: for a value that no hand file may contain.
+    """
+    content = copy.deepcopy(hand.content)
+    for i, tendon in enumerate(hand.tendon):
+        if tendon.name not in identified:
+            continue
+        known = identified[tendon.name]
+        digit = next(
+            d
+            for d, name in enumerate(hand.digit_names)
+            if _is_in_slice(hand.digit_tendons[name], i)
+        )
+        _replace_values(content["tendon"][i], TENDON_KEYS, known)
+        _scale_arms(content["tendon"][i], known.get("moment_arm", 1.0))
+        _replace_values(content["motor"][hand.motor_index[i]], MOTOR_KEYS, known)
+        _scale_values(content["digit"][digit], known)
+    return hand_from_content(content, f"{hand.name} as identified")
+
+
+def torque_gain(hand: Hand, identified: dict[str, IdentifiedParameters]) -> Vector:
+    """Return the torque at the spool per commanded torque of each drive (N,), 1 if it was not identified."""
+    return np.array(
+        [
+            identified[t.name].get("torque_gain", 1.0) if t.name in identified else 1.0
+            for t in hand.tendon
+        ]
+    )
+
+
+def check_identified(hand: Hand, identified: dict[str, IdentifiedParameters], source: str) -> None:
+    """Check that identified parameters belong to tendons of the hand.
+
+    Raises:
+        ConfigError: for an unknown tendon, or a torque gain out of bounds.
+    """
+    for name, known in identified.items():
+        if name not in hand.tendon_names:
+            raise ConfigError(
+                "no such tendon", f"{source}: identified.{name}", ", ".join(hand.tendon_names)
+            )
+        if not 0.2 <= known.get("torque_gain", 1.0) <= 5.0:
+            right = "from 0.2 to 5"
+            raise ConfigError(
+                f"{known.get('torque_gain', 1.0):g}",
+                f"{source}: identified.{name}.torque_gain",
+                right,
+            )
+
+
+def _is_in_slice(indices: slice, i: int) -> bool:
+    return bool(indices.start <= i < indices.stop)
+
+
+def _replace_values(
+    table: dict[str, object], keys: dict[str, str], known: IdentifiedParameters
+) -> None:
+    for name, key in keys.items():
+        if name in known.names:
+            table[key] = known.get(name, 0.0)
+
+
+def _scale_arms(tendon: dict[str, Any], factor: float) -> None:
+    """Scale the moment arms of a tendon, which are numbers, polynomials, or tables of angles and arms."""
+    if factor == 1.0:
+        return
+    for joint, arm in tendon["moment_arm_m"].items():
+        if isinstance(arm, Mapping):
+            lengths = {
+                key: tuple(factor * value for value in arm[key])
+                for key in LENGTH_KEYS
+                if key in arm
+            }
+            tendon["moment_arm_m"][joint] = {**arm, **lengths}
+        else:
+            tendon["moment_arm_m"][joint] = factor * arm
+
+
+def _scale_values(table: dict[str, tuple[float, ...]], known: IdentifiedParameters) -> None:
+    for name, key in DIGIT_KEYS.items():
+        factor = known.get(name, 1.0)
+        table[key] = tuple(value * factor for value in table[key])

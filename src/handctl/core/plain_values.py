@@ -1,0 +1,134 @@
+"""Conversion of the controller's objects to plain values and back, for the hash of its state and for snapshots.
+
+Plain values consist of numbers, strings, bytes and tuples only. A named tuple or dataclass becomes
+a tuple that begins with the name of the type. Equal values have equal bytes, even if one of them
+contains the same object several times. ``from_plain`` creates only objects of registered types, so
+that a log cannot create objects of other types.
+"""
+
+import enum
+import functools
+import marshal
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel
+
+MARSHAL_VERSION = 2
+"""Version of the format of ``marshal``.
+
+It is the last version that writes no references to shared values.
+"""
+ARRAY_MARK, MODEL_MARK, BYTES_MARK = ":array", ":model", ":bytes"
+"""Marks that replace the type name in the plain form of arrays, pydantic models and bytes."""
+NAMES_IN_LOGS = {
+    "controller.pending_gains.PendingGains": "controller.coming.Coming",
+    "drives.contract.DriveTarget": "drives.contract.Want",
+    "controller.controller_state.ControllerDecisions": "controller.state.Decisions",
+    "controller.controller_state.ClientLease": "controller.state.Lease",
+    "core.control_law.digit_goal.DigitGoal": "core.law.goal.DigitGoal",
+    "core.control_law.trajectory.MinimumJerk": "core.law.trajectory.MinimumJerk",
+    "core.control_law.digit_goal.GoalKind": "core.law.goal.Kind",
+    "safety.tick_verdict.LatchedFault": "safety.judge.Latched",
+    "safety.tick_verdict.CountedFault": "safety.judge.Counting",
+    "core.control_law.trajectory.StreamedTrajectory": "core.law.trajectory.Streamed",
+    "core.control_law.trajectory.BlendTrajectory": "core.law.trajectory.Blend",
+    "core.control_law.trajectory.CurveTrajectory": "core.law.trajectory.Curve",
+    "core.control_law.trajectory.SampledTrajectory": "core.law.trajectory.Sample",
+    "core.control_law.trajectory.ChirpTrajectory": "core.law.trajectory.Chirp",
+    "programs.excitation.SwingTrajectory": "programs.excite.Swing",
+    "programs.stream_plans.StreamPlan": "programs.streams.StreamPlan",
+    "programs.program.ProgramProgress": "programs.program.Progress",
+    "programs.grip.GripState": "programs.grip.Grip",
+    "drives.contract.DrivePhase": "drives.contract.Phase",
+    "drives.readback.ReadbackCursor": "drives.readback.Walk",
+    "drives.readback.RecheckCursor": "drives.readback.Recheck",
+    "drives.moteus.settings.DiagnosticChannel": "drives.moteus.settings.Channel",
+    "drives.mit.progress.MitProgress": "drives.mit.progress.Progress",
+    "drives.mit.cubemars.CubemarsProgress": "drives.mit.cubemars.Progress",
+    "drives.odrive.progress.OdriveProgress": "drives.odrive.progress.Progress",
+    "drives.cia402.progress.Cia402Progress": "drives.cia402.progress.Progress",
+}
+"""First name of each renamed type, by its present name.
+
+Hashes and snapshots in logs contain the first name.
+"""
+_TYPE_BY_PLAIN_NAME: dict[str, type] = {}
+_PLAIN_TYPES = frozenset((type(None), bool, int, float, str, bytes))
+
+
+@functools.cache
+def plain_name(type_: type) -> str:
+    """Return the name of a type in plain values: its module and class, as they were called at first."""
+    name = f"{type_.__module__.removeprefix('handctl.')}.{type_.__qualname__}"
+    return ":" + NAMES_IN_LOGS.get(name, name)
+
+
+def register_types(*types: type) -> None:
+    """Register types whose objects ``from_plain`` may create."""
+    _TYPE_BY_PLAIN_NAME.update({plain_name(type_): type_ for type_ in types})
+
+
+def to_plain(value: Any) -> Any:
+    """Return the plain form of a value.
+
+    Raises:
+        TypeError: if a part of the value is neither plain nor a named tuple, dataclass, array,
+            enumeration or model.
+    """
+    kind: type = type(value)
+    if kind in _PLAIN_TYPES:
+        return value
+    if isinstance(value, tuple):
+        # This code runs in ticks that read the settings of drives. For speed, it makes no call for
+        # a plain item.
+        items = [item if type(item) in _PLAIN_TYPES else to_plain(item) for item in value]
+        return (plain_name(kind), *items) if hasattr(value, "_fields") else tuple(items)
+    if isinstance(value, enum.IntEnum):
+        return (plain_name(kind), int(value))
+    if isinstance(value, np.ndarray):
+        return (ARRAY_MARK, value.dtype.str, value.shape, np.ascontiguousarray(value).tobytes())
+    if isinstance(value, BaseModel):
+        return (MODEL_MARK, plain_name(type(value)), value.model_dump_json(by_alias=True))
+    if is_dataclass(value) and not isinstance(value, type):
+        own = tuple([to_plain(getattr(value, field.name)) for field in fields(value) if field.init])
+        return (plain_name(type(value)), *own)
+    raise TypeError(f"{type(value).__name__} is no plain value")
+
+
+def plain_bytes(value: Any) -> bytes:
+    """Return the plain form of a value as bytes."""
+    return marshal.dumps(to_plain(value), MARSHAL_VERSION)
+
+
+def from_plain(value: Any) -> Any:
+    """Return the object that a plain value represents. Lists from JSON are accepted in place of tuples.
+
+    Raises:
+        ValueError: if a type is not registered, or the value does not fit the type.
+    """
+    if not isinstance(value, tuple | list):
+        return value
+    if not value or not isinstance(value[0], str) or not value[0].startswith(":"):
+        return tuple([from_plain(item) for item in value])
+    mark, *rest = value
+    if mark == ARRAY_MARK:
+        kind, shape, data = rest
+        return np.frombuffer(from_plain(data), np.dtype(kind)).reshape(shape).copy()
+    if mark == BYTES_MARK:
+        return bytes.fromhex(rest[0])
+    if mark == MODEL_MARK:
+        model: Any = _registered_type(rest[0])
+        return model.model_validate_json(rest[1])
+    made: Any = _registered_type(mark)
+    try:
+        return made(*[from_plain(item) for item in rest])
+    except TypeError as error:
+        raise ValueError(f"{mark[1:]} cannot be restored: {error}") from None
+
+
+def _registered_type(name: str) -> type:
+    if name not in _TYPE_BY_PLAIN_NAME:
+        raise ValueError(f"a snapshot names the type {name[1:]!r}, which none may hold")
+    return _TYPE_BY_PLAIN_NAME[name]

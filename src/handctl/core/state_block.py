@@ -1,0 +1,510 @@
+"""Declaration of every quantity of the state block, which each tick passes to the next: table, unit and meaning.
+
+A tick copies the block of the last tick and writes into the copy. The results of a tick
+(measurements, estimates, the command) are stored in the same block as its memory. So the log, the
+viewer and the next tick read the same data. ``state_tables`` returns the tables by name, for
+compiled code. The module ``block_schema`` explains how a row of a table is addressed.
+
+The tables have these axes. The capital letter or number after a name is the length of the axis:
+
+- tendon, N. A motor has the index of its tendon.
+- joint, J.
+- digit, D.
+- coordinate, C: the reduced coordinates of all digits.
+- node, N + 1: the motors, then the load cells.
+- group, G: the frames in which the sensor node sends its readings.
+- instance: the motors, tendons, joints or nodes in which a fault can occur, whichever are most.
+- run, 1: numbers that exist once for the whole hand.
+- servo: N if any drive of the hand closes a position loop by itself, else 0.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.compiled import borrowed_array, kernel_helper
+from handctl.core.block_schema import BlockArray, BlockSchema, TablePlaces
+
+NAN = math.nan
+STATE_AXES = ("tendon", "joint", "digit", "coordinate", "node", "group", "instance", "run", "servo")
+"""Names of the axes. ``Layout.places`` begins with their lengths, in this order."""
+STATE_TABLES = (
+    "tendon", "joint", "digit", "coordinate", "run", "servo",
+    "tendon_int", "joint_int", "digit_int", "node_int", "group_int", "instance_int", "run_int",
+)  # fmt: skip
+
+STATE_SCHEMA = BlockSchema(*STATE_TABLES, optional="servo")
+_real = STATE_SCHEMA.real_field
+_whole = STATE_SCHEMA.integer_field
+
+# Tension filter. The seven states of each tendon are declared first, so that they form one
+# contiguous vector (7 N) for filterpy.
+TRAVEL = _real("travel", "tendon", "m",
+    "length of tendon wound on the spool, predicted to the present")  # fmt: skip
+SPEED = _real("speed", "tendon", "m/s", "rate of the travel")
+EXCURSION = _real("excursion", "tendon", "m", "tendon excursion at the joints")
+EXCURSION_RATE = _real("excursion_rate", "tendon", "m/s", "rate of the excursion")
+DISTURBANCE = _real("disturbance", "tendon", "N",
+    "force on the motor that the model does not explain")  # fmt: skip
+CELL_ERROR = _real("cell_error", "tendon", "N",
+    "load-cell error, as estimated when the tendon was last slack")  # fmt: skip
+STRETCH_OFFSET = _real("stretch_offset", "tendon", "m",
+    "travel less excursion at which the stretch begins")  # fmt: skip
+FILTER_FORCE = _real("force", "tendon", "N",
+    "commanded motor force less motor friction: first input of the filter")  # fmt: skip
+PLANNED_TENSION_RATE = _real("rate", "tendon", "N/s",
+    "planned rate of the tension: second input of the filter")  # fmt: skip
+COVARIANCE = _real("covariance", "tendon", "",
+    "covariance of the seven states, row by row, while it is propagated", rows=49)  # fmt: skip
+CELL_INNOVATION_SIGMAS = _real("surprise", "tendon", "",
+    "last load-cell innovation in standard deviations; 0 without a reading")  # fmt: skip
+NIS_MEAN = _real("nis_mean", "tendon", "",
+    "normalised innovation squared, averaged over 1 s", initial=2.0)  # fmt: skip
+NIS_FAST = _real("nis_lately", "tendon", "", initial=2.0,
+    meaning="normalised innovation squared of the model without added noise, averaged over 0.25 s")  # fmt: skip
+ADDED_NOISE_S = _real("wary", "tendon", "s", "time for which the filter still adds process noise")
+REGIME = _whole("regime", "tendon", "", "regime of the tendon: 0 free, 1 held, 2 slack", initial=2)
+FILTER_KIND = _whole("kind", "tendon", "", initial=2,
+    meaning="index of the filter design: the regime, plus 3 with added process noise")  # fmt: skip
+FILTER_KIND_BEFORE = _whole("kind_before", "tendon", "",
+    "index of the filter design for the measurements of this tick", initial=2)  # fmt: skip
+ON_OPEN_STOP = _whole("stopped", "tendon", "",
+    "1 if springs hold the digit on its open stop", initial=1)  # fmt: skip
+REGIME_EVIDENCE = _whole("turning", "tendon", "",
+    "evidence that the tendon becomes slack or taut, see take_up")  # fmt: skip
+LENGTH_KNOWN = _whole("length_known", "tendon", "",
+    "1 after a take-up, which shows the length of the tendon")  # fmt: skip
+DOUBTFUL = _whole("doubtful", "tendon", "", "1 if the mean NIS is too large for a correct model")
+COVARIANCE_PROPAGATED = _whole("carried", "run", "",
+    "1 while the covariance is propagated, because measurements were missing")  # fmt: skip
+FILTER_STARTED = _whole("started", "run", "",
+    "1 after the first reading of every encoder and load cell")  # fmt: skip
+
+# Measurements of this tick. A missing measurement is NaN.
+MEASURED_TRAVEL = _real("measured_travel", "tendon", "m",
+    "length of tendon wound on the spool, by the motor encoder", initial=NAN)  # fmt: skip
+MEASURED_POSITION = _real("measured_position", "tendon", "rad",
+    "motor position by its encoder, at the spool, less the motor zero", initial=NAN)  # fmt: skip
+MEASURED_TENSION = _real("measured_tension", "tendon", "N",
+    "load-cell reading less the tare", initial=NAN)  # fmt: skip
+MEASURED_EXCURSION = _real("measured_excursion", "tendon", "m",
+    "tendon excursion by the joint encoders", initial=NAN)  # fmt: skip
+MEASURED_JOINT = _real("measured_joint", "joint", "rad",
+    "joint angle by the joint encoder", initial=NAN)  # fmt: skip
+MEASURED_FORCE = _real("measured_force", "tendon", "N",
+    "motor force at the spool, from the torque that the drive reports", initial=NAN)  # fmt: skip
+SATURATED = _whole("saturated", "tendon", "", "1 if the load cell is at an end of its range")
+JOINT_ANGLE = _real("joint_angle", "joint", "rad",
+    "latest reading of the joint encoder", initial=NAN)  # fmt: skip
+JOINTS_READ = _whole("joints_read", "run", "", "1 if a joint encoder was read in this tick")
+REJECTED_STEP = _real("jump", "tendon", "rad",
+    "step of a motor position that this tick rejected; 0 if none")  # fmt: skip
+REJECTED_JOINT_STEP = _real("joint_jump", "joint", "rad",
+    "step of a joint angle that this tick rejected; 0 if none")  # fmt: skip
+PROGRAM_TARE = _real("program_tare", "tendon", "N",
+    "load-cell tare that the program measured in this run")  # fmt: skip
+
+# Estimates of this tick.
+TENSION = _real("tension", "tendon", "N", "tension at the load cell; 0 in slack")
+TENSION_SIGMA = _real("sigma", "tendon", "N", "standard deviation of the tension", initial=NAN)
+EXTERNAL_TENSION = _real("external", "tendon", "N",
+    "load force that the model does not explain, positive against closing: contact")  # fmt: skip
+INNOVATION = _real("innovation", "tendon", "N",
+    "load-cell reading less its prediction; NaN if missing", initial=NAN)  # fmt: skip
+NIS = _real("nis", "tendon", "", "normalised innovation squared; NaN if missing", initial=NAN)
+Q = _real("q", "joint", "rad", "joint angle")
+DQ = _real("dq", "joint", "rad/s", "joint rate")
+Q_SIGMA = _real("q_sigma", "joint", "rad", "standard deviation of the joint angle", initial=NAN)
+TOUCH = _real("touch", "digit", "N",
+    "unexplained tension, the mean over the tendons of a digit, low-passed")  # fmt: skip
+BLOCKED = _whole("blocked", "digit", "",
+    "1 if the digit touches something that no program planned to touch")  # fmt: skip
+CONTACT_TENSION = _real("pressed", "digit", "N",
+    "tension of a contact, which rises at once and fades slowly")  # fmt: skip
+CONTACT_TURN = _real("turn", "joint", "rad", "angle by which a contact turns the joint")
+CONTACT_TURN_SIGMA = _real("turn_sigma", "joint", "rad",
+    "standard deviation of the turn by contact")  # fmt: skip
+TIP_FORCE = _real("tip_force", "digit", "N",
+    "tip-equivalent contact force, normal to the last link")  # fmt: skip
+TIP_FORCE_SIGMA = _real("tip_force_sigma", "digit", "N", "standard deviation of the tip force")
+CONTACT = _real("contact", "digit", "", "1 if the digit is in contact, else 0")
+PLANNED_CONTACT = _whole("planned_contact", "digit", "",
+    "1 if the program knows that the digit touches an object")  # fmt: skip
+
+# Contact of digits that close, and motion of the tendons while the hand holds an object, see
+# estimation.contact_force.
+CLOSING = _whole("closing", "digit", "", "1 while the program closes the digit until contact")
+SMOOTHED_TIP_FORCE = _real("felt", "digit", "N",
+    "force at the tip of a closing digit, low-passed over 5 ms; 0 for other digits")  # fmt: skip
+TIP_FORCE_MEAN = _real("usual", "digit", "N", initial=NAN,
+    meaning="mean force at the tip of a closing digit over 0.15 s; NaN for other digits")  # fmt: skip
+TIP_FORCE_DRIFT = _real("drift", "digit", "N", initial=NAN,
+    meaning="mean force at the tip over all closing so far, caused by errors of the load cells")  # fmt: skip
+CONTACT_FORCE = _real("grown", "digit", "N",
+    "smoothed force at the tip less a negative mean and a positive drift")  # fmt: skip
+GRIPPING = _whole("gripping", "run", "", "1 while the program holds an object")
+SLIP_JUDGED_FROM = _real("grip_ready", "run", "s", "program time from which slip is judged")
+GRIP_TRAVEL_FAST = _real("grip_fast", "tendon", "m",
+    "length wound on the spool less stretch, averaged over 0.02 s")  # fmt: skip
+GRIP_TRAVEL_SLOW = _real("grip_slow", "tendon", "m",
+    "length wound on the spool less stretch, averaged over 0.2 s")  # fmt: skip
+
+# Goals of the digits, for the control law.
+GOAL_KIND = _whole("goal_kind", "tendon", "", "type of control: 0 limp, 1 motion, 2 tension")
+TRAJECTORY_KIND = _whole("way_kind", "digit", "",
+    "type of trajectory: 0 none, 1 minimum jerk, 2 sampled by the program, 3 streamed")  # fmt: skip
+TRAJECTORY_START = _real("way_start", "coordinate", "rad",
+    "position at the start of a minimum-jerk move")  # fmt: skip
+TRAJECTORY_END = _real("way_end", "coordinate", "rad", "position at the end of a minimum-jerk move")
+TRAJECTORY_START_SPEED = _real("trajectory_start_speed", "coordinate", "rad/s",
+                               "rate at the start of a minimum-jerk move")  # fmt: skip
+TRAJECTORY_START_ACCELERATION = _real("trajectory_start_acceleration", "coordinate", "rad/s2",
+    "acceleration at the start of a minimum-jerk move")  # fmt: skip
+TRAJECTORY_SINCE = _real("way_since", "digit", "s",
+    "program time at which the minimum-jerk move starts")  # fmt: skip
+TRAJECTORY_DURATION = _real("way_duration", "digit", "s",
+    "duration of the minimum-jerk move", initial=1.0)  # fmt: skip
+TRAJECTORY_BLEND = _real("trajectory_blend", "digit", "s",
+    "time in which an earlier motion fades during the minimum-jerk move", initial=1.0)  # fmt: skip
+TRAJECTORY = _real("way", "coordinate", "rad, /s, /s2",
+    "position, rate and acceleration on the trajectory", rows=3)  # fmt: skip
+TENSION_TARGET = _real("target", "tendon", "N",
+    "tension that the setpoint of the tension loop approaches")  # fmt: skip
+SETPOINT_STEP = _real("target_step", "tendon", "N",
+    "largest change of the tension setpoint in a tick")  # fmt: skip
+FORCE_LIMIT = _real("force_limit", "tendon", "N", "largest motor force that the goal allows")
+STIFFNESS_FRACTION = _real("stiffness_fraction", "tendon", "",
+    "fraction of the motion loop's stiffness that is used", initial=1.0)  # fmt: skip
+DAMPING_FRACTION = _real("damping_fraction", "tendon", "",
+    "fraction of the motion loop's damping that is used", initial=1.0)  # fmt: skip
+
+# Stream of targets from a client, see ``control_law.streamed_motion``. Times of the stream are read from the clock
+# of the run.
+STREAM_SEGMENT = _real("stream_segment", "coordinate", "rad .. rad/s5",
+    "coefficients of the polynomial from the reference to the target", rows=6)  # fmt: skip
+STREAM_TARGET = _real("stream_target", "coordinate", "rad",
+    "latest target, clipped to the range of the joints")  # fmt: skip
+STREAM_TARGET_RATE = _real("stream_target_rate", "coordinate", "rad/s",
+    "rate between the latest two targets")  # fmt: skip
+STREAM_RANGE = _real("stream_range", "coordinate", "rad",
+    "smallest and largest target within the range of the joints", rows=2)  # fmt: skip
+STREAM_SINCE = _real("stream_since", "run", "s", "time at which the present segment starts")
+STREAM_DURATION = _real("stream_duration", "run", "s",
+    "duration of the present segment", initial=1.0)  # fmt: skip
+STREAM_SENT_NS = _whole("stream_sent_ns", "run", "ns",
+    "time at which the latest accepted target was sent")  # fmt: skip
+STREAMING = _whole("streaming", "run", "",
+    "1 if a stream is open, 2 after its first accepted target, else 0")  # fmt: skip
+STREAM_SEQUENCE = _whole("stream_sequence", "run", "",
+    "sequence number of the latest accepted target; -1 before the first", initial=-1)  # fmt: skip
+STREAM_ACCEPTED = _whole("stream_accepted", "run", "", "number of accepted targets of the stream")
+STREAM_CLIPPED = _whole("stream_clipped", "run", "",
+    "number of accepted targets that were clipped to the range")  # fmt: skip
+STREAM_LATE = _whole("stream_late", "run", "",
+    "number of ignored targets: repeated, overtaken or too old")  # fmt: skip
+STREAM_REFUSED = _whole("stream_refused", "run", "",
+    "number of refused targets: not numbers, or of a wrong shape")  # fmt: skip
+STREAM_LIMITED = _whole("stream_limited", "run", "",
+    "number of coordinates that speed or acceleration limits hold back in this tick")  # fmt: skip
+
+# Control law.
+SETPOINT = _real("setpoint", "tendon", "N", "present setpoint of the tension loop")
+REQUIRED_TENSION = _real("load", "tendon", "N",
+    "tension at the joints that the trajectory requires")  # fmt: skip
+REQUIRED_JOINT_TORQUE = _real("joint_required", "joint", "N m",
+    "joint torque that the trajectory requires")  # fmt: skip
+TENSION_INTEGRAL = _real("integral", "tendon", "N", "integral of the tension error, as a force")
+PLANNED_TENSION = _real("planned", "tendon", "N",
+    "planned tension of a moving tendon a period from now; 0 for other tendons")  # fmt: skip
+TRIM = _real("trim", "tendon", "N",
+    "fading motor force that avoids a jump of the torque after a change of gains")  # fmt: skip
+HOLD_LIMIT = _real("limit_held", "tendon", "N",
+    "largest tension while safety holds the hand", initial=NAN)  # fmt: skip
+FRICTION_STATE = _real("friction_state", "tendon", "",
+    "development of friction: 1 winding, -1 paying out; NaN if unknown", initial=NAN)  # fmt: skip
+TRIMMED = _whole("trimmed", "run", "", "1 while a trim is not yet zero")
+HOLDING = _whole("holding", "run", "", "1 while safety holds the hand")
+
+# Command of this tick.
+TORQUE = _real("torque", "tendon", "N m", "commanded motor torque, at the spool")
+TENSION_GOAL = _real("tension_goal", "tendon", "N",
+    "commanded tension; NaN without a tension command", initial=NAN)  # fmt: skip
+JOINT_TORQUE = _real("joint_torque", "joint", "N m", "commanded joint torque")
+Q_GOAL = _real("q_goal", "joint", "rad",
+    "commanded joint angle; NaN for a digit in the tension loop", initial=NAN)  # fmt: skip
+DQ_GOAL = _real("dq_goal", "joint", "rad/s",
+    "commanded joint rate; NaN for a digit in the tension loop", initial=NAN)  # fmt: skip
+
+# Command of this tick to a drive that closes the position loop by itself, see ``control_law.servo_commands``.
+SERVO_POSITION = _real("servo_position", "servo", "rad",
+    "position that the drive approaches, at the spool")  # fmt: skip
+SERVO_VELOCITY = _real("servo_velocity", "servo", "rad/s",
+    "velocity that the drive approaches, at the spool")  # fmt: skip
+SERVO_KP = _real("servo_kp", "servo", "N m/rad",
+    "stiffness of the drive's position loop; 0 for a torque command")  # fmt: skip
+SERVO_KD = _real("servo_kd", "servo", "N m s/rad",
+    "damping of the drive's position loop; 0 for a torque command")  # fmt: skip
+SERVO_TORQUE = _real("servo_torque", "servo", "N m",
+    "torque that the drive adds to that of its position loop")  # fmt: skip
+SERVO_LIMIT = _real("servo_limit", "servo", "N m",
+    "torque limit in the command; 0 for a drive whose commands contain none")  # fmt: skip
+SERVO_BEFORE = _real("servo_before", "servo", "",
+    "position as the drive has it now, velocity, kp, kd, torque and limit of the last command", rows=6)  # fmt: skip
+SERVO_SHARE = _real("servo_share", "servo", "", "fraction of recent ticks with kp > 0")
+SERVO_REPORT = _real("servo_report", "servo", "N",
+    "motor force that the drive should report in this tick", initial=NAN)  # fmt: skip
+
+# Drives: values from their cyclic frames. The state of each drive's set-up is in ``ControllerState.drives``.
+POSITION = _real("position", "tendon", "rad",
+    "motor position, at the spool; NaN before any feedback", initial=NAN)  # fmt: skip
+VELOCITY = _real("velocity", "tendon", "rad/s",
+    "motor velocity, at the spool; NaN before any feedback", initial=NAN)  # fmt: skip
+REPORTED_TORQUE = _real("reported", "tendon", "N m",
+    "motor torque that the drive reports", initial=NAN)  # fmt: skip
+TEMPERATURE = _real("temperature", "tendon", "degC",
+    "temperature of the drive's hottest sensor", initial=NAN)  # fmt: skip
+FEEDBACK_NS = _whole("feedback_ns", "tendon", "ns",
+    "reception time of the latest feedback; -1 before the first", initial=-1)  # fmt: skip
+FEEDBACKS = _whole("feedbacks", "tendon", "", "number of feedback frames since the start")
+FEEDBACKS_NOW = _whole("answered", "tendon", "", "number of feedback frames in this tick")
+STATUS = _whole("status", "tendon", "", "status field of the latest feedback")
+STATUS_EXPECTED = _whole("status_expected", "tendon", "", initial=-1,
+    meaning="status that needs no action of the drive's state machine; -1 for none")  # fmt: skip
+DUE_NS = _whole("due_ns", "tendon", "ns", "time at which the drive's state machine must run next")
+PHASE = _whole("phase", "tendon", "", "phase of the drive, drives.contract.Phase")
+PHASE_BEFORE = _whole("phase_before", "tendon", "", "phase of the drive before this tick")
+EXCESS_REPLIES = _whole("surplus", "tendon", "",
+    "number of open requests plus 1 if more replies came than requests, else 0")  # fmt: skip
+FAULT_CODE = _whole("fault_code", "tendon", "", "error code of a drive in fault")
+FAULT_CAUSE = _whole("fault_cause", "tendon", "",
+    "cause of the drive's fault, drives.causes.Cause; -1 without fault", initial=-1)  # fmt: skip
+MALFORMED_NOW = _whole("misread_now", "node", "",
+    "1 if a frame of the node had a wrong shape in this tick")  # fmt: skip
+DUPLICATES = _whole("twice", "node", "",
+    "excess replies of this tick: 0 none, 1 with equal bytes, 2 with other bytes")  # fmt: skip
+
+# Numbers that only the log uses.
+MOTOR_AGE = _real("motor_age", "tendon", "s", "age of the latest feedback", initial=NAN)
+DRIVE_PHASE = _real("drive_phase", "tendon", "",
+    "phase of the drive, drives.contract.Phase, as a real number")  # fmt: skip
+MOTOR_VELOCITY = _real("motor_velocity", "tendon", "rad/s",
+    "motor velocity of this tick; NaN without feedback", initial=NAN)  # fmt: skip
+MOTOR_TORQUE = _real("motor_torque", "tendon", "N m",
+    "motor torque of this tick; NaN without feedback", initial=NAN)  # fmt: skip
+
+# Sensor node.
+CELL_READING = _real("cell", "tendon", "N", "latest load-cell reading, before the tare")
+CELL_FRESH = _whole("cell_fresh", "tendon", "", "1 if the load cell was read in this tick")
+JOINT_FRESH = _whole("joint_fresh", "joint", "", "1 if the joint encoder was read in this tick")
+GROUP_NS = _whole("group_ns", "group", "ns",
+    "reception time of the latest frame of the group; -1 before the first", initial=-1)  # fmt: skip
+GROUP_FRAMES = _whole("group_frames", "group", "",
+    "number of accepted frames of the group since the start")  # fmt: skip
+GROUP_FRAMES_NOW = _whole("group_answered", "group", "",
+    "number of accepted frames of the group in this tick")  # fmt: skip
+SYNC_COUNTER = _whole("sync_asked", "run", "",
+    "low four bits of the counter of the last SYNC; -1 before the first", initial=-1)  # fmt: skip
+SYNCS = _whole("syncs", "run", "", "number of SYNCs sent since the start")
+STALE_FRAMES = _whole("stale", "run", "",
+    "number of sensor frames since the start that answered an older SYNC")  # fmt: skip
+TENSION_FRAMES = _whole("tension_frames", "run", "",
+    "number of accepted load-cell frames since the start")  # fmt: skip
+STALE_NOW = _whole("stale_now", "run", "",
+    "1 if a sensor frame of this tick answered an older SYNC, 2 if after a fresh frame, else 0")  # fmt: skip
+
+# Memory of the fault detectors. ``reset_monitor`` resets the fields from here to _MONITOR_END.
+_MONITOR_FIRST = {table: STATE_SCHEMA.rows(table) for table in STATE_TABLES}
+ACCEPTED_POSITION = _real("accepted", "tendon", "rad",
+    "latest motor position that the outlier test accepted", initial=NAN)  # fmt: skip
+ACCEPTED_GAP = _real("accepted_gap", "tendon", "",
+    "number of ticks before the last tick at which that position may have been measured")  # fmt: skip
+REJECTED_POSITIONS = _real("dropped", "tendon", "",
+    "number of motor positions in a row that the outlier test rejected")  # fmt: skip
+ACCEPTED_JOINT_ANGLE = _real("joint_accepted", "joint", "rad",
+    "latest joint angle that the outlier test accepted", initial=NAN)  # fmt: skip
+ACCEPTED_JOINT_GAP = _real("joint_gap", "joint", "",
+    "number of ticks before the last tick at which that angle may have been measured")  # fmt: skip
+REJECTED_JOINT_ANGLES = _real("joint_dropped", "joint", "",
+    "number of joint angles in a row that the outlier test rejected")  # fmt: skip
+RESIDUAL = _real("residual", "tendon", "", "low-passed residuals, see detectors.residuals", rows=8)
+LAST_SPEED = _real("last_speed", "tendon", "m/s", "tendon speed of the last tick", initial=NAN)
+LAST_POSITION = _real("last_position", "tendon", "rad",
+    "motor position of the last tick", initial=NAN)  # fmt: skip
+LAST_POSITION_STEP = _real("last_turned", "tendon", "rad",
+    "change of the motor position in the last tick", initial=NAN)  # fmt: skip
+RESIDUALS_STARTED = _whole("filtered", "run", "", "1 after the first update of the residuals")
+STUCK_TEST_POSITION = _real("motor_value", "tendon", "m", initial=NAN,
+    meaning="last reading of the motor encoder along the tendon, for the stuck test")  # fmt: skip
+MOTOR_ANCHOR = _real("motor_anchor", "tendon", "m, N", rows=2, initial=NAN,
+    meaning="goal and tension when the reading of the motor encoder last changed")  # fmt: skip
+MOTOR_STUCK = _whole("motor_stuck", "tendon", "",
+    "number of readings since the motor encoder's reading last changed")  # fmt: skip
+STUCK_TEST_TENSION = _real("cell_value", "tendon", "N",
+    "last load-cell reading, for the stuck test", initial=NAN)  # fmt: skip
+CELL_ANCHOR = _real("cell_anchor", "tendon", "N",
+    "motor force when the load-cell reading last changed", initial=NAN)  # fmt: skip
+CELL_STUCK = _whole("cell_stuck", "tendon", "",
+    "number of readings since the load-cell reading last changed")  # fmt: skip
+STUCK_TEST_ANGLE = _real("joint_value", "joint", "rad",
+    "last reading of the joint encoder, for the stuck test", initial=NAN)  # fmt: skip
+JOINT_ANCHOR = _real("joint_anchor", "joint", "rad",
+    "joint angle by the spools when the joint reading last changed", initial=NAN)  # fmt: skip
+JOINT_STUCK = _whole("joint_stuck", "joint", "",
+    "number of readings since the joint encoder's reading last changed")  # fmt: skip
+TAUT_S = _real("taut_s", "tendon", "s", "time for which the tendon has been taut")
+IS_TAUT = _whole("bears", "tendon", "",
+    "1 if taut by the filtered tension, so that spool and joints move together")  # fmt: skip
+SLIP_REFERENCE = _real("slip_from", "tendon", "m", initial=NAN,
+    meaning="travel less stretch and joint excursion, measured when the tendon became taut")  # fmt: skip
+SLIP = _real("slip", "tendon", "deg", initial=NAN,
+    meaning="spool against joint encoders since the tendon became taut, as mean joint angle")  # fmt: skip
+DERAILED_READINGS = _real("derailed", "tendon", "",
+    "number of readings in a row with more slip than any stretch explains")  # fmt: skip
+COMMANDED_FORCE = _real("asked", "tendon", "N",
+    "motor force that the last tick commanded; NaN without a command", initial=NAN)  # fmt: skip
+COMMANDED_TENSION = _real("wanted", "tendon", "N",
+    "tension that the last tick commanded; NaN without a command", initial=NAN)  # fmt: skip
+FILTERED_GOAL = _real("followed", "tendon", "m",
+    "goal of the excursion in the last tick, filtered to the speed of a motor; NaN without a goal",
+    initial=NAN)  # fmt: skip
+TICKS_SINCE_TAUT = _whole("taut_ago", "tendon", "", initial=-1,
+    meaning="ticks since the tendon was last taut; -1 if never since a tension was commanded")  # fmt: skip
+SLACK_TICKS = _whole("slack_ticks", "tendon", "",
+    "number of ticks in a row for which the tendon has been slack")  # fmt: skip
+CUT_TICKS = _whole("cut_ticks", "run", "",
+    "ticks since the torque was cut; -1 if it was not cut", initial=-1)  # fmt: skip
+TENSION_AT_CUT = _real("cut_from", "tendon", "N",
+    "tension when the torque was cut; NaN before a load cell was read", initial=NAN)  # fmt: skip
+TENSION_AFTER_CUT = _real("cut_bears", "tendon", "N", initial=NAN,
+    meaning="latest tension at least 80 ms after the cut; NaN if none was measured")  # fmt: skip
+PAST_READINGS = _real("past", "tendon", "N",
+    "load-cell readings of the last 64 ticks, the latest first", rows=64, initial=NAN)  # fmt: skip
+COMPARED_READING = _real("reading", "tendon", "N",
+    "load-cell reading of this tick, compared with the past readings", initial=NAN)  # fmt: skip
+LONGEST_REPETITION = _whole("longest", "tendon", "",
+    "longest run of repeated readings, over all ages")  # fmt: skip
+REPETITIONS = _whole("same", "tendon", "", rows=64,
+    meaning="for each age in ticks, readings in a row that equal the reading of that age")  # fmt: skip
+SWING_SLOW = _real("swing_slow", "tendon", "N", "slow part of measured less commanded tension")
+SWING_SQUARE = _real("swing_square", "tendon", "N2",
+    "mean square of measured less commanded tension, without its slow part")  # fmt: skip
+SWING_S = _real("swing_s", "tendon", "s", "time for which the tension has oscillated strongly")
+REPORT_FORCES = _real("report_forces", "tendon", "N", rows=4, initial=NAN,
+    meaning="last three commanded forces and last reported force of the motor")  # fmt: skip
+REPORT_MOMENTS = _real("report_moments", "tendon", "N2",
+    "low-passed products of the increments of commanded and reported forces", rows=5)  # fmt: skip
+REPORT_ON_TIME = _real("report_on_time", "tendon", "",
+    "number of ticks in a row in which the motor replied in time")  # fmt: skip
+_MONITOR_END = {table: STATE_SCHEMA.rows(table) for table in STATE_TABLES}
+
+# Memory of the fault detectors that ``reset_monitor`` does not reset.
+LOST_REPLIES = _whole("lost", "node", "",
+    "ticks without a reply, one bit each: the last 50, and the 50 before", rows=2)  # fmt: skip
+MALFORMED = _whole("misshapen", "node", "",
+    "ticks with a frame of a wrong shape, one bit each: the last 20")  # fmt: skip
+UNKNOWN_RATE = _real("unknown", "run", "1/s",
+    "frames with unknown identifiers per second, averaged over about a second")  # fmt: skip
+OUTSTANDING_REQUESTS = _whole("open_questions", "tendon", "",
+    "number of requests that the motor has not answered")  # fmt: skip
+REQUEST_TICKS = _whole("question", "tendon", "",
+    "tick of each outstanding request, the oldest first", rows=8)  # fmt: skip
+FAULT_TICKS = _whole("fault_ticks", "instance", "",
+    "number of ticks in a row in which each fault is present", rows=64)  # fmt: skip
+
+# Facts of this tick that the fault detectors judge.
+T_NS = _whole("t_ns", "run", "ns", "time of the tick")
+LATE_NS = _whole("late_ns", "run", "ns", "delay of the start of the tick")
+MISSED_TICKS = _whole("missed", "run", "", "number of ticks skipped before this tick")
+RECEIVED_FRAMES = _whole("frames", "run", "", "number of frames received in this tick")
+UNKNOWN_FRAMES = _whole("strange", "run", "",
+    "number of frames with unknown identifiers in this tick")  # fmt: skip
+REFUSED_REQUESTS = _whole("refused", "run", "", "number of malformed requests in the last second")
+REFUSED_REQUESTS_NOW = _whole("refused_now", "run", "", "number of requests refused in this tick")
+CONSISTENCY_CHANGED = _whole("changed", "run", "", "1 if DOUBTFUL or BLOCKED changed in this tick")
+TARED = _whole("tared", "run", "", "1 if the load cells' zero is known", initial=1)
+NEW_FAULTS = _whole("found_now", "run", "", "number of faults that became active in this tick")
+
+# State of the whole run.
+K = _whole("k", "run", "", "number of the last tick; -1 before the first", initial=-1)
+MODE = _whole("mode", "run", "", "mode of the hand, core.tick_types.Mode")
+MODE_SINCE = _real("mode_since", "run", "s", "time at which the mode began")
+GOAL_TIME = _real("goal_time", "run", "s",
+    "time of the program, which stands still while safety holds the hand")  # fmt: skip
+ARMING_REQUESTED = _whole("armed", "run", "", "1 if arming is requested")
+CLEARING = _whole("clearing", "run", "",
+    "1 while latched errors of the drives are cleared before arming")  # fmt: skip
+
+
+class StateTables(NamedTuple):
+    """Tables of a state block, each (rows, length of the axis), except ``run`` and ``run_int``, which are (rows,)."""
+
+    tendon: NDArray[np.float64]
+    joint: NDArray[np.float64]
+    digit: NDArray[np.float64]
+    coordinate: NDArray[np.float64]
+    run: NDArray[np.float64]
+    servo: NDArray[np.float64]
+    tendon_int: NDArray[np.int64]
+    joint_int: NDArray[np.int64]
+    digit_int: NDArray[np.int64]
+    node_int: NDArray[np.int64]
+    group_int: NDArray[np.int64]
+    instance_int: NDArray[np.int64]
+    run_int: NDArray[np.int64]
+
+
+@kernel_helper
+def state_tables(block: BlockArray, at: TablePlaces) -> StateTables:
+    """Return the tables of a state block.
+
+    Args:
+        block: state block.
+        at: ``Layout.places`` of the layout of the block.
+    """
+    whole = block.view(np.int64)
+    return StateTables(
+        borrowed_array(block, at[9], ((at[10] - at[9]) // at[0], at[0])),
+        borrowed_array(block, at[10], ((at[11] - at[10]) // at[1], at[1])),
+        borrowed_array(block, at[11], ((at[12] - at[11]) // at[2], at[2])),
+        borrowed_array(block, at[12], ((at[13] - at[12]) // at[3], at[3])),
+        borrowed_array(block, at[13], (at[14] - at[13],)),
+        borrowed_array(block, at[14], ((at[15] - at[14]) // max(at[8], 1), at[8])),
+        borrowed_array(whole, at[15], ((at[16] - at[15]) // at[0], at[0])),
+        borrowed_array(whole, at[16], ((at[17] - at[16]) // at[1], at[1])),
+        borrowed_array(whole, at[17], ((at[18] - at[17]) // at[2], at[2])),
+        borrowed_array(whole, at[18], ((at[19] - at[18]) // at[4], at[4])),
+        borrowed_array(whole, at[19], ((at[20] - at[19]) // at[5], at[5])),
+        borrowed_array(whole, at[20], ((at[21] - at[20]) // at[6], at[6])),
+        borrowed_array(whole, at[21], (at[22] - at[21],)),
+    )
+
+
+TENDON_FIRST = _MONITOR_FIRST["tendon"]
+TENDON_END = _MONITOR_END["tendon"]
+TENDON_INT_FIRST = _MONITOR_FIRST["tendon_int"]
+TENDON_INT_END = _MONITOR_END["tendon_int"]
+JOINT_FIRST = _MONITOR_FIRST["joint"]
+JOINT_END = _MONITOR_END["joint"]
+JOINT_INT_FIRST = _MONITOR_FIRST["joint_int"]
+JOINT_INT_END = _MONITOR_END["joint_int"]
+RUN_INT_FIRST, RUN_INT_END = _MONITOR_FIRST["run_int"], _MONITOR_END["run_int"]
+"""For each table, the first row that ``reset_monitor`` resets, and the row behind the last one that it resets."""
+
+
+@kernel_helper
+def reset_monitor(x: StateTables, initial: StateTables) -> None:
+    """Reset the memory of the fault detectors that work while the hand is under torque."""
+    for n in range(x.tendon.shape[1]):
+        for row in range(TENDON_FIRST, TENDON_END):
+            x.tendon[row, n] = initial.tendon[row, n]
+        for row in range(TENDON_INT_FIRST, TENDON_INT_END):
+            x.tendon_int[row, n] = initial.tendon_int[row, n]
+    for j in range(x.joint.shape[1]):
+        for row in range(JOINT_FIRST, JOINT_END):
+            x.joint[row, j] = initial.joint[row, j]
+        for row in range(JOINT_INT_FIRST, JOINT_INT_END):
+            x.joint_int[row, j] = initial.joint_int[row, j]
+    for row in range(RUN_INT_FIRST, RUN_INT_END):
+        x.run_int[row] = initial.run_int[row]

@@ -1,0 +1,214 @@
+"""Compiled stages of a tick. Between these stages, ``controller.tick`` makes decisions in Python.
+
+The stages in the order of their execution, each with its input and its result:
+
+receive    frames -> values of drives and sensors, see ``cyclic_frames``
+observe    values -> measurements
+correct    measurements -> filter states of the last tick, corrected
+predict    corrected states -> states at the present, by ``filterpy``
+conclude   states -> tensions, blocked digits, joint angles
+judge      measurements and estimate -> faults
+refer      goals -> required joint torques and tensions
+act        required tensions, goals, estimate -> motor torques
+store      commands -> memory for the next tick, numbers for the log
+send       motor torques -> frames, see ``cyclic_frames``
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.compiled import kernel
+from handctl.core import constants as h
+from handctl.core import state_block as s
+from handctl.core.block_schema import BlockArray, TablePlaces
+from handctl.core.constants import constant_tables
+from handctl.core.control_law import computed_torque, digit_reference
+from handctl.core.detectors import fault_detection, outstanding_requests, stuck_sensors
+from handctl.core.detectors.bus_faults import Evidence
+from handctl.core.estimation import (
+    blocked_digits,
+    contact_force,
+    kalman,
+    measurements,
+    posture,
+    varying_moment_arms,
+)
+from handctl.core.state_block import state_tables
+
+SILENT, ARMING, ACTIVE, RELAX, DONE = 0, 3, 4, 5, 8
+"""Values of ``core.tick_types.HandMode``."""
+HOLD_ACTION = 2
+"""Value of ``safety.action.SafetyAction.HOLD``."""
+
+
+@kernel("block", "layout", "constants", "layout")
+def observe_tick(
+    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces
+) -> None:
+    """Convert the values received in this tick into measurements."""
+    x = state_tables(block, at)
+    c = constant_tables(constants, constants_at)
+    measurements.write_measurements(x, c)
+    if ARMING <= x.run_int[s.MODE] <= RELAX:
+        measurements.reject_outliers(x, c, x.run_int[s.MISSED_TICKS])
+    else:
+        measurements.clear_rejected_steps(x)
+    measurements.convert_positions(x, c)
+    if not x.run_int[s.FILTER_STARTED]:
+        measurements.start_filter(x, c)
+
+
+@kernel("block", "layout", "constants", "layout")
+def correct_estimate(
+    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces
+) -> None:
+    """Correct the tension filter by the measurements, and judge slack, stop and contact of each tendon."""
+    x = state_tables(block, at)
+    c = constant_tables(constants, constants_at)
+    if c.run_int[h.HAND_VARYING]:
+        varying_moment_arms.update_structure(x, c)
+    if x.run_int[s.FILTER_STARTED]:
+        kalman.correct_filter(x, c, x.run_int[s.MISSED_TICKS])
+    else:
+        kalman.write_unknown_estimate(x)
+
+
+@kernel("block", "layout", "constants", "layout")
+def conclude_estimate(
+    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces
+) -> bool:
+    """Derive the estimate from the predicted states.
+
+    Return True if a node sent more replies than it got requests.
+    """
+    x = state_tables(block, at)
+    c = constant_tables(constants, constants_at)
+    if c.run_int[h.HAND_VARYING]:
+        varying_moment_arms.update_structure(x, c)
+    kalman.derive_estimate(x, c)
+    if x.run_int[s.MODE] == ACTIVE or x.run_int[s.MODE] == RELAX:
+        blocked_digits.update_blocked(x, c)
+    else:
+        blocked_digits.reset_blocked(x)
+    for j in range(x.joint.shape[1]):
+        x.joint[s.Q_SIGMA, j] = math.nan
+    if x.run_int[s.FILTER_STARTED]:
+        posture.estimate_joint_angles(x, c, x.run_int[s.K], x.run_int[s.T_NS])
+    contact_force.update_tip_forces(x, c)
+    contact_force.average_grip_travel(x, c)
+    return outstanding_requests.close_answered_requests(x, c)
+
+
+@kernel("block", "layout", "constants", "layout", "constants")
+def find_faults(
+    block: BlockArray,
+    at: TablePlaces,
+    constants: BlockArray,
+    constants_at: TablePlaces,
+    initial: BlockArray,
+) -> tuple[int, Evidence]:
+    """Find and debounce the faults of a tick, see ``detectors.fault_detection``."""
+    x = state_tables(block, at)
+    c = constant_tables(constants, constants_at)
+    return fault_detection.find_and_debounce_faults(x, c, state_tables(initial, at))
+
+
+@kernel("block", "layout", "constants", "layout", "count")
+def evaluate_goals(
+    block: BlockArray,
+    at: TablePlaces,
+    constants: BlockArray,
+    constants_at: TablePlaces,
+    action: int,
+) -> int:
+    """Evaluate the goals of all digits.
+
+    The result has a bit for each digit whose bounded least-squares problem must still be solved.
+    """
+    x = state_tables(block, at)
+    c = constant_tables(constants, constants_at)
+    computed_torque.update_hold_limits(x, c, action == HOLD_ACTION and x.run_int[s.MODE] == ACTIVE)
+    digit_reference.follow_trajectories(x, c, x.run_int[s.HOLDING] == 1)
+    digit_reference.write_required_torque(x, c, digit_reference.joint_trajectories(x, c))
+    return digit_reference.write_required_tensions(x, c)
+
+
+@kernel("block", "layout", "constants", "layout")
+def joint_motion(
+    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces
+) -> NDArray[np.float64]:
+    """Return angles, rates and accelerations (3, J) of all joints on their trajectories."""
+    return digit_reference.joint_trajectories(
+        state_tables(block, at), constant_tables(constants, constants_at)
+    )
+
+
+@kernel("block", "layout", "constants", "layout")
+def write_loads(
+    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces
+) -> int:
+    """Convert required joint torques into tensions, see ``digit_reference.write_required_tensions``."""
+    return digit_reference.write_required_tensions(
+        state_tables(block, at), constant_tables(constants, constants_at)
+    )
+
+
+@kernel("block", "layout", "constants", "layout", "real", "count", "count")
+def compute_motor_torques(
+    block: BlockArray,
+    at: TablePlaces,
+    constants: BlockArray,
+    constants_at: TablePlaces,
+    relax_rate: float,
+    open_loop: int,
+    ticks: int,
+) -> None:
+    """Compute the motor torques, see ``computed_torque``.
+
+    They are 0 unless the hand is active or relaxing.
+    """
+    x = state_tables(block, at)
+    c = constant_tables(constants, constants_at)
+    if x.run_int[s.MODE] == ACTIVE or x.run_int[s.MODE] == RELAX:
+        computed_torque.write_motor_torques(
+            x, c, digit_reference.joint_trajectories(x, c), relax_rate, open_loop == 1, ticks
+        )
+    else:
+        computed_torque.command_no_torque(x, c)
+
+
+@kernel("block", "layout", "constants", "layout")
+def store_commands(
+    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces
+) -> None:
+    """Store commands and requests of this tick for the next tick, and complete the numbers for the log."""
+    x = state_tables(block, at)
+    c = constant_tables(constants, constants_at)
+    mode = x.run_int[s.MODE]
+    for n in range(x.tendon.shape[1]):
+        x.tendon[s.COMMANDED_FORCE, n] = x.tendon[s.COMMANDED_TENSION, n] = math.nan
+        if mode == ACTIVE or mode == RELAX:
+            x.tendon[s.COMMANDED_FORCE, n] = x.tendon[s.TORQUE, n] / c.tendon[h.SPOOL_RADIUS, n]
+        if mode == ACTIVE:
+            x.tendon[s.COMMANDED_TENSION, n] = x.tendon[s.TENSION_GOAL, n]
+    if mode == ACTIVE:
+        stuck_sensors.filter_goals(x, c)
+    else:
+        for n in range(x.tendon.shape[1]):
+            x.tendon[s.FILTERED_GOAL, n] = math.nan
+    if mode != SILENT and mode != DONE:
+        outstanding_requests.add_requests(x, x.run_int[s.K])
+    posture.estimate_tip_forces(x, c)
+    for d in range(x.digit.shape[1]):
+        touches = x.digit_int[s.PLANNED_CONTACT, d] == 1 or x.digit_int[s.BLOCKED, d] == 1
+        x.digit[s.CONTACT, d] = 1.0 if touches else 0.0
+    now_ns = x.run_int[s.T_NS]
+    for n in range(x.tendon.shape[1]):
+        heard_ns = x.tendon_int[s.FEEDBACK_NS, n]
+        x.tendon[s.MOTOR_AGE, n] = (now_ns - heard_ns) / 1e9 if heard_ns >= 0 else math.nan
+        x.tendon[s.DRIVE_PHASE, n] = x.tendon_int[s.PHASE, n]
+        fresh = not math.isnan(x.tendon[s.MEASURED_TRAVEL, n])
+        x.tendon[s.MOTOR_VELOCITY, n] = x.tendon[s.VELOCITY, n] if fresh else math.nan
+        x.tendon[s.MOTOR_TORQUE, n] = x.tendon[s.REPORTED_TORQUE, n] if fresh else math.nan

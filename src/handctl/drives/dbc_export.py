@@ -1,0 +1,143 @@
+"""Export of a DBC file with the cyclic frames of a bus, from the signal tables that the controller itself uses.
+
+The values in the DBC are those that the controller uses: at the spool, with the hand's sign. A DBC
+can have only one message per identifier. A command is left out if its answer has the same
+identifier (CubeMars), or if the identifier contains one of its values (RobStride). Frames without
+values are left out too: remote frames, and a SYNC without payload. Settings, heartbeats, register
+replies and SDO replies are not in the signal tables, and therefore not in the DBC.
+"""
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+from handctl.drives.contract import Drive
+from handctl.drives.frame import EXTENDED_FLAG, REMOTE_FLAG
+from handctl.drives.sensors.contract import SensorInterface
+from handctl.drives.signals import CyclicMessage, Signal, SignalCoding, SignalQuantity
+
+# Names of the host and of the sensor node in a DBC.
+HOST_NODE_NAME = "host"
+SENSOR_NODE_NAME = "sensor_node"
+EXTENDED_BIT = 1 << 31
+"""Flag bit of a 29-bit identifier in a DBC, as in SocketCAN."""
+
+
+class SentMessage(NamedTuple):
+    """Cyclic frame with the names of sender and receiver."""
+
+    message: CyclicMessage
+    sender: str
+    receiver: str
+
+
+def dbc_of_bus(
+    bus: int,
+    drives: Iterable[Drive],
+    sensors: SensorInterface,
+    tendons: Sequence[str],
+    joints: Sequence[str],
+) -> str:
+    """Return the content of a DBC file for one bus of a hand.
+
+    Args:
+        bus: index of the bus.
+        drives: all drives of the hand.
+        sensors: sensors of the hand.
+        tendons: names of all tendons of the hand, in order.
+        joints: names of all joints of the hand, in order.
+    """
+    sent = list[SentMessage]()
+    if sensors.bus == bus and sensors.ids:
+        sent.append(SentMessage(sensors.sync_message, HOST_NODE_NAME, SENSOR_NODE_NAME))
+        sent += [
+            SentMessage(
+                _with_channel_names(message, tendons, joints), SENSOR_NODE_NAME, HOST_NODE_NAME
+            )
+            for message in sensors.messages
+        ]
+    for drive in drives:
+        if drive.bus == bus:
+            name = drive.name
+            sent += [
+                SentMessage(_with_drive_name(message, name), name, HOST_NODE_NAME)
+                for message in drive.cyclic_messages.feedback
+            ]
+            sent += [
+                SentMessage(_with_drive_name(message, name), HOST_NODE_NAME, name)
+                for message in drive.cyclic_messages.commands
+            ]
+    return dbc_text(sent)
+
+
+def dbc_text(sent_messages: Iterable[SentMessage]) -> str:
+    """Return the content of a DBC file.
+
+    If several messages have the same identifier, only the first is used.
+    """
+    by_identifier: dict[int, SentMessage] = {}
+    for item in sent_messages:
+        in_payload = all(signal.start >= 0 for signal in item.message.signals)
+        if item.message.signals and in_payload and not item.message.can_id & REMOTE_FLAG:
+            by_identifier.setdefault(item.message.can_id, item)
+    nodes = dict.fromkeys(
+        node for item in by_identifier.values() for node in (item.sender, item.receiver)
+    )
+    lines = ['VERSION ""', "", "NS_ :", "", "BS_:", "", " ".join(["BU_:", *nodes]), ""]
+    floats = list[str]()
+    kinds = list[str]()
+    for message, sender, receiver in by_identifier.values():
+        frame_id = message.can_id & ~EXTENDED_FLAG | (
+            EXTENDED_BIT if message.can_id & EXTENDED_FLAG else 0
+        )
+        lines.append(f"BO_ {frame_id} {message.name}: {message.length} {sender}")
+        lines += [*(_signal_line(signal, receiver) for signal in message.signals), ""]
+        real = [signal.name for signal in message.signals if signal.coding == SignalCoding.FLOAT]
+        # SIG_VALTYPE_ 1 marks a signal as an IEEE 754 float32.
+        floats += [f"SIG_VALTYPE_ {frame_id} {name} : 1;" for name in real]
+        if message.flags:
+            frame_format = FD_EXTENDED_FRAME_FORMAT if frame_id & EXTENDED_BIT else FD_FRAME_FORMAT
+            kinds.append(f'BA_ "VFrameFormat" BO_ {frame_id} {frame_format};')
+    return "\n".join([*lines, *(_FRAME_FORMAT_LINES if kinds else ()), *kinds, *floats, ""])
+
+
+# Values of the attribute VFrameFormat for CAN FD frames, with 11-bit and 29-bit identifiers.
+FD_FRAME_FORMAT = 14
+FD_EXTENDED_FRAME_FORMAT = 15
+_FRAME_FORMAT_LINES = (
+    'BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN",'
+    + ",".join(f'"reserved{i}"' for i in range(2, 14))
+    + ',"StandardCAN_FD","ExtendedCAN_FD";',
+    'BA_DEF_DEF_ "VFrameFormat" "StandardCAN";',
+)
+"""Lines of a DBC to declare the attribute VFrameFormat, the mark of CAN FD frames.
+
+Source: the form in which Vector's tools write this attribute and cantools reads it.
+"""
+
+
+def _signal_line(signal: Signal, receiver: str) -> str:
+    """Return the line of a DBC for a signal."""
+    # In a DBC, @0 is big-endian and @1 little-endian. + is unsigned, - is signed or float.
+    order = 0 if signal.big_endian else 1
+    sign = "+" if signal.coding == SignalCoding.UNSIGNED else "-"
+    layout = f"{signal.start}|{signal.length}@{order}{sign}"
+    return f' SG_ {signal.name} : {layout} ({signal.scale!r},{signal.offset!r}) [0|0] "{signal.unit}" {receiver}'
+
+
+def _with_drive_name(message: CyclicMessage, drive: str) -> CyclicMessage:
+    """Return the message with a new name: the name of the drive, then the name of the message."""
+    return message._replace(name=f"{drive}_{message.name}")
+
+
+def _with_channel_names(
+    message: CyclicMessage, tendons: Sequence[str], joints: Sequence[str]
+) -> CyclicMessage:
+    """Return a message of the sensor node, with the names of tendons or joints on the signals."""
+    names = {SignalQuantity.TENSION: tendons, SignalQuantity.ANGLE: joints}
+    signals = [
+        signal._replace(name=names[signal.quantity][signal.channel])
+        if signal.quantity in names
+        else signal
+        for signal in message.signals
+    ]
+    return message._replace(signals=tuple(signals))

@@ -1,0 +1,64 @@
+"""Drive modes in which the drive itself controls its position or velocity: controlled quantity and limits.
+
+A drive in such a mode is a ``contract.Drive`` whose command is a position [rad] or a velocity
+[rad/s] at the spool instead of a torque. Its attribute ``torque_limit`` is then the largest command
+in that unit. The drive keeps the torque limit, the watchdog and the read-back of the torque mode.
+"""
+
+import enum
+import math
+from dataclasses import fields
+from typing import Any, NamedTuple
+
+from handctl.errors import ConfigError
+
+
+class DriveMode(enum.Enum):
+    """Quantity that the drive controls."""
+
+    TORQUE = "torque"
+    POSITION = "position"
+    VELOCITY = "velocity"
+    FORCE_POSITION = "force-position"
+    """Position. Each command also contains a current limit (Damiao drives)."""
+
+    def rest(self, position: float) -> float:
+        """Return the command that causes no motion: the present position in the position modes, zero in the others."""
+        return position if self in (DriveMode.POSITION, DriveMode.FORCE_POSITION) else 0.0
+
+
+COMMAND_UNITS = {
+    DriveMode.TORQUE: "N m",
+    DriveMode.POSITION: "rad",
+    DriveMode.VELOCITY: "rad/s",
+    DriveMode.FORCE_POSITION: "rad",
+}
+"""Unit of the command in each mode. Commands refer to the spool."""
+
+
+class MotionLimits(NamedTuple):
+    """Limits of a motion, which both the drive and the host enforce.
+
+    Attributes:
+        speed: largest speed [rad/s at the spool].
+        acceleration: largest acceleration [rad/s2 at the spool].
+    """
+
+    speed: float
+    acceleration: float
+
+
+def check_limits(limits: MotionLimits) -> None:
+    """Check the limits of a motion.
+
+    Raises:
+        ConfigError: a limit is not finite and positive.
+    """
+    for name, value in zip(limits._fields, limits, strict=True):
+        if not 0.0 < value < math.inf:
+            raise ConfigError(f"{value:g}", name, "more than 0")
+
+
+def constructor_arguments(drive: Any) -> dict[str, Any]:
+    """Return the arguments with which a drive was constructed, to construct a drive in another mode from them."""
+    return {field.name: getattr(drive, field.name) for field in fields(drive) if field.init}

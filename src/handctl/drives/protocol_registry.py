@@ -1,0 +1,119 @@
+"""Registry of the drive protocols.
+
+It adds the code to each protocol in ``motor_description.PROTOCOL_ENTRIES``.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from handctl.drives.cia402 import discovery as cia402_discovery
+from handctl.drives.cia402 import modes as cia402_modes
+from handctl.drives.cia402.drive import Cia402Drive
+from handctl.drives.contract import Drive
+from handctl.drives.discovery import ProtocolDiscovery
+from handctl.drives.drive_modes import DriveMode, MotionLimits, check_limits
+from handctl.drives.mit import discovery as mit_discovery
+from handctl.drives.mit import modes as mit_modes
+from handctl.drives.mit.cubemars import CubemarsDrive
+from handctl.drives.mit.drive import MitDrive
+from handctl.drives.moteus import discovery as moteus_discovery
+from handctl.drives.moteus.drive import MoteusDrive
+from handctl.drives.motor_description import MotorDescription
+from handctl.drives.odrive import discovery as odrive_discovery
+from handctl.drives.odrive import modes as odrive_modes
+from handctl.drives.odrive.drive import OdriveDrive
+from handctl.drives.robstride import discovery as robstride_discovery
+from handctl.drives.robstride.drive import RobstrideDrive
+from handctl.drives.robstride.mit_mode import RobstrideMitDrive
+from handctl.drives.sensors import discovery as sensor_discovery
+from handctl.errors import ConfigError
+
+
+class ProtocolEntry(NamedTuple):
+    """Constructor and discovery functions of one protocol.
+
+    Attributes:
+        make: function constructing a drive from a motor description and a bus index.
+        discovery: discovery functions of the protocol. None if drives of the protocol answer only
+            commands.
+        make_mode: function constructing a drive in a position or velocity mode. None if the
+            protocol only supports torque.
+    """
+
+    make: Callable[[MotorDescription, int], Drive]
+    discovery: ProtocolDiscovery | None
+    make_mode: Callable[[MotorDescription, int, DriveMode, MotionLimits], Drive] | None = None
+
+
+PROTOCOL_ENTRIES: dict[str, ProtocolEntry] = {
+    "odrive": ProtocolEntry(
+        OdriveDrive.from_motor, odrive_discovery.DISCOVERY, odrive_modes.make_mode_drive
+    ),
+    "mit": ProtocolEntry(MitDrive.from_motor, mit_discovery.DISCOVERY, mit_modes.make_mode_drive),
+    "cia402": ProtocolEntry(
+        Cia402Drive.from_motor, cia402_discovery.DISCOVERY, cia402_modes.make_mode_drive
+    ),
+    "moteus": ProtocolEntry(MoteusDrive.from_motor, moteus_discovery.DISCOVERY),
+    "robstride": ProtocolEntry(RobstrideDrive.from_motor, robstride_discovery.DISCOVERY),
+    "cubemars": ProtocolEntry(CubemarsDrive.from_motor, None),
+    "robstride_mit": ProtocolEntry(RobstrideMitDrive.from_motor, None),
+}
+"""Code of each protocol, by the name of the protocol in the hand file."""
+DISCOVERY_BY_PROTOCOL: dict[str, ProtocolDiscovery] = {
+    **{name: entry.discovery for name, entry in PROTOCOL_ENTRIES.items() if entry.discovery},
+    "sensor": sensor_discovery.DISCOVERY,
+}
+"""Discovery functions of each protocol and of the sensor node, by name."""
+PROTOCOLS_WITHOUT_DISCOVERY = tuple(
+    name for name, entry in PROTOCOL_ENTRIES.items() if not entry.discovery
+)
+"""Protocols whose drives a scan cannot find, because they answer only commands."""
+
+
+def make_drive(motor: MotorDescription, bus: int) -> Drive:
+    """Return the drive for a motor description, in torque mode.
+
+    Args:
+        motor: description of the motor.
+        bus: index of the bus.
+
+    Raises:
+        ConfigError: the protocol or an option of the motor is unknown.
+    """
+    if motor.protocol not in PROTOCOL_ENTRIES:
+        where = f"motor[{motor.name}].protocol"
+        raise ConfigError(
+            repr(motor.protocol), where, "one of " + ", ".join(sorted(PROTOCOL_ENTRIES))
+        )
+    return PROTOCOL_ENTRIES[motor.protocol].make(motor, bus)
+
+
+def make_mode_drive(
+    motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimits
+) -> Drive:
+    """Return the drive for a motor description, in the given mode.
+
+    Args:
+        motor: description of the motor.
+        bus: index of the bus.
+        mode: quantity that the drive controls.
+        limits: largest speed and acceleration. They are not used in torque mode.
+
+    Raises:
+        ConfigError: the protocol or an option is unknown, or handctl does not support this mode of
+            the protocol.
+    """
+    if mode == DriveMode.TORQUE:
+        return make_drive(motor, bus)
+    check_limits(limits)
+    make = (
+        PROTOCOL_ENTRIES[motor.protocol].make_mode if motor.protocol in PROTOCOL_ENTRIES else None
+    )
+    if make is None:
+        able = ", ".join(
+            sorted(name for name, entry in PROTOCOL_ENTRIES.items() if entry.make_mode)
+        )
+        raise ConfigError(
+            f"mode {mode.value} of {motor.protocol}", "mode", f"torque, or one of {able}"
+        )
+    return make(motor, bus, mode, limits)

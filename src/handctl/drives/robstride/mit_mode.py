@@ -1,0 +1,223 @@
+"""RobStride motor in MIT mode, with 11-bit identifiers, the command frame of MIT motors, and no registers.
+
+The identifier of commands and special commands is the motor's number. Their layout is that of
+``mit.codec``. A special command has a second code in byte 6. It is FF in all commands that handctl
+uses, except in the read of faults:
+
+    bytes 0..5          byte 6   byte 7   effect
+    FF FF FF FF FF FF   FF       FC       enable
+    FF FF FF FF FF FF   FF       FD       stop, also the request for feedback here
+    FF FF FF FF FF FF   FF       FB       clear the faults
+    FF FF FF FF FF FF   00       FB       read the faults
+
+Feedback has 8 bytes, big-endian, and the host's number as identifier. The answer to the read of
+faults has the same identifier, and the layout of the last row:
+
+    byte    0         1, 2            3, 4 high     4 low, 5      6, 7
+    field   motor 8   position 16     velocity 12   torque 12     winding 16
+    range             +-12.57 rad     by model      by model      0.1 degC/count
+    faults  motor 8   bits 0..7, 8..15, 16..23 in bytes 1..3      0 in bytes 4..7
+
+As with CubeMars motors, the feedback does not report whether the motor is enabled. Watchdog and
+torque limit can be set and read only in the private protocol. MIT motors of other makers take a
+read of faults as a motion command. The host therefore sends it only to motors that are disabled,
+and a scan does not send it.
+
+Source: docs/facts/robstride.md, section MIT mode.
+"""
+
+from dataclasses import dataclass
+
+from handctl.drives.contract import DrivePhase, DriveState, DriveTarget
+from handctl.drives.fault_causes import DriveFaultCause
+from handctl.drives.frame import Frame
+from handctl.drives.mit import codec as mit
+from handctl.drives.mit.cubemars import (
+    ANSWERS_REQUIRED,
+    MAX_RESTING_TORQUE_FRACTION,
+    CubemarsDrive,
+    CubemarsProgress,
+)
+from handctl.drives.motor_description import MotorDescription
+from handctl.drives.option_checks import (
+    check_full_scale,
+    checked_whole_number,
+    pop_motor_model,
+    refuse_unknown_options,
+)
+from handctl.drives.robstride import codec
+from handctl.drives.robstride.progress import cause_of_error, fault_text
+from handctl.drives.signals import Signal, SignalCoding, SignalQuantity, SignalTable
+from handctl.errors import ConfigError
+
+POSITION_RANGE_RAD = 12.57
+"""Full scale of the position in MIT mode [rad]."""
+MOTOR_MODEL_RANGES = {
+    name: mit.MotorRanges(
+        POSITION_RANGE_RAD,
+        codec.MOTOR_MODEL_RANGES[name].velocity,
+        codec.MOTOR_MODEL_RANGES[name].torque,
+    )
+    for name in ("rs00", "rs01", "rs05")
+}
+"""Full scale of the motor models whose ranges in MIT mode are the same in all sources."""
+HOST_OFFSET = 0x10
+"""Default of the host's number minus the motor's number, on a bus with several motors."""
+FACTORY_HOST = 0
+"""Factory setting of the host's number."""
+READ_FAULTS = b"\xff" * 6 + b"\x00\xfb"
+"""Payload of the special command to read the faults."""
+FAULT_READ_PERIOD = 8
+"""Number of answers from a disabled motor between two reads of its faults."""
+CONTROL_MODES = range(3)
+"""Values of bits 10..8 in the identifier of commands in MIT, position, and velocity mode."""
+UNVERIFIED_PROTECTIONS = (
+    "watchdog: canTimeout cannot be read in MIT mode; set and save it in the private protocol, its default is off",
+    "torque limit: limit_torque cannot be read in MIT mode; torque_max_N_m is this host's alone",
+    "does not report whether it is enabled; "
+    f"counts as disabled if its answer to the stop command reports at most "
+    f"{MAX_RESTING_TORQUE_FRACTION:.0%} of full-scale torque",
+    "ranges cannot be read back; motor_type must be right",
+)
+"""Protections of a RobStride motor in MIT mode that handctl cannot verify, one line each."""
+
+
+@dataclass(frozen=True, slots=True)
+class RobstrideMitDrive(CubemarsDrive):
+    """RobStride motor in MIT mode, with the interface ``contract.Drive``.
+
+    Attributes:
+        host_id: number of the host, also the identifier of feedback.
+    """
+
+    host_id: int
+
+    def __post_init__(self) -> None:
+        """Build the signal tables of the cyclic frames."""
+        command = mit.command_message(self.node_id, self.ranges, self.direction)
+        feedback = mit.feedback_message(self.host_id, self.ranges, self.direction, self.zero)
+        state, position, velocity, torque, _, _ = feedback.signals
+        winding = Signal(
+            "winding",
+            SignalQuantity.TEMPERATURE,
+            55,
+            16,
+            True,
+            SignalCoding.SIGNED,
+            0.1,
+            unit="degC",
+        )
+        # Byte 0 of this feedback is the whole number of the motor, without a state nibble.
+        signals = (state._replace(name="node"), position, velocity, torque, winding)
+        object.__setattr__(self, "command", SignalTable(command._replace(limit=self.torque_limit)))
+        object.__setattr__(self, "feedback", SignalTable(feedback._replace(signals=signals)))
+
+    @staticmethod
+    def from_motor(motor: MotorDescription, bus: int) -> "RobstrideMitDrive":
+        """Return the drive for a motor description.
+
+        Raises:
+            ConfigError: the model or an option is unknown, a number is wrong, or the torque limit
+                is too large.
+        """
+        options = dict(motor.options)
+        where = f"motor[{motor.name}]"
+        ranges = pop_motor_model(options, where, MOTOR_MODEL_RANGES)
+        if not 0 < motor.node_id <= codec.LAST_NODE:
+            raise ConfigError(str(motor.node_id), f"{where}.node_id", f"1 to {codec.LAST_NODE}")
+        host = options.pop("host_id", motor.node_id + HOST_OFFSET)
+        if host != FACTORY_HOST:
+            host = checked_whole_number(host, f"{where}.options.host_id", codec.LAST_NODE)
+        refuse_unknown_options(options, f"{where}.options", "motor_type or host_id")
+        if host == motor.node_id:
+            raise ConfigError(str(host), f"{where}.options.host_id", "another number than node_id")
+        check_full_scale(motor, ranges)
+        return RobstrideMitDrive(
+            name=motor.name,
+            bus=bus,
+            node_id=motor.node_id,
+            ranges=ranges,
+            torque_limit=motor.torque_max_N_m,
+            direction=motor.direction,
+            zero=motor.zero_rad,
+            temperature_offset=0.0,
+            host_id=host,
+        )
+
+    @property
+    def host_ids(self) -> frozenset[int]:
+        """Return the identifiers of commands to the motor in its three control modes."""
+        return frozenset(mode << 8 | self.node_id for mode in CONTROL_MODES)
+
+    @property
+    def node_ids(self) -> frozenset[int]:
+        """Return the identifier of feedback."""
+        return frozenset((self.host_id,))
+
+    @property
+    def unverified_protections(self) -> tuple[str, ...]:
+        """Return the protections that handctl cannot verify, one line each."""
+        return UNVERIFIED_PROTECTIONS
+
+    def steady_status(self, state: DriveState) -> int:
+        """Return the status in feedback of an enabled motor, only the number of the motor."""
+        status = CubemarsDrive.steady_status(self, state)
+        return status if status < 0 else self.node_id
+
+    def receive(self, state: DriveState, frame: Frame) -> DriveState:
+        """Return the state after a received frame, see ``contract.Drive``."""
+        can_id, data, _, bus, t_ns = frame
+        if can_id != self.host_id or bus != self.bus:
+            return state
+        if len(data) != 8 or data[0] != self.node_id:
+            return state._replace(misread=state.misread + 1)
+        updated = state._replace(feedback_t_ns=t_ns, feedback_count=state.feedback_count + 1)
+        # Bytes 4 to 7 are 0 only in the answer to a read of faults. In feedback, they would mean a
+        # torque near the negative full scale.
+        if not any(data[4:]) and state.phase != DrivePhase.ENABLED:
+            return self._on_faults(updated, int.from_bytes(data[1:4], "little"))
+        _, position, velocity, torque, winding = self.feedback.unpack(data)
+        updated = updated._replace(
+            position=position, velocity=velocity, torque=torque, temperature=winding
+        )
+        return self._on_answer(updated, state.private)
+
+    def _on_faults(self, state: DriveState, faults: int) -> DriveState:
+        """Return the state after an answer to the read of faults, with the bits of the faults."""
+        if not faults:
+            return state
+        error = faults << codec.REPORT_SHIFT
+        return state._replace(phase=DrivePhase.FAULT, error=error, error_text=fault_text(error))
+
+    def advance(
+        self, state: DriveState, t_ns: int, target: DriveTarget, torque: float
+    ) -> tuple[DriveState, tuple[Frame, ...]]:
+        """Return the next state and the frames to send, see ``contract.Drive``.
+
+        To a disabled motor, the host sends a read of the faults instead of every eighth stop
+        command.
+        """
+        updated, frames = CubemarsDrive.advance(self, state, t_ns, target, torque)
+        progress: CubemarsProgress = updated.private
+        disabled = (
+            updated.phase in (DrivePhase.READY, DrivePhase.FAULT) and not progress.enable_sent
+        )
+        if (
+            target == DriveTarget.POLL
+            and disabled
+            and updated.feedback_count % FAULT_READ_PERIOD == ANSWERS_REQUIRED
+        ):
+            return updated, (self._frame_to_motor(READ_FAULTS),)
+        return updated, frames
+
+    def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
+        """Return the state and the frames that clear the faults.
+
+        The motor then starts again with stop commands.
+        """
+        fresh, stop = CubemarsDrive.clear(self, state)
+        return fresh, (self._frame_to_motor(mit.special_command(mit.CLEAR)), *stop)
+
+    def fault_cause(self, error_code: int) -> DriveFaultCause:
+        """Return the cause of an error code, see ``contract.Drive``."""
+        return cause_of_error(error_code)

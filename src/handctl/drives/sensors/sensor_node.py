@@ -1,0 +1,354 @@
+"""Sensor node with load cells and joint encoders. Its frames are defined by handctl (``sensor_node.dbc``).
+
+The host sends SYNC with one byte, the counter. The node answers with frames of 2 to 8 bytes. Their
+fields are little-endian, and packed from the lowest bit:
+
+    bits    0..3       4..15       16..27      28..39      40..51      52..63
+    field   counter    channel 0   channel 1   channel 2   channel 3   channel 4
+
+    channel     count              range                 identifier
+    tension     62.5 mN            -6 N to 249.9 N       base_id + 0, 1, ..
+    angle       1/4096 turn        -180 to 179.9 deg     base_id + 0x10, 0x11, ..
+
+The node samples at SYNC. Every frame of its answer contains the low four bits of the counter, so
+that the host does not take an old frame for a fresh one. The counters do not count up, see
+``sync_counters``. The node sends angle frames after each SYNC whose counter is a multiple of
+``joint_decimation``.
+"""
+
+import functools
+import math
+from dataclasses import dataclass, field
+from typing import Protocol, Self
+
+from handctl.drives.cia404.amplifier import LoadCellAmplifier
+from handctl.drives.frame import Frame
+from handctl.drives.signals import CyclicMessage, Signal, SignalQuantity
+
+CHANNELS_PER_FRAME = 5
+"""Number of channels in a frame."""
+CHANNEL_BITS = 12
+"""Number of bits of a channel."""
+COUNTER_BITS = 4
+"""Number of bits of the counter in an answer."""
+CHANNEL_SHIFTS = tuple(
+    range(COUNTER_BITS, COUNTER_BITS + CHANNELS_PER_FRAME * CHANNEL_BITS, CHANNEL_BITS)
+)
+"""Number of the lowest bit of each channel in a frame."""
+MAX_CHANNEL_COUNT = (1 << CHANNEL_BITS) - 1
+"""Largest possible count of a channel."""
+TENSION_STEP_N = 0.0625
+"""Change of the tension per count [N]."""
+TENSION_ZERO_N = -6.0
+"""Tension at count 0 [N].
+
+The value is negative, so that the reading of a slack tendon with its noise and bias is in the
+range.
+"""
+TENSION_MAX_N = TENSION_ZERO_N + MAX_CHANNEL_COUNT * TENSION_STEP_N
+"""Tension at the largest count [N].
+
+At count 0 and at the largest count the load cell is saturated.
+"""
+LOW_MARGIN_N = 2.0
+"""Distance of the threshold for a broken load cell from the lower end of the range [N]."""
+# Smallest and largest reading of a load cell without tension that is accepted as a tare [N].
+#
+# With a smaller reading, noise would reach the end of the range, and a broken wire would look like
+# a slack tendon. With a larger reading, the range above the tare would end before ``tension_rail``.
+TARE_MIN_N = TENSION_ZERO_N + LOW_MARGIN_N
+TARE_MAX_N = 6.0
+TENSION_RAIL_N = TENSION_MAX_N - TARE_MAX_N
+"""Tared tension above which a load cell may be saturated, for any accepted tare [N]."""
+# Number of ticks after which the SYNC counters repeat, and number of consecutive ticks with
+# distinct answers.
+COUNTER_PERIOD = 4096
+DISTINCT_COUNTERS = 8
+JOINT_STEP_RAD = 2 * math.pi / 4096
+"""Change of the joint angle per count [rad]."""
+JOINT_ZERO_COUNT = 2048
+"""Count at joint angle 0."""
+ANY_TIME = -(1 << 62)
+"""Earliest arrival of an answer [ns], for answers with a counter.
+
+The counter alone decides if they are fresh.
+"""
+JOINT_FRAMES = 0x10
+"""Difference between the identifiers of the first angle frame and the first tension frame."""
+
+
+class SensorDescription(Protocol):
+    """Keys for this module, in the section ``sensor_node`` of the hand file."""
+
+    @property
+    def sync_id(self) -> int:
+        """Return the identifier of the SYNC frame."""
+        ...
+
+    @property
+    def base_id(self) -> int:
+        """Return the identifier of the first tension frame."""
+        ...
+
+    @property
+    def tendons(self) -> tuple[str, ...]:
+        """Return the names of the tendons with a load cell."""
+        ...
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Return the names of the joints with an encoder."""
+        ...
+
+    @property
+    def joint_decimation(self) -> int:
+        """Return the number of SYNC frames for each answer with joint angles."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class SensorNode:
+    """Sensor node as the host sees it. Objects are immutable.
+
+    Attributes:
+        bus: index of the bus of the node.
+        sync_id: identifier of the SYNC frame.
+        ids: identifier of each frame of the node. Frames with tensions come first.
+        channels: indices of the tendons or joints in each of these frames, as numbered in the hand.
+        lengths: payload length of each of these frames [bytes].
+        tension_frames: number of frames with tensions.
+        frame_of: index of the frame with the load cell of each tendon of the hand, -1 for a tendon
+            without a load cell.
+        decimation: number of SYNC frames for each answer with joint angles.
+        counters: counter byte of the SYNC in successive ticks. After the last, the first follows
+            again.
+    """
+
+    bus: int
+    sync_id: int
+    ids: tuple[int, ...]
+    channels: tuple[tuple[int, ...], ...]
+    lengths: tuple[int, ...]
+    tension_frames: int
+    frame_of: tuple[int, ...]
+    decimation: int
+    counters: bytes = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        """Compute the counter bytes of the SYNC frames from the decimation."""
+        object.__setattr__(self, "counters", sync_counters(self.decimation))
+
+    @classmethod
+    def from_description(
+        cls, node: SensorDescription, bus: int, tendons: tuple[str, ...], joints: tuple[str, ...]
+    ) -> Self:
+        """Return the sensor node of a hand.
+
+        Args:
+            node: description of the node in the hand file.
+            bus: index of the bus of the node.
+            tendons: all tendon names of the hand, in order.
+            joints: all joint names of the hand, in order.
+        """
+        tension = _channel_groups([tendons.index(name) for name in node.tendons])
+        angle = _channel_groups([joints.index(name) for name in node.joints])
+        frame = {index: g for g, group in enumerate(tension) for index in group}
+        ids = [node.base_id + g for g in range(len(tension))]
+        ids += [node.base_id + JOINT_FRAMES + g for g in range(len(angle))]
+        return cls(
+            bus=bus,
+            sync_id=node.sync_id,
+            ids=tuple(ids),
+            channels=(*tension, *angle),
+            lengths=tuple(_payload_length(len(group)) for group in tension + angle),
+            tension_frames=len(tension),
+            frame_of=tuple(frame.get(index, -1) for index in range(len(tendons))),
+            decimation=node.joint_decimation,
+        )
+
+    @property
+    def node_ids(self) -> frozenset[int]:
+        """Return the identifiers of answers from the node."""
+        return frozenset(self.ids)
+
+    @property
+    def host_ids(self) -> frozenset[int]:
+        """Return the identifiers of frames from a host to the node."""
+        return frozenset((self.sync_id,) if self.ids else ())
+
+    @property
+    def amplifiers(self) -> tuple[LoadCellAmplifier, ...]:
+        """Return an empty tuple, because the node has no amplifiers that need a set-up."""
+        return ()
+
+    @property
+    def group_ranges(self) -> tuple[range, ...]:
+        """Return an empty tuple, because the node has no amplifiers."""
+        return ()
+
+    @property
+    def service_ids(self) -> frozenset[int]:
+        """Return an empty set, because the node sends only cyclic frames."""
+        return frozenset()
+
+    @property
+    def cell_range(self) -> tuple[float, float]:
+        """Return the tensions of the lowest and the highest count, at which a load cell is saturated [N]."""
+        return TENSION_ZERO_N, TENSION_MAX_N
+
+    @property
+    def background_frames(self) -> tuple[tuple[int, float], ...]:
+        """Return an empty tuple, because the node sends nothing but answers."""
+        return ()
+
+    @property
+    def sync_message(self) -> CyclicMessage:
+        """Return the signal table of the SYNC frame: a single byte with the counter."""
+        return CyclicMessage(
+            "sync", self.sync_id, 1, (Signal("counter", SignalQuantity.COUNTER, 0, 8),)
+        )
+
+    @property
+    def has_counter(self) -> bool:
+        """Return True, because every frame has the counter of its SYNC."""
+        return True
+
+    def earliest_answer_ns(self, sync_ns: int) -> int:
+        """Return ``ANY_TIME``, because the counter of an answer identifies its SYNC."""
+        return ANY_TIME
+
+    def answers(self, data: bytes, counter: int) -> bool:
+        """Return True if the low four bits of the first byte repeat the counter of the SYNC."""
+        return bool(data) and data[0] & 0xF == counter & 0xF
+
+    @property
+    def tension_rail(self) -> float:
+        """Return the tared tension above which a load cell may be saturated, for any accepted tare [N]."""
+        return TENSION_RAIL_N
+
+    @property
+    def tension_low(self) -> float:
+        """Return the tared tension below which a load cell or its wire counts as broken [N].
+
+        The threshold is near the lower end of the range of the load cell. It is so far below zero
+        that noise cannot reach it.
+        """
+        return TENSION_ZERO_N + LOW_MARGIN_N
+
+    @property
+    def frames_per_tick(self) -> tuple[tuple[int, float], ...]:
+        """Return the frames that a tick exchanges with the node, SYNC first, as (payload bytes, frames per tick).
+
+        The frames per tick of an angle frame are the fraction of ticks in which the node sends this
+        frame.
+        """
+        rates = [1.0] * self.tension_frames + [1.0 / self.decimation] * (
+            len(self.ids) - self.tension_frames
+        )
+        return ((1, 1.0), *zip(self.lengths, rates, strict=True)) if self.ids else ()
+
+    @property
+    def messages(self) -> tuple[CyclicMessage, ...]:
+        """Return the signal tables of the node's frames, in the order of ``ids``.
+
+        ``Signal.channel`` is the index of the tendon or joint.
+        """
+        messages = []
+        for g, (can_id, channels, length) in enumerate(
+            zip(self.ids, self.channels, self.lengths, strict=True)
+        ):
+            tensions = g < self.tension_frames
+            signals = [Signal("counter", SignalQuantity.COUNTER, 0, COUNTER_BITS)]
+            signals += [
+                _channel_signal(slot, index, tensions) for slot, index in enumerate(channels)
+            ]
+            name = f"tensions_{g}" if tensions else f"joints_{g - self.tension_frames}"
+            messages.append(CyclicMessage(name, can_id, length, tuple(signals)))
+        return tuple(messages)
+
+    def counter(self, k: int) -> int:
+        """Return the counter byte of the SYNC in tick k. Answers contain its low four bits."""
+        return self.counters[k % len(self.counters)]
+
+    def sync(self, k: int) -> Frame:
+        """Return the SYNC frame of tick k."""
+        return Frame(self.sync_id, bytes((self.counter(k),)), bus=self.bus)
+
+    def lost_frame_count(self, syncs: int, accepted: int, stale: int) -> int:
+        """Return the number of tension frames that the host has not received.
+
+        Answers to the last SYNC are not counted, because they may still arrive.
+
+        Args:
+            syncs: number of sent SYNC frames.
+            accepted: number of accepted tension frames.
+            stale: number of received tension frames that answered an older SYNC.
+        """
+        return max(0, (syncs - 1) * self.tension_frames - accepted - stale)
+
+    def group_of_tendon(self, tendon_index: int) -> int:
+        """Return the index of the frame with the load cell of a tendon, -1 for a tendon without a load cell."""
+        return self.frame_of[tendon_index]
+
+    def group_of_joint(self, joint_index: int) -> int:
+        """Return the index of the frame with the encoder of a joint, -1 for a joint without an encoder."""
+        groups = range(self.tension_frames, len(self.ids))
+        return next((g for g in groups if joint_index in self.channels[g]), -1)
+
+
+def _channel_signal(slot: int, index: int, tension: bool) -> Signal:
+    """Return the signal of the channel with index ``slot`` in a frame.
+
+    Channels follow the counter.
+    """
+    if tension:
+        return Signal(f"tension_{slot}", SignalQuantity.TENSION, CHANNEL_SHIFTS[slot], CHANNEL_BITS,
+                      scale=TENSION_STEP_N, offset=TENSION_ZERO_N, unit="N", channel=index)  # fmt: skip
+    return Signal(f"angle_{slot}", SignalQuantity.ANGLE, CHANNEL_SHIFTS[slot], CHANNEL_BITS,
+                  scale=JOINT_STEP_RAD, offset=-JOINT_ZERO_COUNT * JOINT_STEP_RAD, unit="rad",
+                  channel=index)  # fmt: skip
+
+
+@functools.lru_cache(maxsize=16)
+def sync_counters(decimation: int) -> bytes:
+    """Return the counter bytes of the SYNC frames for a period of about ``COUNTER_PERIOD`` ticks.
+
+    A counter of four bits that counts up has the same value 16 or 32 ticks later. A frame of that
+    age would then seem fresh. These counters are pseudo-random instead. Two ticks less than
+    ``DISTINCT_COUNTERS`` apart differ in the low four bits of the counter. Ticks further apart have
+    equal bits only by chance. The counter modulo ``decimation`` equals the tick modulo
+    ``decimation``, because the node sends angle frames by this remainder. With a decimation of 8 or
+    more, fewer than three values of the four bits have the same remainder. Near ticks may then have
+    equal bits.
+    """
+    rows = [range(remainder, 256, decimation) for remainder in range(decimation)]
+    by_nibble = [{byte & 0xF: byte for byte in row} for row in rows]
+    chance = 1
+    recent = list[int]()
+    result = bytearray()
+    for k in range(COUNTER_PERIOD - COUNTER_PERIOD % decimation):
+        chance = (
+            chance * 6364136223846793005 + 1442695040888963407 & 0xFFFF_FFFF_FFFF_FFFF
+        )  # Knuth's MMIX
+        fit = sorted(by_nibble[k % decimation])
+        for old in reversed(recent):  # the counter of the latest tick is excluded first
+            if len(fit) > 2 and old in fit:
+                fit.remove(old)
+        # Only the high bits of a linear congruential generator are random.
+        nibble = fit[(chance >> 33) % len(fit)]
+        result.append(by_nibble[k % decimation][nibble])
+        recent = [*recent[2 - DISTINCT_COUNTERS :], nibble]
+    return bytes(result)
+
+
+def _channel_groups(channels: list[int]) -> list[tuple[int, ...]]:
+    """Return the channels in groups. Each group is the content of one frame."""
+    return [
+        tuple(channels[first : first + CHANNELS_PER_FRAME])
+        for first in range(0, len(channels), CHANNELS_PER_FRAME)
+    ]
+
+
+def _payload_length(channels: int) -> int:
+    """Return the payload length of a frame with a number of channels [bytes]."""
+    return math.ceil((COUNTER_BITS + CHANNEL_BITS * channels) / 8)

@@ -1,0 +1,387 @@
+"""Conversion of a hand file of schema 1 to schema 2. Schema 2 writes repeated values once. Comments stay in the file.
+
+Each value is written as before, for example as ``0x1A0`` or ``6.384e-3``. A comment stays beside
+its value.
+"""
+
+import re
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import tomlkit
+from tomlkit.exceptions import TOMLKitError
+from tomlkit.items import AoT, Comment, Item, Table, Whitespace
+
+from handctl.errors import ConfigError
+from handctl.hand.file.templates import (
+    DIGIT_KINDS,
+    KEYS_ONE_FOR_ALL_LINKS,
+    SECTION_KINDS,
+    SHORT_JOINT_PATTERN,
+    WORD_FOR_ALL,
+    WRITTEN_SCHEMA,
+)
+from handctl.hand.file.toml_text import toml_text
+
+MAX_LINE_LENGTH = 120
+"""Largest length of a line with an inline table."""
+INDIVIDUAL_KEYS = {
+    "digit": {"name", "mount_position_m"},
+    "tendon": {"name"},
+    "motor": {"name", "node_id"},
+}
+"""Keys that each section of a kind must have itself, and that no default or template may have."""
+MIN_SECTIONS_TO_SHARE = 2
+"""Smallest number of sections whose common values become a default or a template."""
+
+
+@dataclass
+class TomlEntry:
+    """Line of a hand file: a key with its value and the comment behind it, or only a comment.
+
+    Attributes:
+        key: key of the line, empty for a blank line and for a line with only a comment.
+        text: text of the value. In a line without a key, the whole line.
+        value: parsed value, None in a line without a key.
+        comment: comment behind the value, with its #, or an empty text.
+    """
+
+    key: str
+    text: str
+    value: Any = None
+    comment: str = ""
+
+    def line(self) -> str:
+        """Return the text of the line."""
+        if not self.key:
+            return self.text
+        return f"{self.key} = {self.text}" + (f"   {self.comment}" if self.comment else "")
+
+
+@dataclass
+class TomlTable:
+    """Table of a hand file, or the part of the file before the first table.
+
+    Attributes:
+        entries: lines of the table, in order.
+        before: comment lines in front of the table's header.
+        comment: comment behind the header.
+        held: tables of the tendons and motors within a digit, by kind and short name.
+    """
+
+    entries: list[TomlEntry]
+    before: list[str] = field(default_factory=list)
+    comment: str = ""
+    held: dict[str, dict[str, "TomlTable"]] = field(
+        default_factory=lambda: {kind: {} for kind in DIGIT_KINDS}
+    )
+
+    def values(self) -> dict[str, Any]:
+        """Return the values of the table by key."""
+        return {entry.key: entry.value for entry in self.entries if entry.key}
+
+    def take(self, keys: Iterable[str]) -> list[TomlEntry]:
+        """Remove the lines with the given keys from the table, and return these lines."""
+        taken = [entry for entry in self.entries if entry.key in set(keys)]
+        self.entries = [entry for entry in self.entries if entry not in taken]
+        return taken
+
+
+def convert_to_schema_2(text: str, source: str) -> str:
+    """Return the text of a hand file of schema 1, converted to schema 2.
+
+    Args:
+        text: text of a valid hand file of schema 1.
+        source: name of the file, for messages.
+
+    Raises:
+        ConfigError: the text is not TOML.
+    """
+    try:
+        document = tomlkit.parse(text)
+    except (TOMLKitError, ValueError, RecursionError) as error:
+        raise ConfigError(f"not TOML: {error}", source, "valid TOML") from None
+    root, tables = _parse_blocks(document)
+    for entry in root.entries:
+        if entry.key == "schema":
+            entry.text = str(WRITTEN_SCHEMA)
+    sections = {kind: [block for name, block in tables if name == kind] for kind in SECTION_KINDS}
+    others = [(name, block) for name, block in tables if name not in SECTION_KINDS]
+    _shorten_sensor_node(others, sections)
+    defaults = {kind: _take_common_values(kind, sections[kind]) for kind in SECTION_KINDS}
+    for kind in DIGIT_KINDS:
+        _move_into_digits(kind, sections)
+    templates = _take_templates(sections["digit"])
+    lines = _table_lines(root, "")
+    for name, block in others:
+        array = isinstance(document[name], AoT)
+        header = f"[[{name}]]" if array else f"[{name}]" + _header_comment(block)
+        lines += ["", *block.before, header, *_table_lines(block, name)]
+    for kind in SECTION_KINDS:
+        lines += _kind_lines(
+            kind, defaults[kind], templates if kind == "digit" else {}, sections[kind]
+        )
+    return re.sub(r"\n{3,}", "\n\n", "\n".join(lines).strip("\n")) + "\n"
+
+
+def _parse_blocks(document: tomlkit.TOMLDocument) -> tuple[TomlTable, list[tuple[str, TomlTable]]]:
+    """Return the root and the tables of a document in order, each with the comments before its header."""
+    root = TomlTable([])
+    tables: list[tuple[str, TomlTable]] = []
+    last = root
+    for key, item in document.body:
+        if key is None or not isinstance(item, Table | AoT):
+            last.entries += _parse_entry(key.key if key else "", item)
+            continue
+        for table in item.body if isinstance(item, AoT) else [item]:
+            block = TomlTable([], _trailing_comments(last), table.trivia.comment)
+            for name, value in table.value.body:
+                block.entries += _parse_entry(name.key if name else "", value)
+            tables.append((key.key, block))
+            last = block
+    return root, tables
+
+
+def _parse_entry(key: str, item: Item) -> list[TomlEntry]:
+    """Return the lines of one TOML item: a key, a comment, or blank lines."""
+    if isinstance(item, Whitespace):
+        return []
+    if isinstance(item, Comment):
+        return [TomlEntry("", item.trivia.comment)]
+    if isinstance(item, Table):
+        comments = [
+            TomlEntry("", value.trivia.comment)
+            for name, value in item.value.body
+            if isinstance(value, Comment)
+        ]
+        return [*comments, TomlEntry(key, _inline_table(item.unwrap()), item.unwrap())]
+    return [TomlEntry(key, item.as_string().strip(), item.unwrap(), item.trivia.comment)]
+
+
+def _trailing_comments(block: TomlTable) -> list[str]:
+    """Remove the comment lines at the end of a table, and return them.
+
+    They belong to the next table.
+    """
+    trailing: list[str] = []
+    while len(block.entries) > 1 and not block.entries[-1].key:
+        trailing.insert(0, block.entries.pop().text)
+    return trailing
+
+
+def _take_common_values(kind: str, blocks: Sequence[TomlTable]) -> list[TomlEntry]:
+    """Remove the values that all sections of a kind have in common, and return their lines."""
+    if kind == "digit":
+        for block in blocks:
+            _shorten_lists_per_link(block)
+    if len(blocks) < MIN_SECTIONS_TO_SHARE:
+        return []
+    kept = (*INDIVIDUAL_KEYS[kind], "motor", "moment_arm_m")
+    return _take_shared_values(blocks, lambda key, value: key not in kept)
+
+
+def _take_shared_values(
+    blocks: Sequence[TomlTable], can_be: Callable[[str, Any], bool]
+) -> list[TomlEntry]:
+    """Remove the values that all tables have in common, and return their lines with the comments of all tables."""
+    first = blocks[0].values()
+    others = [block.values() for block in blocks[1:]]
+    keys = [
+        key
+        for key, value in first.items()
+        if can_be(key, value)
+        and all(key in other and _are_equal(other[key], value) for other in others)
+    ]
+    entries = {entry.key: entry for entry in blocks[0].take(keys)}
+    for block in blocks[1:]:
+        for entry in block.take(keys):
+            known = entries[entry.key]
+            if entry.comment and entry.comment not in known.comment:
+                known.comment = (
+                    f"{known.comment}; {entry.comment.lstrip('# ')}"
+                    if known.comment
+                    else entry.comment
+                )
+    return list(entries.values())
+
+
+def _are_equal(value: Any, other_value: Any) -> bool:
+    """Return True if two values are equal and both or neither are booleans.
+
+    In TOML, true is not 1.
+    """
+    return bool(value == other_value) and isinstance(value, bool) == isinstance(other_value, bool)
+
+
+def _shorten_lists_per_link(block: TomlTable) -> None:
+    """Replace each list with the same number for every link by this number."""
+    for entry in block.entries:
+        values = entry.value
+        if entry.key not in KEYS_ONE_FOR_ALL_LINKS or not isinstance(values, list) or not values:
+            continue
+        if isinstance(values[0], int | float) and all(value == values[0] for value in values):
+            # Copy the spelling of the number in the file, which is the text between the bracket and
+            # the first comma.
+            entry.text = entry.text.strip("[] \n").split(",")[0].strip()
+            entry.value = values[0]
+
+
+def _shorten_sensor_node(
+    others: Sequence[tuple[str, TomlTable]], sections: dict[str, list[TomlTable]]
+) -> None:
+    """Replace a list of all tendons or of all joints in the sensor node by ``"all"``."""
+    digits = [block.values() for block in sections["digit"]]
+    names = {
+        "tendons": [block.values().get("name") for block in sections["tendon"]],
+        "joints": [
+            f"{digit['name']}_j{i + 1}"
+            for digit in digits
+            for i in range(len(digit["link_length_m"]))
+        ],
+    }
+    for name, block in others:
+        for entry in block.entries if name == "sensor_node" else ():
+            if entry.key in names and entry.value == names[entry.key]:
+                entry.text = f'"{WORD_FOR_ALL}"'
+
+
+def _move_into_digits(kind: str, sections: dict[str, list[TomlTable]]) -> None:
+    """Move the tendons or motors into the digits whose names they begin with, if this is possible for all of them."""
+    moved: list[tuple[TomlTable, str, TomlTable]] = []
+    digits = {block.values()["name"]: block for block in sections["digit"]}
+    for block in sections[kind]:
+        name = str(block.values()["name"])
+        owner = max(
+            (digit for digit in digits if name.startswith(f"{digit}_")), key=len, default=None
+        )
+        if owner is None or not all(
+            joint.startswith(f"{owner}_j") for joint in block.values().get("moment_arm_m", ())
+        ):
+            return
+        moved.append((digits[owner], name.removeprefix(f"{owner}_"), block))
+    if [
+        id(block)
+        for *_, block in sorted(moved, key=lambda row: list(digits.values()).index(row[0]))
+    ] != [id(block) for block in sections[kind]]:
+        return  # this would change the order of tendons or motors
+    comments: list[str] = []
+    if sections[kind]:
+        comments, sections[kind][0].before = sections[kind][0].before, []
+    for digit, short, block in moved:
+        owner = digit.values()["name"]
+        block.take(["name"])
+        for entry in block.entries:
+            if entry.key == "motor" and str(entry.value).startswith(f"{owner}_"):
+                entry.value = str(entry.value).removeprefix(f"{owner}_")
+                entry.text = f'"{entry.value}"'
+            if entry.key == "moment_arm_m":
+                entry.value = {
+                    joint.removeprefix(f"{owner}_"): arm for joint, arm in entry.value.items()
+                }
+                entry.text = entry.text.replace(f"{owner}_j", "j")
+                assert all(SHORT_JOINT_PATTERN.fullmatch(joint) for joint in entry.value)
+        digit.held[kind][short] = block
+    sections[kind].clear()
+    if comments:
+        sections[kind].append(TomlTable([], comments))
+
+
+def _take_templates(digits: Sequence[TomlTable]) -> dict[str, TomlTable]:
+    """Remove the values that digits with equal links have in common, and return templates with these values."""
+    groups: dict[str, list[TomlTable]] = {}
+    for block in digits:
+        groups.setdefault(str(block.values().get("link_length_m")), []).append(block)
+    templates: dict[str, TomlTable] = {}
+    for group in groups.values():
+        if len(group) < MIN_SECTIONS_TO_SHARE or "link_length_m" not in group[0].values():
+            continue
+        template = TomlTable(
+            _take_shared_values(group, lambda key, value: key not in INDIVIDUAL_KEYS["digit"])
+        )
+        for kind in DIGIT_KINDS:
+            # Tendons and motors of a template come before those that only the digits have. Their
+            # order must not change. Therefore only those before the first difference between the
+            # digits move into the template.
+            for short in group[0].held[kind]:
+                if not all(short in block.held[kind] for block in group):
+                    break
+                held = [block.held[kind][short] for block in group]
+                common = _take_shared_values(held, lambda key, value: key != "node_id")
+                if not common:
+                    break
+                template.held[kind][short] = TomlTable(common)
+        name = "finger" if not templates else f"finger_{len(templates) + 1}"
+        templates[name] = template
+        for block in group:
+            place = next(i for i, entry in enumerate(block.entries) if entry.key == "name") + 1
+            block.entries.insert(place, TomlEntry("template", f'"{name}"', name))
+    return templates
+
+
+def _kind_lines(
+    kind: str,
+    default: Sequence[TomlEntry],
+    templates: dict[str, TomlTable],
+    sections: Sequence[TomlTable],
+) -> list[str]:
+    """Return the lines of the file for one kind of section: the default, the templates and the sections."""
+    lines = ["", *(sections[0].before if sections else [])]
+    if default:
+        lines += [f"[default.{kind}]", *(entry.line() for entry in default), ""]
+    for name, template in templates.items():
+        lines += [
+            f"[{kind}_template.{name}]",
+            *_table_lines(template, f"{kind}_template.{name}"),
+            "",
+        ]
+    for i, block in enumerate(sections):
+        if block.entries or any(block.held.values()):
+            header = f"[[{kind}]]" + _header_comment(block)
+            lines += [*(block.before if i else []), header, *_table_lines(block, kind), ""]
+    return lines
+
+
+def _header_comment(block: TomlTable) -> str:
+    """Return the text of the comment behind the header of a table."""
+    return f"   {block.comment}" if block.comment else ""
+
+
+def _table_lines(block: TomlTable, header: str) -> list[str]:
+    """Return the lines of a table, and of the tendons and motors in it."""
+    lines = [entry.line() for entry in block.entries]
+    tables: list[str] = []
+    for kind, held in block.held.items():
+        for short, inner in held.items():
+            keyed = [entry for entry in inner.entries if entry.key]
+            comments = "; ".join(entry.comment.lstrip("# ") for entry in keyed if entry.comment)
+            behind = f"   # {comments}" if comments else ""
+            line = (
+                f"{kind}.{short} = {{ "
+                + ", ".join(f"{entry.key} = {entry.text}" for entry in keyed)
+                + " }"
+                + behind
+            )
+            alone = [entry for entry in inner.entries if not entry.key]
+            if len(keyed) == 1 and not alone and not inner.before:
+                lines.append(f"{kind}.{short}.{keyed[0].line()}")
+            elif keyed and len(line) <= MAX_LINE_LENGTH and "\n" not in line:
+                lines += (
+                    [*inner.before, *(entry.text for entry in alone), line]
+                    if alone or not lines
+                    else [line]
+                )
+            elif keyed:
+                tables += [
+                    "",
+                    f"[{header}.{kind}.{short}]",
+                    *(entry.line() for entry in inner.entries),
+                ]
+            elif kind == "motor":
+                lines.append(f"{kind}.{short} = {{}}")
+    return lines + tables
+
+
+def _inline_table(table: dict[str, Any]) -> str:
+    """Return the text of an inline table."""
+    return toml_text({"x": [{"x": table}]}).split("x = ", 1)[1].strip()

@@ -1,0 +1,231 @@
+"""Meshes of a hand's links and palm, for display only. They have neither mass nor contacts."""
+
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePath
+from typing import Any
+
+import numpy as np
+
+from handctl.hand.description import Hand
+from handctl.hand.digit import Array
+from handctl.hand.file.error_text import FileMistake
+from handctl.hand.file.mesh_values import MESH_SUFFIXES
+from handctl.hand.formats.mesh_file import mesh_triangles
+from handctl.hand.link_bodies import rotation_of_rpy
+
+PALM_LINK = "palm"
+"""Link name of the palm."""
+LARGEST_EXTENT_M = 1.0
+"""Largest extent of a mesh, and largest distance of its points from the origin of its link [m]."""
+SMALLEST_EXTENT_M = 0.5e-3
+"""Smallest extent of a mesh along its longest side [m]."""
+MILLIMETRE_SCALE = 1e-3
+"""Factor from the unit of a mesh in millimetres to metres."""
+MAX_FILE_BYTES = 16 << 20
+"""Largest size of a mesh file [bytes].
+
+A binary STL with the largest number of triangles has 10 MB.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class LinkMesh:
+    """Mesh of a link or of the palm, and its place in the frame of the link.
+
+    Attributes:
+        link: name of the link, ``palm`` for the palm.
+        key: key path of the mesh in the resolved content of the hand file.
+        file: path of the mesh file as it is written in the hand file.
+        scale: factors from the file's unit to metres, for x, y, z.
+        position: position of the mesh's origin in the frame of the link [m].
+        rpy_deg: roll, pitch, yaw of the mesh in the frame of the link.
+    """
+
+    link: str
+    key: str
+    file: str
+    scale: tuple[float, float, float]
+    position: tuple[float, float, float]
+    rpy_deg: tuple[float, float, float]
+
+    @property
+    def rotation(self) -> Array:
+        """Return the orientation of the mesh in the frame of its link, (3, 3)."""
+        return rotation_of_rpy(*np.radians(self.rpy_deg))
+
+    @property
+    def suffix(self) -> str:
+        """Return the ending of the name of the mesh file, in lower case."""
+        return PurePath(self.file).suffix.lower()
+
+    def place(self, triangles: Array) -> Array:
+        """Return triangles (n, 3, 3) of the mesh file, transformed to the frame of the link [m]."""
+        return np.asarray(triangles * self.scale @ self.rotation.T + self.position)
+
+
+def meshes_of_hand(hand: Hand) -> tuple[LinkMesh, ...]:
+    """Return the meshes of a hand, first the mesh of the palm."""
+    mount = hand.mount
+    meshes = []
+    if mount.palm_mesh:
+        pose = (mount.palm_mesh_scale, mount.palm_mesh_position_m, mount.palm_mesh_rpy_deg)
+        meshes.append(_link_mesh(PALM_LINK, "mount.palm_mesh", mount.palm_mesh, *pose))
+    for digit in hand.digit:
+        for i, file in enumerate(digit.link_mesh or ()):
+            if file:
+                keys = (digit.link_mesh_scale, digit.link_mesh_position_m, digit.link_mesh_rpy_deg)
+                pose_of_link = [None if values is None else values[i] for values in keys]
+                key = f"digit[{digit.name}].link_mesh[{i}]"
+                meshes.append(_link_mesh(f"{digit.name}_link{i + 1}", key, file, *pose_of_link))
+    return tuple(meshes)
+
+
+def _link_mesh(link: str, key: str, file: str, scale: Any, position: Any, rpy_deg: Any) -> LinkMesh:
+    """Return the mesh of a link, with default values for arguments that are None."""
+    scale = 1.0 if scale is None else scale
+    scales = (scale, scale, scale) if isinstance(scale, float) else scale
+    return LinkMesh(
+        link, key, file, scales, position or (0.0, 0.0, 0.0), rpy_deg or (0.0, 0.0, 0.0)
+    )
+
+
+def mesh_mistakes(hand: Hand, folder: Path) -> Iterator[FileMistake]:
+    """Yield a mistake for each mesh that cannot be shown, or whose size is not plausible.
+
+    Args:
+        hand: description of the hand.
+        folder: folder of the hand file.
+    """
+    triangles: dict[str, Array] = {}
+    for mesh in meshes_of_hand(hand):
+        try:
+            if mesh.file not in triangles:
+                triangles[mesh.file] = read_triangles(folder / mesh.file)
+        except ValueError as error:
+            what, _, right = str(error).partition("; expected ")
+            yield FileMistake(f'"{mesh.file}": {what}', mesh.key, right)
+            continue
+        yield from _size_mistakes(mesh, triangles[mesh.file])
+
+
+def read_triangles(path: Path) -> Array:
+    """Return the corners of all triangles of a mesh file, (n, 3, 3), in the unit of the file.
+
+    Raises:
+        ValueError: the file is missing, unreadable, too large, or not a mesh. The message says
+            which file is expected.
+    """
+    if path.suffix.lower() not in MESH_SUFFIXES:
+        raise ValueError(
+            f"a file of type {path.suffix or 'unknown'}; expected {' or '.join(MESH_SUFFIXES)}"
+        )
+    return mesh_triangles(_read_file(path), path.suffix)
+
+
+def _read_file(path: Path) -> bytes:
+    """Read the content of a mesh file.
+
+    Raises:
+        ValueError: the file is missing, unreadable or too large.
+    """
+    try:
+        if not path.is_file():
+            raise ValueError("no such file; expected a file, relative to the hand file")
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise ValueError(
+                f"{path.stat().st_size / 1e6:.0f} MB; expected at most {MAX_FILE_BYTES / 1e6:.0f} MB"
+            )
+        return path.read_bytes()
+    except OSError as error:
+        raise ValueError(f"cannot be read: {error.strerror}; expected a readable file") from None
+
+
+def _size_mistakes(mesh: LinkMesh, triangles: Array) -> Iterator[FileMistake]:
+    """Check that the extent of a mesh and its distance from the link are plausible."""
+    points = mesh.place(triangles).reshape(-1, 3)
+    extent = float((points.max(axis=0) - points.min(axis=0)).max())
+    far = float(np.abs(points).max())
+    scale_key = mesh.key.rpartition(".")[2].partition("[")[0] + "_scale"
+    largest = max(extent, far)
+    if not largest <= LARGEST_EXTENT_M:
+        what = (
+            f"{extent:.3g} m long"
+            if extent > LARGEST_EXTENT_M
+            else f"{far:.3g} m away from its link"
+        )
+        in_millimetres = (
+            largest * MILLIMETRE_SCALE <= LARGEST_EXTENT_M
+            and extent * MILLIMETRE_SCALE >= SMALLEST_EXTENT_M
+        )
+        hint = (
+            f"; {scale_key} = {MILLIMETRE_SCALE:g} if the mesh is in millimetres"
+            if in_millimetres
+            else ""
+        )
+        yield FileMistake(
+            f'"{mesh.file}": {what}', mesh.key, f"at most {LARGEST_EXTENT_M:g} m{hint}"
+        )
+    elif extent < SMALLEST_EXTENT_M:
+        what = f"{extent:.3g} m long"
+        yield FileMistake(
+            f'"{mesh.file}": {what}',
+            mesh.key,
+            f"at least {SMALLEST_EXTENT_M:g} m; is {scale_key} right?",
+        )
+
+
+def mesh_sizes(hand: Hand, folder: Path) -> dict[str, int]:
+    """Return the size of each existing mesh file of a hand [bytes], by its path as written in the hand file."""
+    files = dict.fromkeys(mesh.file for mesh in meshes_of_hand(hand))
+    return {file: (folder / file).stat().st_size for file in files if (folder / file).is_file()}
+
+
+def read_meshes(files: Iterable[str], folder: Path) -> dict[str, bytes]:
+    """Return the content of mesh files, by their paths as written in the hand file.
+
+    Raises:
+        ValueError: a file is missing or unreadable.
+    """
+    return {file: _read_file(folder / file) for file in dict.fromkeys(files)}
+
+
+def exported_meshes(hand: Hand, folder: Path, output: Path) -> dict[str, LinkMesh]:
+    """Return the meshes of a hand by link, with paths relative to the folder of an exported file.
+
+    Args:
+        hand: description of the hand.
+        folder: folder of the hand file.
+        output: folder of the exported file.
+    """
+    return {
+        mesh.link: replace(mesh, file=relative_path(folder / mesh.file, output))
+        for mesh in meshes_of_hand(hand)
+    }
+
+
+def relative_path(path: Path, folder: Path) -> str:
+    """Return a path as seen from a folder."""
+    return Path(os.path.relpath(path.absolute(), folder.absolute())).as_posix()
+
+
+def with_meshes_from(content: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Return the resolved content of a hand with absolute mesh paths, which do not depend on the hand file's place.
+
+    Args:
+        content: ``Hand.content``.
+        folder: folder of the hand file.
+    """
+    place = folder.absolute()
+    mount, digits = dict(content["mount"]), []
+    if mount.get("palm_mesh"):
+        mount["palm_mesh"] = str(place / mount["palm_mesh"])
+    for digit in content["digit"]:
+        files = digit.get("link_mesh")
+        digits.append(
+            digit | {"link_mesh": [str(place / file) if file else "" for file in files]}
+            if files
+            else digit
+        )
+    return {**content, "mount": mount, "digit": digits}

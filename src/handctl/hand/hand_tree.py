@@ -1,0 +1,92 @@
+"""Model of the whole hand as one tree of links: poses, mass matrix and static torque of all joints together.
+
+A digit may be mounted on the last link of another digit, such as a finger on a wrist. The functions
+of ``dynamics`` and ``kinematics`` are for one digit on a base at rest. This model includes the
+motion of the digits that carry others.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.hand import rigid_body
+from handctl.hand.description import Hand
+from handctl.hand.digit import Array, DigitModel, JointValues
+from handctl.hand.kinematics import joint_positions, link_rotations
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HandTree:
+    """All links of a hand in the order of its joints.
+
+    Attributes:
+        digits: models of the digits, in file order.
+        table: (rigid_body.ROWS, J) frames and inertial properties of the links, for ``rigid_body``.
+        parent: (J,) index of the joint before each joint, -1 for the palm.
+        gravity: (3,) gravitational acceleration in the palm frame [m/s2].
+        stiffness: (J,) stiffness of the return spring of each joint [N m/rad].
+        preload: (J,) preload of the return spring of each joint [rad].
+    """
+
+    digits: tuple[DigitModel, ...]
+    table: Array
+    parent: NDArray[np.int64]
+    gravity: Array
+    stiffness: Array
+    preload: Array
+
+    @staticmethod
+    def from_hand(hand: Hand, digits: Sequence[DigitModel] = ()) -> "HandTree":
+        """Build the tree of a hand.
+
+        Args:
+            hand: description of the hand.
+            digits: models of the hand's digits, in file order. If there are none, they are built
+                here.
+        """
+        digits = tuple(digits) or DigitModel.all_from_hand(hand)
+        parents = [
+            np.where(
+                digit.parent < 0, hand.base_joints[digit.name], digit.parent + digit.joints.start
+            )
+            for digit in digits
+        ]
+        return HandTree(
+            digits=digits,
+            table=np.concatenate([digit.table for digit in digits], axis=1),
+            parent=np.concatenate(parents),
+            gravity=np.array(hand.mount.gravity_m_s2),
+            stiffness=np.concatenate([digit.spring_stiffness for digit in digits]),
+            preload=np.concatenate([digit.spring_preload for digit in digits]),
+        )
+
+    def poses(self, q: JointValues) -> Array:
+        """Return the poses of all links, (J, rigid_body.POSE), at joint angles q (J,) [rad]."""
+        return rigid_body.link_poses(self.table, self.parent, np.asarray(q, dtype=np.float64))
+
+    def points(self, q: JointValues) -> tuple[Array, ...]:
+        """Return the positions of the joints and the tip of each digit, (n + 1, 3) in the palm frame [m]."""
+        poses = self.poses(q)
+        result = []
+        for digit in self.digits:
+            own = poses[digit.joints]
+            tip = joint_positions(own)[-1] + digit.lengths[-1] * link_rotations(own)[-1, :, 0]
+            result.append(np.vstack((joint_positions(own), tip)))
+        return tuple(result)
+
+    def mass_matrix(self, q: JointValues) -> Array:
+        """Return the mass matrix of all joints, including their armature, (J, J) [kg m2]."""
+        return rigid_body.inertia_matrix(self.table, self.parent, np.asarray(q, dtype=np.float64))
+
+    def inverse_dynamics(self, q: JointValues, dq: JointValues, ddq: JointValues) -> Array:
+        """Return the joint torques that a motion needs against inertia and weight, (J,) [N m]."""
+        rows = (np.asarray(values, dtype=np.float64) for values in (q, dq, ddq))
+        return rigid_body.rigid_body_torques(self.table, self.parent, self.gravity, *rows)
+
+    def static_torque(self, q: JointValues) -> Array:
+        """Return the joint torques that hold the hand at rest against weight and return springs, (J,) [N m]."""
+        angles = np.asarray(q, dtype=np.float64)
+        weight = rigid_body.weight_torques(self.table, self.parent, self.gravity, angles)
+        return np.asarray(weight + self.stiffness * (angles + self.preload))

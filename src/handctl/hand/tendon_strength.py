@@ -1,0 +1,99 @@
+"""Comparison of the force of a runaway drive with the strength of its tendon.
+
+A runaway drive makes its largest torque without a command. The tension reaches its peak 5 to 15 ms
+after the current rises, and no host can react in this time. Only the current limit inside the drive
+protects the tendon. If a constant force F accelerates a rotor from rest against an elastic tendon,
+the tension overshoots to 2 F.
+"""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from handctl.hand.description import Hand
+from handctl.hand.file.error_text import shortened_list
+from handctl.hand.moment_arms import arms_at
+
+STRENGTH_MARGIN = 1.5
+"""Required ratio of a tendon's ``rated_breaking_force_N`` to the peak tension when the drive runs away."""
+CHECKED_POSTURES = 11
+"""Number of postures among which the largest absolute moment arms are searched."""
+RUNAWAY_OVERSHOOT = 2.0
+"""Ratio of peak tension to the constant force that moves a rotor.
+
+The rotor starts at rest, and its elastic tendon is slack at first and has no damping.
+"""
+
+
+def runaway_tension(force: float) -> float:
+    """Return the peak tension [N] when a drive runs away from rest with a constant ``force`` at the tendon [N]."""
+    return RUNAWAY_OVERSHOOT * force
+
+
+def largest_safe_force(strength: float) -> float:
+    """Return the largest force of a drive [N] at which a tendon of this strength [N] has ``STRENGTH_MARGIN``."""
+    return strength / (RUNAWAY_OVERSHOOT * STRENGTH_MARGIN)
+
+
+def strength_warnings(hand: Hand) -> tuple[str, ...]:
+    """Return a line for each strength margin that is too small.
+
+    Tendons or joints with equal values share a line.
+    """
+    rows: dict[str, list[str]] = {}
+    for tendon in hand.tendon:
+        motor = hand.motor_of(tendon.name)
+        strength = tendon.rated_breaking_force_N
+        peak = motor.torque_peak_N_m / motor.spool_radius_m
+        for key, force in (("drive_limit_N", tendon.drive_limit_N), ("torque_peak_N_m", peak)):
+            if strength < STRENGTH_MARGIN * runaway_tension(force):
+                rows.setdefault(
+                    _runaway_text(key, force, strength, motor.spool_radius_m), []
+                ).append(tendon.name)
+    unrated = [digit.name for digit in hand.digit if digit.joint_rated_torque_N_m is None]
+    if unrated:
+        key = "joint_rated_torque_N_m"
+        rows[f"{key} is missing: the strength of the joints in a runaway is unknown"] = unrated
+    for digit in hand.digit:
+        for joint, torque, rated in _joint_loads(hand, digit.name):
+            if rated < STRENGTH_MARGIN * torque:
+                text = f"a runaway at torque_peak_N_m loads it with {torque:.3g} N m, and {rated:g} N m is its rating"
+                rows.setdefault(text, []).append(joint)
+    return tuple(f"{shortened_list(names)}: {text}" for text, names in rows.items())
+
+
+def _runaway_text(key: str, force: float, strength: float, spool: float) -> str:
+    """Describe a runaway with a given force, and the torque limit that the drive should have."""
+    peak = runaway_tension(force)
+    right = largest_safe_force(strength)
+    factor = strength / peak
+    return (
+        f"{key} ({force:g} N at the tendon) makes {peak:g} N in a runaway. The strength of {strength:g} N is "
+        f"{factor:.2f} times this tension; expected a factor of {STRENGTH_MARGIN:g}: "
+        f"limit the drive to {right:.0f} N = {right * spool:.3g} N m"
+    )
+
+
+def _joint_loads(hand: Hand, digit: str) -> Iterable[tuple[str, float, float]]:
+    """Yield name, torque in a runaway, and rated torque [N m] of each joint of a digit.
+
+    For a digit without rated torques, yield nothing.
+    """
+    described = hand.digit_named(digit)
+    if described.joint_rated_torque_N_m is None:
+        return
+    tendons = hand.digit_tendons[digit]
+    joints = hand.digit_joints[digit]
+    motors = [hand.motor_of(tendon.name) for tendon in hand.tendon[tendons]]
+    peaks = np.array(
+        [runaway_tension(motor.torque_peak_N_m / motor.spool_radius_m) for motor in motors]
+    )
+    limits = hand.joint_limits[:, joints]
+    arms = hand.moment_arms[tendons, joints]
+    if hand.has_varying_arm[tendons].any():
+        postures = np.linspace(limits[0], limits[1], CHECKED_POSTURES)
+        arms = np.abs(arms_at(hand.arm_polynomials[tendons, joints], limits, postures)).max(axis=0)
+    torques = np.abs(arms).T @ peaks
+    yield from zip(
+        described.joints, torques.tolist(), described.joint_rated_torque_N_m, strict=True
+    )

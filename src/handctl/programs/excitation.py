@@ -1,0 +1,182 @@
+"""Program that excites a hand for identification: one digit after the other, all other digits without torque.
+
+The identification determines the steps. Each phase is named `DIGIT STEP`, so that every tick of the
+log can be assigned to a step.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
+from handctl.core.control_law.trajectory import ChirpTrajectory, MinimumJerk
+from handctl.core.hand_estimate import HandEstimate, TickMeasurements
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import TickEvent, Vector
+from handctl.document import Document
+from handctl.programs.program import ProgramProgress, ProgressAndEvents, coordinates_by_excursion
+
+TAUT_TIMEOUT_S = 4.0
+"""Longest time that a healthy tendon takes to become taut [s]."""
+
+
+class ExciteStep(Document):
+    """One step of the excitation, for one digit.
+
+    - `limp`: no torque.
+    - `taut`: take up slack, to `target` [N].
+    - `move`: move to `target` [rad] in `duration_s`.
+    - `chirp`: swing by `amplitude` [rad] about `target` [rad], from `low_Hz` to `high_Hz`.
+    - `tension`: change the tension to `target` [N] at `rate` [N/s].
+
+    All coordinates or tendons of the digit have the same target, unless `targets` has one for each.
+    """
+
+    digit: str
+    name: str
+    """Name of the step, as in the name of the phase."""
+    kind: Literal["limp", "taut", "move", "chirp", "tension"]
+    duration_s: float = Field(gt=0, le=60)
+    target: float = 0.0
+    targets: tuple[float, ...] = ()
+    """Target of each coordinate [rad] or tendon [N] of the digit.
+
+    If it is empty, `target` applies to all.
+    """
+    held: bool = False
+    """True if an obstacle stops the digit. The filter then treats the digit as blocked."""
+    rate: float = Field(100.0, gt=0, le=5000)
+    amplitude: float = Field(0.0, ge=0, le=1)
+    amplitudes: tuple[float, ...] = ()
+    """Amplitude of each coordinate [rad]. If it is empty, `amplitude` applies to all."""
+    low_Hz: float = Field(0.5, gt=0, le=100)
+    high_Hz: float = Field(5.0, gt=0, le=100)
+
+
+@dataclass(frozen=True, slots=True)
+class SwingTrajectory:
+    """Oscillation of all coordinates in phase, each about its own angle.
+
+    Attributes:
+        centre: (n,) mean angle of each coordinate [rad].
+        amplitude: (n,) amplitude of each coordinate [rad].
+        chirp: oscillation of one coordinate about 0 with amplitude 1.
+    """
+
+    centre: Vector
+    amplitude: Vector
+    chirp: ChirpTrajectory
+
+    @property
+    def duration(self) -> float:
+        """Return the duration of the oscillation [s]."""
+        return self.chirp.duration
+
+    def motion_at(self, t: float) -> Vector:
+        """Return the motion at time t, (3, n), see ``Trajectory.motion_at``."""
+        way = self.chirp.motion_at(t) * self.amplitude
+        way[0] += self.centre
+        return way
+
+
+@dataclass(frozen=True, slots=True)
+class ExciteProgram:
+    """Program that carries out the steps of an excitation in order.
+
+    Attributes:
+        steps: steps of all digits.
+    """
+
+    steps: tuple[ExciteStep, ...]
+
+    def initial_progress(self, model: HandModel) -> ProgramProgress:
+        """Return the progress before the first step: no torque."""
+        return replace(ProgramProgress.initial(len(model.digits), "start"), step=-1)
+
+    def advance(
+        self,
+        model: HandModel,
+        progress: ProgramProgress,
+        estimate: HandEstimate,
+        measured: TickMeasurements,
+        t: float,
+    ) -> ProgressAndEvents:
+        """Advance the excitation by one tick. See `Program`."""
+        if progress.finished:
+            return progress, ()
+        if progress.step < 0:
+            return self._enter_step(model, progress, estimate, t, 0)
+        step = self.steps[progress.step]
+        elapsed = t - progress.since
+        tendons = model.digit_tendons[model.hand.digit_names.index(step.digit)]
+        if step.kind == "taut" and bool(np.any(estimate.is_slack[tendons])):
+            if elapsed < TAUT_TIMEOUT_S:
+                return progress, ()
+            text = f"not taut after {TAUT_TIMEOUT_S:g} s"
+            limp = (DigitGoal(),) * len(progress.goals)
+            failed = replace(progress, finished=True, failure=f"{step.digit}: {text}", goals=limp)
+            return failed, (TickEvent("error", "identify", step.digit, text),)
+        if elapsed < step.duration_s:
+            return progress, ()
+        return self._enter_step(model, progress, estimate, t, progress.step + 1)
+
+    def _enter_step(
+        self,
+        model: HandModel,
+        progress: ProgramProgress,
+        estimate: HandEstimate,
+        t: float,
+        step_index: int,
+    ) -> ProgressAndEvents:
+        """Enter a step, or finish after the last step."""
+        goals = [DigitGoal()] * len(model.digits)
+        if step_index == len(self.steps):
+            done = replace(
+                progress,
+                finished=True,
+                phase="end",
+                goals=tuple(goals),
+                contact=(False,) * len(goals),
+            )
+            return done, (TickEvent("info", "phase", "", "excitation complete"),)
+        step = self.steps[step_index]
+        d = model.hand.digit_names.index(step.digit)
+        goals[d] = _digit_goal(model, d, step, estimate, t)
+        phase = f"{step.digit} {step.name}"
+        same_phase = phase == progress.phase
+        contact = tuple(i == d and step.held for i in range(len(goals)))
+        progress = replace(
+            progress, step=step_index, since=t, phase=phase, goals=tuple(goals), contact=contact
+        )
+        # Consecutive steps with the same name are one phase in the log.
+        return progress, () if same_phase else (TickEvent("info", "phase", step.digit, phase),)
+
+
+def _digit_goal(
+    model: HandModel, d: int, step: ExciteStep, estimate: HandEstimate, t: float
+) -> DigitGoal:
+    """Return the goal of digit d in a step."""
+    digit = model.digits[d]
+    tendons = model.digit_tendons[d]
+    here = coordinates_by_excursion(digit, estimate)
+    targets = np.array(step.targets) if step.targets else None
+    if step.kind == "move":
+        path = MinimumJerk(
+            here, np.full_like(here, step.target) if targets is None else targets, step.duration_s
+        )
+        return DigitGoal(GoalKind.MOTION, path, since=t)
+    if step.kind == "chirp":
+        amplitudes = step.amplitudes or (step.amplitude,) * len(here)
+        chirp = ChirpTrajectory(0.0, 1.0, step.low_Hz, step.high_Hz, step.duration_s, 1)
+        swing = SwingTrajectory(
+            np.full_like(here, step.target) if targets is None else targets,
+            np.array(amplitudes),
+            chirp,
+        )
+        return DigitGoal(GoalKind.MOTION, swing, since=t)
+    if step.kind == "limp":
+        return DigitGoal()
+    tension = np.full(tendons.stop - tendons.start, step.target) if targets is None else targets
+    return DigitGoal(GoalKind.TENSION, tension=tension, rate=step.rate)

@@ -1,0 +1,340 @@
+"""Programs that get their goals from requests: a live session with `jog` or a client, and a single jog."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
+from handctl.core.control_law.trajectory import PEAK_SPEED_RATIO
+from handctl.core.hand_estimate import HandEstimate, TickMeasurements
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import TickEvent, Vector
+from handctl.errors import ConfigError
+from handctl.programs.program import (
+    TIGHTEN_TIMEOUT_S,
+    ProgramProgress,
+    ProgressAndEvents,
+    coordinates_by_excursion,
+    motion_to,
+    pull_tensions,
+    slack_tendons,
+    tension_goal,
+    tightening_goals,
+)
+from handctl.programs.requests import HoldTension, MoveDigits
+from handctl.programs.stream_plans import continued_move
+from handctl.programs.task import (
+    FOLLOW_SPEED_DEG_S,
+    HoldPhase,
+    MovePhase,
+    Task,
+    end_angles,
+    joint_values,
+)
+from handctl.programs.task_checks import (
+    COUPLING_TOLERANCE_DEG,
+    ROUNDING_DEG,
+    check_task_for_hand,
+)
+from handctl.programs.task_program import TaskProgram
+
+
+def preload_spline() -> None:
+    """Import the spline for the phase `follow` in advance, so that no tick imports it.
+
+    The import takes 0.1 to 0.3 s. If a client's first task with such a phase caused the import
+    within a tick, a run in real time would end.
+    """
+    import scipy.interpolate  # noqa: F401
+
+
+@dataclass(frozen=True, slots=True)
+class LiveProgram:
+    """Program that tightens the tendons, then waits for requests until a stop."""
+
+    def initial_progress(self, model: HandModel) -> ProgramProgress:
+        """Return the progress until the hand is armed: no torque."""
+        return ProgramProgress.initial(len(model.digits), "start")
+
+    def advance(
+        self,
+        model: HandModel,
+        progress: ProgramProgress,
+        estimate: HandEstimate,
+        measured: TickMeasurements,
+        t: float,
+    ) -> ProgressAndEvents:
+        """Advance the session by one tick. See `Program`."""
+        if progress.task is not None:
+            return _carry_out_task(model, progress, progress.task, estimate, measured, t)
+        if progress.phase == "start":
+            progress = replace(progress, since=t, phase="tighten", goals=tightening_goals(model))
+            return progress, (TickEvent("info", "phase", "", "tighten: taking up slack"),)
+        if progress.phase == "tighten" and not slack_tendons(model, estimate):
+            return replace(progress, phase="live"), (
+                TickEvent("info", "phase", "", "live: waiting for requests"),
+            )
+        if progress.phase == "tighten" and t - progress.since > TIGHTEN_TIMEOUT_S:
+            text = f"not taut after {TIGHTEN_TIMEOUT_S:g} s: {', '.join(slack_tendons(model, estimate))}"
+            return replace(progress, finished=True, failure=text), (
+                TickEvent("error", "tighten", "", text),
+            )
+        return progress, ()
+
+
+LONGEST_HOLD_S = 3600.0
+"""Duration of a task's hold that waits for ``release`` [s].
+
+It is the longest hold that a task allows.
+"""
+
+
+def _carry_out_task(
+    model: HandModel,
+    progress: ProgramProgress,
+    task: Task,
+    estimate: HandEstimate,
+    measured: TickMeasurements,
+    t: float,
+) -> ProgressAndEvents:
+    """Advance the task of a live session.
+
+    After its end, or its failure, the session waits for requests again.
+    """
+    progress, events = TaskProgram(task).advance(model, progress, estimate, measured, t)
+    return (end_task(progress) if progress.finished else progress), events
+
+
+def end_task(progress: ProgramProgress) -> ProgramProgress:
+    """Return the progress of a live session without its task. Digits keep their goals."""
+    return replace(
+        progress, step=0, phase="live", finished=False, failure="", task=None, closing=(), grip=None,
+        touching=(0,) * len(progress.touching),
+    )  # fmt: skip
+
+
+def begin_task(
+    model: HandModel, progress: ProgramProgress, task: Task, estimate: HandEstimate, t: float
+) -> ProgressAndEvents:
+    """Begin a task up to its first hold, which lasts until ``release_task``, at most an hour.
+
+    A task that does not suit the hand, or that begins with a move that is too fast, changes
+    nothing.
+    """
+    try:
+        check_task_for_hand(task, model.hand, "task", model.digits)
+    except ConfigError as error:
+        return progress, (TickEvent("warn", "request", "", f"refused: {error}"),)
+    first = task.phase[0]
+    if isinstance(first, MovePhase) and (refusal := _start_refusal(model, first, estimate)):
+        return progress, (refusal,)
+    at = next((i for i, phase in enumerate(task.phase) if isinstance(phase, HoldPhase)), None)
+    if at is not None:
+        held = task.phase[at].model_copy(update={"duration_s": LONGEST_HOLD_S})
+        task = task.model_copy(update={"phase": (*task.phase[:at], held, *task.phase[at + 1 :])})
+    progress, events = TaskProgram(task).begin(model, replace(progress, task=task), estimate, t)
+    if progress.finished:
+        progress = end_task(progress)
+    return progress, (TickEvent("info", "request", "", f"grasp {task.name}"), *events)
+
+
+def _start_refusal(
+    model: HandModel, first_move: MovePhase, estimate: HandEstimate
+) -> TickEvent | None:
+    """Return an event if the first move is too fast from the present angles, or None if it is slow enough."""
+    for d, name in enumerate(model.hand.digit_names):
+        digit = model.digits[d]
+        angle = end_angles(
+            first_move.angle_deg, digit, np.degrees(coordinates_by_excursion(digit, estimate))
+        )
+        if angle is None:
+            continue
+        end = np.broadcast_to(np.array(angle, dtype=float), (digit.coupling.shape[1],))
+        if reason := _reach_problem(model, d, estimate, end, first_move.duration_s):
+            return TickEvent("warn", "request", name, f"refused: {name} {reason}")
+    return None
+
+
+def release_task(progress: ProgramProgress) -> ProgressAndEvents:
+    """End the hold of a task, so that the phases after the hold follow."""
+    phase = progress.task.phase[progress.step - 1] if progress.task else None
+    if not isinstance(phase, HoldPhase):
+        return progress, (
+            TickEvent("info", "request", "", "refused: no hold of a task, expected grasp first"),
+        )
+    event = TickEvent("info", "request", "", f"release after {phase.name}")
+    return replace(progress, since=progress.since - LONGEST_HOLD_S), (event,)
+
+
+@dataclass(frozen=True, slots=True)
+class JogProgram:
+    """Program with one goal for a limited time.
+
+    Attributes:
+        request: request with the goal.
+        duration: time for which the goal is kept [s].
+    """
+
+    request: MoveDigits | HoldTension
+    duration: float
+
+    def initial_progress(self, model: HandModel) -> ProgramProgress:
+        """Return the progress until the hand is armed: no torque."""
+        return LiveProgram().initial_progress(model)
+
+    def advance(
+        self,
+        model: HandModel,
+        progress: ProgramProgress,
+        estimate: HandEstimate,
+        measured: TickMeasurements,
+        t: float,
+    ) -> ProgressAndEvents:
+        """Advance the jog by one tick. See `Program`."""
+        progress, events = LiveProgram().advance(model, progress, estimate, measured, t)
+        if progress.phase == "live":
+            goals = progress.goals
+            progress, goal_events = apply_goal(model, progress, self.request, estimate, t)
+            # A refused request does not change the goals.
+            if progress.goals is goals:
+                return replace(
+                    progress, finished=True, failure=goal_events[-1].text
+                ), events + goal_events
+            return replace(progress, phase="jog", since=t), events + goal_events
+        if progress.phase == "jog" and t - progress.since >= self.duration:
+            return replace(progress, finished=True), events
+        return progress, events
+
+
+def apply_goal(
+    model: HandModel,
+    progress: ProgramProgress,
+    request: MoveDigits | HoldTension,
+    estimate: HandEstimate,
+    t: float,
+    reference: tuple[Vector, ...] | None = None,
+) -> ProgressAndEvents:
+    """Apply the goals of a request.
+
+    A request with an unknown digit or joint, an angle out of range, too high a speed or too much
+    tension changes nothing.
+
+    Args:
+        model: model of the hand.
+        progress: progress with the present goals.
+        request: the request.
+        estimate: estimate of this tick.
+        t: time of the program [s].
+        reference: for each digit, (3, n) position, rate and acceleration of the present reference.
+            A move of a moving digit starts at its reference. Any other move starts at the estimated
+            angles. If it is None, all moves start at the estimate.
+    """
+    names = model.hand.digit_names
+    values = request.angle_deg if isinstance(request, MoveDigits) else request.tension_N
+    right = (*names, *model.hand.joints) if isinstance(request, MoveDigits) else names
+    unknown = sorted(values.keys() - set(right))
+    if unknown or progress.phase in ("start", "tighten"):
+        reason = (
+            f"no digit {unknown[0]!r}, expected one of {', '.join(names)}"
+            if unknown
+            else "the hand is not ready yet"
+        )
+        return progress, (TickEvent("warn", "request", "", f"refused: {reason}"),)
+    goals = list(progress.goals)
+    contact = list(progress.contact)
+    for d, name in enumerate(names):
+        start = None if reference is None or goals[d].kind != GoalKind.MOTION else reference[d]
+        if isinstance(request, MoveDigits):
+            end = _end_of_move(model, d, request.angle_deg, estimate if start is None else start[0])
+            if isinstance(end, str):
+                return progress, (TickEvent("warn", "request", name, f"refused: {end}"),)
+            if end is None:
+                continue
+            if reason := _reach_problem(model, d, estimate, end, request.duration_s):
+                return progress, (TickEvent("warn", "request", name, f"refused: {name} {reason}"),)
+            goals[d] = _move_goal(model, d, estimate, start, np.radians(end), request.duration_s, t)
+            contact[d] = False
+        elif name in values:
+            value, tendons = values[name], model.digit_tendons[d]
+            limit = float(model.ceiling[tendons].min())
+            if value > limit:
+                text = f"refused: {value:g} N on {name}, expected at most {limit:g} N"
+                return progress, (TickEvent("warn", "request", name, text),)
+            target = pull_tensions(model, d, value, estimate)
+            goals[d] = tension_goal(model, d, target, request.rate_N_per_s, estimate)
+    text = f"{request.do} " + ", ".join(f"{name} {value:g}" for name, value in values.items())
+    return replace(progress, goals=tuple(goals), contact=tuple(contact)), (
+        TickEvent("info", "request", "", text),
+    )
+
+
+def _end_of_move(
+    model: HandModel, d: int, angles: Mapping[str, float], start: HandEstimate | Vector
+) -> Vector | str | None:
+    """Return the coordinates at the end of a digit's move [deg].
+
+    Args:
+        model: model of the hand.
+        d: index of the digit.
+        angles: angle by digit or joint [deg].
+        start: present coordinates [rad], or the estimate. Joints without an angle keep their
+            present angles.
+
+    Returns:
+        The result is None for a digit without an angle, and a text for angles that the digit cannot
+        have together.
+    """
+    digit, name = model.digits[d], model.hand.digit_names[d]
+    count = digit.coupling.shape[1]
+    joints = model.hand.joints[digit.joints]
+    given = joint_values(angles, digit)
+    if not given:
+        return np.full(count, angles[name]) if name in angles else None
+    if name in angles:
+        return f"{name} and {joints[next(iter(given))]}, expected either the digit or its joints"
+    now = np.degrees(
+        np.clip(
+            start if isinstance(start, np.ndarray) else coordinates_by_excursion(digit, start),
+            *digit.reach,
+        )
+    )
+    end = digit.with_joint_angles(given, now)
+    if (
+        np.abs((digit.coupling @ end)[list(given)] - list(given.values())).max()
+        > COUPLING_TOLERANCE_DEG
+    ):
+        return f"{', '.join(joints[j] for j in given)} are coupled, expected {name}, one angle for all of them"
+    return end
+
+
+def _move_goal(
+    model: HandModel,
+    d: int,
+    estimate: HandEstimate,
+    start: Vector | None,
+    end: Vector,
+    duration: float,
+    t: float,
+) -> DigitGoal:
+    """Return a move of a digit from its present reference (3, n), or from the estimate if there is no reference."""
+    if start is None:
+        return motion_to(model.digits[d], estimate, end, duration, t)
+    return DigitGoal(
+        GoalKind.MOTION, continued_move(start, end, duration, model.digits[d].reach), since=t
+    )
+
+
+def _reach_problem(
+    model: HandModel, d: int, estimate: HandEstimate, end: Vector, duration: float
+) -> str:
+    """Return the reason why a digit cannot move to coordinates [deg] in a time [s], empty if it can."""
+    digit = model.digits[d]
+    joint_min, joint_max = (np.degrees(bound) for bound in digit.reach)
+    for angle, low, high in zip(end, joint_min, joint_max, strict=True):
+        if not low - ROUNDING_DEG <= angle <= high + ROUNDING_DEG:
+            return f"{angle:g} deg, expected from {low:g} to {high:g} deg"
+    travel = np.abs(end - np.degrees(coordinates_by_excursion(digit, estimate))).max()
+    peak = PEAK_SPEED_RATIO * float(travel) / duration
+    too_fast = f"at up to {peak:.0f} deg/s, expected at most {FOLLOW_SPEED_DEG_S:g} deg/s: give it more time"
+    return "" if peak <= FOLLOW_SPEED_DEG_S else too_fast

@@ -1,0 +1,398 @@
+"""Streams of targets from a client, and conversion of a target to goals of the digits."""
+
+import functools
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
+from handctl.core.control_law.tension_allocation import tensions_for_torque
+from handctl.core.control_law.trajectory import BlendTrajectory, MinimumJerk, StreamedTrajectory
+from handctl.core.estimation.tip_force import reduced_tip_lever
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Vector
+from handctl.hand.digit import DigitModel
+from handctl.hand.dynamics import static_torque
+from handctl.programs.program import ProgramProgress
+from handctl.programs.requests import OpenStream
+
+MOTION_MARGIN_TICKS = 2
+"""Number of control periods by which a motion to a target is prolonged.
+
+If the next target is late by less than this time, the motion does not stop.
+"""
+STOP_DURATION_S = 0.15
+"""Duration of the motion with which a streamed digit comes to rest [s]."""
+MIN_HOLD_PERIODS = 2
+"""Smallest number of stream periods without a target before the hand holds, so that one target may be lost."""
+MAX_TARGET_VALUES_BY_SPACE = {"joint": 720.0, "digit": 720.0, "tension": 5000.0, "tip_force": 500.0}
+"""Largest value that a target may have, by space of the stream [deg, N].
+
+A larger value is a mistake of the client, and is refused.
+"""
+TARGET_UNIT_BY_SPACE = {"joint": "deg", "digit": "deg", "tension": "N", "tip_force": "N"}
+"""Unit of the values of a target, by space of the stream."""
+MIN_STIFFNESS_FRACTION = 0.05
+"""Smallest fraction of the gains' stiffness.
+
+With less stiffness, friction would determine a digit's position.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class StreamPlan:
+    """Stream of targets.
+
+    Attributes:
+        name: name of the stream, which every target repeats.
+        client: client that opened the stream.
+        space: meaning of a target, see ``requests.OpenStream``.
+        names: names of the values.
+        interpolation: motion from target to target: "linear" or "minimum_jerk".
+        period: time from one target to the next [s].
+        horizon: time between the sending of a target and the moment at which the hand shall reach
+            it [s].
+        softness: stiffness of the streamed digits [N m/rad]. If it is None, they have the stiffness
+            of the gains.
+        damping_ratio: multiple of the gains' damping ratio.
+    """
+
+    name: str
+    client: str
+    space: str
+    names: tuple[str, ...]
+    interpolation: str
+    period: float
+    horizon: float
+    softness: float | None = None
+    damping_ratio: float = 1.0
+
+    @property
+    def moves(self) -> bool:
+        """Return True for a stream of angles, False for a stream of tensions or forces."""
+        return TARGET_UNIT_BY_SPACE[self.space] == "deg"
+
+
+class StreamStatus(NamedTuple):
+    """State of the stream of targets after a tick.
+
+    Attributes:
+        number: number of the latest accepted target, -1 before the first.
+        age_s: time since this target was sent [s], NaN before the first target.
+        accepted: accepted targets of the stream.
+        clipped: accepted targets that were clipped to the range of a joint.
+        late: ignored targets: repeated, overtaken or too old.
+        refused: refused targets: not numbers, or of a wrong shape.
+        limited: coordinates that the limits on speed and acceleration hold back in this tick.
+    """
+
+    number: int = -1
+    age_s: float = float("nan")
+    accepted: int = 0
+    clipped: int = 0
+    late: int = 0
+    refused: int = 0
+    limited: int = 0
+
+
+def target_horizon_s(rate_Hz: float, period: float) -> float:
+    """Return the time from the sending of a target to the moment at which the hand shall reach it [s].
+
+    Args:
+        rate_Hz: rate of the stream [Hz].
+        period: control period [s].
+    """
+    return 1.0 / rate_Hz + MOTION_MARGIN_TICKS * period
+
+
+class TargetMapping(NamedTuple):
+    """Linear map from the values of a target to the coordinates of the digits.
+
+    Attributes:
+        matrix: (C, V) coordinates [rad] per value [deg].
+        driven: (C,) True where the stream sets the coordinate.
+        digits: indices of the digits with a coordinate that the stream sets.
+        held: indices of those digits whose tendons cannot hold every posture, see ``nearest_holdable_posture``.
+    """
+
+    matrix: Vector
+    driven: NDArray[np.bool_]
+    digits: tuple[int, ...]
+    held: tuple[int, ...]
+
+
+@functools.lru_cache(maxsize=16)
+def mapping_of_stream(model: HandModel, space: str, names: tuple[str, ...]) -> TargetMapping:
+    """Return the map from the values of a stream's target to the coordinates of the digits."""
+    hand = model.hand
+    values = np.zeros((model.coordinate_count, len(names)))
+    digits = list[int]()
+    rows = zip(hand.digit_names, model.digits, model.digit_coordinates, strict=True)
+    for d, (name, digit, places) in enumerate(rows):
+        if space == "digit" and name in names:
+            values[places, names.index(name)] = 1.0
+            digits.append(d)
+        given = (
+            [j for j, joint in enumerate(hand.joints[digit.joints]) if joint in names]
+            if space == "joint"
+            else []
+        )
+        if given:
+            # The result is the coordinates nearest to the given angles, because joints that springs
+            # couple turn together.
+            columns = [names.index(hand.joints[digit.joints][j]) for j in given]
+            values[places, columns] = np.linalg.pinv(digit.coupling[given])
+            digits.append(d)
+    driven = np.abs(values).max(axis=1) > 1e-12
+    held = tuple([d for d in digits if _is_held_by_each_tendon(model.digits[d])])
+    return TargetMapping(np.radians(values), driven, tuple(digits), held)
+
+
+def stream_problem(model: HandModel, request: OpenStream) -> str:
+    """Return the reason why the hand cannot follow a stream, empty if it can."""
+    hand = model.hand
+    right = {"joint": hand.joints, "tension": hand.tendon_names}.get(
+        request.space, hand.digit_names
+    )
+    kind = {"joint": "joint", "tension": "tendon"}.get(request.space, "digit")
+    for name in request.names:
+        if name not in right:
+            return f"no {kind} {name!r}, expected some of {', '.join(right)}"
+    if len(set(request.names)) < len(request.names):
+        return "a name is given twice, expected each once"
+    if request.space == "tip_force":
+        for name in request.names:
+            tendons, joints = model.digits[hand.digit_names.index(name)].moment_arms.shape
+            if tendons < joints:
+                return f"{name} has {tendons} tendons for {joints} joints, expected a stream of tension"
+    if request.stiffness_N_m_per_rad is not None and TARGET_UNIT_BY_SPACE[request.space] != "deg":
+        return f"a stiffness in a stream of {request.space}, expected one of angles"
+    return ""
+
+
+def plan_of_request(model: HandModel, request: OpenStream) -> StreamPlan | str:
+    """Return the stream that a request opens, or the reason to refuse the request."""
+    if reason := stream_problem(model, request):
+        return reason
+    slowest = MIN_HOLD_PERIODS * 1e3 / model.hand.stream.hold_after_ms
+    fastest = 1.0 / model.period
+    if not slowest <= request.rate_Hz <= fastest:
+        limits = "stream.hold_after_ms of the hand file, and the control rate"
+        return f"{request.rate_Hz:g} Hz, expected {slowest:g} to {fastest:g} Hz ({limits})"
+    return StreamPlan(
+        request.stream, request.client, request.space, request.names, request.interpolation, 1.0 / request.rate_Hz,
+        target_horizon_s(request.rate_Hz, model.period), request.stiffness_N_m_per_rad, request.damping_ratio,
+    )  # fmt: skip
+
+
+FLOOR_MARGIN_N = 0.5
+"""Margin of the tensions above the floor in a posture that counts as holdable [N]."""
+HOLDABLE_NEWTON_STEPS = 4
+"""Largest number of Newton steps towards a holdable posture.
+
+Because of gravity, which the slope does not include, more than one step may be necessary.
+"""
+
+
+def nearest_holdable_posture(digit: DigitModel, coordinates: Vector, floor: Vector) -> Vector:
+    """Return the nearest coordinates that taut tendons can hold against springs and gravity [rad].
+
+    A tendon that flexes the outer joints also flexes the inner joints. To bend the outer joints
+    alone, an inner tendon would have to push, and the safety monitor would find this tendon slack.
+
+    Args:
+        digit: model of the digit.
+        coordinates: (n_c,) coordinates of the target [rad].
+        floor: (n_t,) smallest tensions [N].
+    """
+    if not _is_held_by_each_tendon(digit):
+        return coordinates
+    angles = coordinates.copy()
+    for _ in range(HOLDABLE_NEWTON_STEPS):
+        to_tension = digit.at_angles(digit.coupling @ angles).torque_to_tension
+        slope = to_tension @ np.diag(digit.spring_stiffness) @ digit.coupling
+        tension = to_tension @ np.asarray(static_torque(digit, digit.coupling @ angles))
+        missing = floor + FLOOR_MARGIN_N - tension
+        short = missing > 1e-6
+        if not short.any():
+            break
+        angles += np.linalg.pinv(slope[short]) @ missing[short]
+    return angles
+
+
+def _is_held_by_each_tendon(digit: DigitModel) -> bool:
+    """Return True for a digit with several coordinates and as many tendons, whose posture determines all tensions."""
+    tendons, count = digit.reduced_moment_arms.shape
+    return bool(tendons == count and count > 1)
+
+
+def streamed_digits(model: HandModel, stream: StreamPlan) -> tuple[int, ...]:
+    """Return the indices of the digits that a stream commands."""
+    if stream.moves:
+        return mapping_of_stream(model, stream.space, stream.names).digits
+    hand = model.hand
+    if stream.space == "tip_force":
+        return tuple(sorted(hand.digit_names.index(name) for name in stream.names))
+    return tuple(sorted({model.digit_of[hand.tendon_names.index(name)] for name in stream.names}))
+
+
+def loop_fractions(model: HandModel, stream: StreamPlan) -> tuple[Vector, Vector]:
+    """Return the fractions (N,) of the motion loop's stiffness and damping for a stream.
+
+    The stiffness of a tendon's loop [N/m] times its moment arm squared is the stiffness of the
+    joints. A damping that falls with the root of the stiffness keeps the damping ratio. Neither
+    exceeds the value of the gains, with which the loop is stable.
+    """
+    stiffness = np.ones(model.tendon_count)
+    damping = np.ones(model.tendon_count)
+    if stream.softness is None:
+        return stiffness, damping
+    for d in streamed_digits(model, stream):
+        digit = model.digits[d]
+        arms = (digit.reduced_moment_arms**2).sum(axis=1)
+        mass = (model.space.motor_mass + model.space.load_mass)[digit.tendons]
+        full = arms * mass * model.motion.stiffness[digit.tendons]
+        stiffness[digit.tendons] = np.clip(stream.softness / full, MIN_STIFFNESS_FRACTION, 1.0)
+        damping[digit.tendons] = np.minimum(
+            stream.damping_ratio * np.sqrt(stiffness[digit.tendons]), 1.0
+        )
+    return stiffness, damping
+
+
+def target_tensions(
+    model: HandModel, stream: StreamPlan, values: Vector, present: Vector, q: Vector
+) -> Vector:
+    """Return the tensions (N,) for a target [N], before they are limited.
+
+    Args:
+        model: model of the hand.
+        stream: stream of tensions or forces.
+        values: (V,) values of the target [N].
+        present: (N,) present tension setpoints [N]. Tendons without a value keep their present
+            setpoints.
+        q: (J,) joint angles [rad], for the levers of tip forces.
+    """
+    hand, tension = model.hand, present.copy()
+    if stream.space == "tension":
+        tension[[hand.tendon_names.index(name) for name in stream.names]] = values
+        return tension
+    for name, force in zip(stream.names, values.tolist(), strict=True):
+        digit = model.digits[hand.digit_names.index(name)]
+        angles, tendons = q[digit.joints], digit.tendons
+        # This is the torque of springs and gravity, plus the tip force times its lever, in the
+        # coordinates of the digit.
+        torque = digit.coupling.T @ np.asarray(static_torque(digit, angles))
+        torque += max(force, 0.0) * reduced_tip_lever(digit, angles)
+        arms = digit.at_angles(angles).reduced_moment_arms
+        tension[tendons] = tensions_for_torque(
+            arms, torque, model.floor[tendons], model.ceiling[tendons]
+        )[0]
+    return tension
+
+
+def streamed_goals(
+    progress: ProgramProgress, digits: tuple[int, ...], tension: tuple[Vector, ...] | None
+) -> ProgramProgress:
+    """Return the progress with goals of digits that follow a stream.
+
+    Args:
+        progress: progress with the present goals.
+        digits: indices of the digits that follow the stream.
+        tension: for each digit of the hand, the present tension setpoints [N] of a stream of
+            tensions, None for a stream of angles.
+    """
+    goals = list(progress.goals)
+    contact = list(progress.contact)
+    for d in digits:
+        if tension is None:
+            goals[d] = DigitGoal(GoalKind.MOTION, StreamedTrajectory())
+            contact[d] = False
+        else:
+            goals[d] = DigitGoal(GoalKind.TENSION, tension=tension[d].copy(), rate=STREAMED_RATE)
+    return replace(progress, goals=tuple(goals), contact=tuple(contact))
+
+
+STREAMED_RATE = 0.0
+"""Rate of the goal of a digit with streamed tensions [N/s].
+
+It has no effect, because the targets contain the setpoints.
+"""
+
+
+def progress_at_rest(
+    progress: ProgramProgress,
+    reference: tuple[Vector, ...],
+    tension: tuple[Vector, ...],
+    t: float,
+    reach: tuple[tuple[Vector, Vector], ...],
+    only_streamed: bool,
+) -> ProgramProgress:
+    """Return the progress with goals that bring moving digits to rest.
+
+    Args:
+        progress: progress with the present goals.
+        reference: for each digit, (3, n) position, rate and acceleration of the present reference.
+        tension: for each digit, the present tension setpoints [N].
+        t: time of the program [s].
+        reach: for each digit, lowest and highest coordinates [rad].
+        only_streamed: True if only digits that follow a stream come to rest.
+    """
+    goals = list(progress.goals)
+    for d, goal in enumerate(goals):
+        if goal.kind == GoalKind.TENSION and goal.rate == STREAMED_RATE:
+            goals[d] = DigitGoal(GoalKind.TENSION, tension=tension[d].copy())
+        if goal.kind == GoalKind.MOTION and (
+            isinstance(goal.trajectory, StreamedTrajectory) or not only_streamed
+        ):
+            position, rate, _ = reference[d]
+            end = np.clip(position + 0.5 * STOP_DURATION_S * rate, *reach[d])
+            goals[d] = DigitGoal(
+                GoalKind.MOTION,
+                continued_move(reference[d], end, STOP_DURATION_S, reach[d]),
+                since=t,
+            )
+    return replace(progress, goals=tuple(goals))
+
+
+SHORTEST_BLEND_S = 0.05
+"""Shortest time in which an earlier motion fades [s]."""
+_CHECKED_FRACTIONS = np.linspace(0.0, 1.0, 33)[1:]
+"""Instants at which the positions of a move are checked, as fractions of its duration."""
+
+
+def continued_move(
+    reference: Vector, end: Vector, duration: float, reach: tuple[Vector, Vector]
+) -> MinimumJerk:
+    """Return a move that begins with the position, rate and acceleration of a reference, at rest at the end.
+
+    If a long move continued a fast motion until its end, it would run far beyond both its ends.
+    Therefore the earlier motion fades in a shorter time. This time is halved until the joints stay
+    within their range.
+
+    Args:
+        reference: (3, n) position, rate and acceleration [rad, s].
+        end: (n,) coordinates at the end [rad].
+        duration: duration of the move [s].
+        reach: lowest and highest coordinates [rad].
+    """
+    position, rate, acceleration = (row.copy() for row in reference)
+    if not rate.any() and not acceleration.any():
+        return MinimumJerk(position, end, duration)
+    blend = duration
+    while True:
+        move = MinimumJerk(position, end, duration, BlendTrajectory(rate, acceleration, blend))
+        course = np.array([move.motion_at(share * blend)[0] for share in _CHECKED_FRACTIONS])
+        inside = (course >= np.minimum(reach[0], position)).all() and (
+            course <= np.maximum(reach[1], position)
+        ).all()
+        if inside or blend <= SHORTEST_BLEND_S:
+            return move
+        blend = max(0.5 * blend, SHORTEST_BLEND_S)
+
+
+def is_plausible(stream: StreamPlan, values: tuple[float, ...]) -> bool:
+    """Return True if a target has the right number of finite values within a plausible range."""
+    outlier = MAX_TARGET_VALUES_BY_SPACE[stream.space]
+    return len(values) == len(stream.names) and all(abs(value) <= outlier for value in values)

@@ -1,0 +1,472 @@
+"""Program that carries out a task file: move, close until contact, hold, release."""
+
+import functools
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
+from handctl.core.control_law.tension_allocation import tensions_for_torque
+from handctl.core.control_law.trajectory import CurveTrajectory, minimum_jerk_duration
+from handctl.core.estimation.tip_force import joint_lever, reduced_tip_lever
+from handctl.core.hand_estimate import HandEstimate, TickMeasurements
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import TickEvent, Vector
+from handctl.hand.digit import DigitModel
+from handctl.programs.grip import GripPlan, GripState, advance_grip
+from handctl.programs.program import (
+    TAUT_DURATION_S,
+    TIGHTEN_TIMEOUT_S,
+    ProgramProgress,
+    ProgressAndEvents,
+    coordinates_by_excursion,
+    motion_to,
+    pull_tensions,
+    released_tensions,
+    slack_tendons,
+    tension_goal,
+    tightening_goals,
+)
+from handctl.programs.task import (
+    SHORTEST_MOVE_S,
+    ClosePhase,
+    FollowPhase,
+    HoldPhase,
+    MovePhase,
+    ReleasePhase,
+    Task,
+    curve_through,
+    end_angles,
+    joint_values,
+    value_for_digit,
+)
+
+FOLLOW_START_DEG = 4.0
+"""Largest accepted distance of a digit from the start of a curve [deg]."""
+SETTLE_AFTER_CLOSE_S = 0.3
+"""Time in which a digit without contact comes to rest before the next phase [s]."""
+RELEASED_WITHIN_N = 2.0
+"""Tension above that of a release at which a tendon still counts as released [N]."""
+RELEASE_TIMEOUT_S = 10.0
+"""Longest time that a release may take [s]."""
+REFERENCE_JOINTS = 2
+"""Number of joints of the digit to which the contact threshold refers.
+
+Each further joint adds its friction to the estimated tip force. This force is 0.33 N on fingers of
+three joints that touch no object. Such fingers still detect a contact long before 1 N.
+"""
+ARRIVAL_DURATION_S = 0.15
+"""Time after the end of a trajectory at which a digit counts as arrived [s]."""
+ARRIVED_THRESHOLD_FACTOR = 2.0
+"""Factor on the contact threshold of a digit that has arrived.
+
+A digit at rest touches no new object, and creeping friction can resemble a contact.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class TaskProgram:
+    """Program that runs a task.
+
+    Step 0 takes up the slack, and step n is phase n - 1 of the task.
+    """
+
+    task: Task
+
+    def initial_progress(self, model: HandModel) -> ProgramProgress:
+        """Return the progress until the hand is armed: no torque."""
+        return ProgramProgress.initial(len(model.digits), "start")
+
+    def advance(
+        self,
+        model: HandModel,
+        progress: ProgramProgress,
+        estimate: HandEstimate,
+        measured: TickMeasurements,
+        t: float,
+    ) -> ProgressAndEvents:
+        """Advance the task by one tick. See `Program`."""
+        if progress.finished:
+            return progress, ()
+        if progress.phase == "start":
+            progress = replace(progress, since=t, phase="tighten", goals=tightening_goals(model))
+            return progress, (TickEvent("info", "phase", "", "tighten: taking up slack"),)
+        if progress.phase == "tighten" and progress.step == 0:
+            return self._wait_until_taut(model, progress, estimate, t)
+        return self._advance_phase(model, progress, estimate, t)
+
+    def begin(
+        self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate, t: float
+    ) -> ProgressAndEvents:
+        """Begin with the first phase of the task, for a hand whose tendons are taut."""
+        untouched = (0,) * len(model.digits)
+        return self._enter_phase(model, replace(progress, step=0, touching=untouched), estimate, t)
+
+    def _advance_phase(
+        self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate, t: float
+    ) -> ProgressAndEvents:
+        """Advance the present phase of the task by one tick."""
+        progress, events = self._detect_contact(model, progress, estimate, t)
+        progress, slipped = self._advance_hold(model, progress, estimate, t)
+        events += slipped
+        if self._is_phase_over(model, progress, estimate, t):
+            events += self._release_warnings(model, progress, estimate)
+            progress, entered = self._enter_phase(model, progress, estimate, t)
+            events += entered
+        return progress, events
+
+    def _wait_until_taut(
+        self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate, t: float
+    ) -> ProgressAndEvents:
+        """Wait until all tendons have been taut for a while.
+
+        A tick with a slack tendon lowers the count by one, so noise delays the start but does not
+        restart the wait.
+        """
+        slack = slack_tendons(model, estimate)
+        ticks = max(0, progress.touching[0] + (-1 if slack else 1))
+        progress = replace(progress, touching=(ticks, *progress.touching[1:]))
+        if ticks * model.period >= TAUT_DURATION_S:
+            return self._enter_phase(
+                model, replace(progress, touching=(0,) * len(model.digits)), estimate, t
+            )
+        if t - progress.since > TIGHTEN_TIMEOUT_S:
+            text = f"not taut after {TIGHTEN_TIMEOUT_S:g} s: {', '.join(slack) or 'now one tendon, now another'}"
+            return replace(progress, finished=True, failure=text), (
+                TickEvent("error", "tighten", "", text),
+            )
+        return progress, ()
+
+    def _enter_phase(
+        self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate, t: float
+    ) -> ProgressAndEvents:
+        """Enter the next phase of the task, or finish."""
+        step = progress.step + 1
+        if step > len(self.task.phase):
+            return replace(progress, finished=True, phase="end"), (
+                TickEvent("info", "phase", "", "task complete"),
+            )
+        phase = self.task.phase[step - 1]
+        # A motion begins without contact, and so does the phase after a release.
+        free = isinstance(phase, MovePhase | FollowPhase) or (
+            step > 1 and isinstance(self.task.phase[step - 2], ReleasePhase)
+        )
+        contact = (False,) * len(model.digits) if free else progress.contact
+        progress = replace(progress, step=step, since=t, phase=phase.name, contact=contact)
+        names = model.hand.digit_names
+        if isinstance(phase, FollowPhase) and (error := _distance_error(model, phase, estimate)):
+            return replace(progress, finished=True, failure=error), (
+                TickEvent("error", "phase", "", error),
+            )
+        goals = tuple(
+            self._digit_goal(model, progress, d, names[d], estimate, t) for d in range(len(names))
+        )
+        events = [TickEvent("info", "phase", "", phase.name)]
+        if isinstance(phase, HoldPhase) and not any(contact):
+            events.append(TickEvent("warn", "phase", "", f"{phase.name}: no digit is in contact"))
+        grip = (
+            GripState.at_hold_start(model, goals, estimate, t)
+            if isinstance(phase, HoldPhase) and any(contact)
+            else None
+        )
+        untouched = (0,) * len(names)
+        progress = replace(progress, goals=goals, touching=untouched, grip=grip)
+        return replace(progress, closing=_closing_digits(phase, progress)), tuple(events)
+
+    def _digit_goal(
+        self,
+        model: HandModel,
+        progress: ProgramProgress,
+        d: int,
+        name: str,
+        estimate: HandEstimate,
+        t: float,
+    ) -> DigitGoal:
+        """Return the goal of digit d at the beginning of the present phase."""
+        phase = self.task.phase[progress.step - 1]
+        previous = progress.goals[d]
+        digit = model.digits[d]
+        if isinstance(phase, MovePhase):
+            angle = end_angles(
+                phase.angle_deg, digit, np.degrees(coordinates_by_excursion(digit, estimate))
+            )
+            return (
+                previous
+                if angle is None
+                else motion_to(digit, estimate, np.radians(angle), phase.duration_s, t)
+            )
+        if isinstance(phase, FollowPhase):
+            curve = _curve_of_digit(phase, digit, estimate)
+            return previous if curve is None else DigitGoal(GoalKind.MOTION, curve, since=t)
+        if isinstance(phase, ClosePhase):
+            angle = end_angles(
+                phase.angle_deg, digit, np.degrees(coordinates_by_excursion(digit, estimate))
+            )
+            if angle is None or progress.contact[d]:
+                return previous
+            travel = float(
+                np.abs(np.radians(angle) - coordinates_by_excursion(digit, estimate)).max()
+            )
+            duration = minimum_jerk_duration(
+                travel, math.radians(phase.speed_deg_s), SHORTEST_MOVE_S
+            )
+            return motion_to(digit, estimate, np.radians(angle), duration, t)
+        if not progress.contact[d]:
+            return previous
+        if isinstance(phase, ReleasePhase):
+            target = released_tensions(model, d, phase.tension_N)
+            return tension_goal(model, d, target, phase.rate_N_per_s, estimate)
+        tension = self._hold_tension(model, phase, d, name, estimate)
+        return (
+            previous
+            if tension is None
+            else tension_goal(model, d, tension, phase.rate_N_per_s, estimate)
+        )
+
+    def _hold_tension(
+        self, model: HandModel, phase: HoldPhase, d: int, name: str, estimate: HandEstimate
+    ) -> Vector | None:
+        """Return the tension targets (n_t,) of a digit that holds [N], from a tension or from a tip force.
+
+        If the result is None, the digit keeps its goal.
+        """
+        digit = model.digits[d]
+        tendons = model.digit_tendons[d]
+        if phase.tension_N is not None:
+            tension = value_for_digit(phase.tension_N, name)
+            return None if tension is None else pull_tensions(model, d, tension, estimate)
+        assert phase.tip_force_N is not None
+        force = value_for_digit(phase.tip_force_N, name)
+        if force is None:
+            return None
+        q = estimate.q[digit.joints]
+        # This is the torque of springs and gravity, plus the tip force times its lever, in the
+        # coordinates of the digit.
+        torque = digit.coupling.T @ model.tree.static_torque(estimate.q)[
+            digit.joints
+        ] + force * reduced_tip_lever(digit, q)
+        arms = digit.at_angles(q).reduced_moment_arms
+        return tensions_for_torque(arms, torque, model.floor[tendons], model.ceiling[tendons])[0]
+
+    def _advance_hold(
+        self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate, t: float
+    ) -> ProgressAndEvents:
+        """Update the grip during a hold, and raise its tensions after slip."""
+        phase = self.task.phase[progress.step - 1]
+        if progress.grip is None or not isinstance(phase, HoldPhase):
+            return progress, ()
+        limit = phase.slip_limit_N
+        plan = _grip_plan(
+            model,
+            phase.stiffness_N_per_mm,
+            tuple(limit.items()) if isinstance(limit, dict) else limit,
+        )
+        grip, goals, events = advance_grip(model, progress.grip, plan, progress.goals, estimate, t)
+        if grip is progress.grip and goals is progress.goals:
+            return progress, events
+        return replace(progress, grip=grip, goals=goals), events
+
+    def _detect_contact(
+        self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate, t: float
+    ) -> ProgressAndEvents:
+        """Detect the contact of closing digits, and let these digits hold their tension."""
+        phase = self.task.phase[progress.step - 1]
+        if not isinstance(phase, ClosePhase):
+            return progress, ()
+        gains = model.gains.contact
+        forces = estimate.contact_force.tolist()
+        goals = list(progress.goals)
+        contact = list(progress.contact)
+        touching = list(progress.touching)
+        events: list[TickEvent] = []
+        for d, tendons in enumerate(model.digit_tendons):
+            closing = goals[d].kind == GoalKind.MOTION and not contact[d]
+            threshold = contact_threshold(
+                goals[d], model.digits[d].joint_count, gains.threshold_N, t
+            )
+            above = closing and forces[d] > threshold + blind_tip_force(model, d)
+            touching[d] = touching[d] + 1 if above else 0
+            if touching[d] >= gains.ticks:
+                contact[d] = True
+                # A digit that pulls harder than the contact tension keeps its tension.
+                start = pull_tensions(model, d, phase.contact_tension_N, estimate)
+                side = model.redundancy.side[tendons]
+                pulled = np.maximum(side * estimate.tension[tendons], side * start)
+                closes = np.where(model.is_pair[tendons], side != 0.0, side > 0.0)
+                start = np.where(closes, side * pulled, start)
+                goals[d] = tension_goal(model, d, start, model.gains.tension.rate_N_per_s, estimate)
+                name = model.hand.digit_names[d]
+                events.append(
+                    TickEvent(
+                        "info", "contact", name, f"{name} touches, {forces[d]:.2f} N at its tip"
+                    )
+                )
+        if not events and tuple(touching) == progress.touching:
+            return progress, ()
+        changed = replace(
+            progress, goals=tuple(goals), contact=tuple(contact), touching=tuple(touching)
+        )
+        return replace(changed, closing=_closing_digits(phase, changed)), tuple(events)
+
+    def _is_phase_over(
+        self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate, t: float
+    ) -> bool:
+        """Return True if the present phase of the task has ended."""
+        phase = self.task.phase[progress.step - 1]
+        elapsed = t - progress.since
+        if isinstance(phase, MovePhase | HoldPhase):
+            return elapsed >= phase.duration_s
+        if isinstance(phase, FollowPhase):
+            return elapsed >= phase.time_s[-1]
+        if isinstance(phase, ClosePhase):
+            moving = [
+                goal
+                for goal in progress.goals
+                if goal.kind == GoalKind.MOTION and goal.trajectory is not None
+            ]
+            longest = max(
+                (goal.trajectory.duration for goal in moving if goal.trajectory), default=0.0
+            )
+            return (
+                elapsed >= min(longest + SETTLE_AFTER_CLOSE_S, phase.timeout_s) if moving else True
+            )
+        late = elapsed > RELEASE_TIMEOUT_S
+        return elapsed >= phase.settle_s and (
+            late or not _still_tensioned(model, progress, phase, estimate)
+        )
+
+    def _release_warnings(
+        self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate
+    ) -> tuple[TickEvent, ...]:
+        """Return warnings at the end of a release, for digits that are still under tension."""
+        phase = self.task.phase[progress.step - 1]
+        if not isinstance(phase, ReleasePhase):
+            return ()
+        waited = max(phase.settle_s, RELEASE_TIMEOUT_S)
+        text = f"{phase.name}: above {phase.tension_N:g} N after {waited:g} s, and going on"
+        return tuple(
+            [
+                TickEvent("warn", "phase", name, text)
+                for name in _still_tensioned(model, progress, phase, estimate)
+            ]
+        )
+
+
+def _closing_digits(
+    phase: MovePhase | FollowPhase | ClosePhase | HoldPhase | ReleasePhase,
+    progress: ProgramProgress,
+) -> tuple[bool, ...]:
+    """Return for each digit True if it closes until contact.
+
+    In other phases than close, the result is empty.
+    """
+    if not isinstance(phase, ClosePhase):
+        return ()
+    rows = zip(progress.goals, progress.contact, strict=True)
+    return tuple([goal.kind == GoalKind.MOTION and not in_contact for goal, in_contact in rows])
+
+
+def _still_tensioned(
+    model: HandModel, progress: ProgramProgress, phase: ReleasePhase, estimate: HandEstimate
+) -> list[str]:
+    """Return the names of tension-controlled digits whose tension is still above that of a release."""
+    limit = np.maximum(phase.tension_N, model.redundancy.balance) + RELEASED_WITHIN_N
+    rows = zip(model.hand.digit_names, progress.goals, model.digit_tendons, strict=True)
+    return [
+        name
+        for name, goal, tendons in rows
+        if goal.kind == GoalKind.TENSION and (estimate.tension >= limit)[tendons].any()
+    ]
+
+
+@functools.lru_cache(maxsize=8)
+def _grip_plan(
+    model: HandModel,
+    stiffness_N_per_mm: float,
+    slip_limit: float | tuple[tuple[str, float], ...] | None,
+) -> GripPlan:
+    """Return the grip that a hold phase requires, with numbers for each tendon.
+
+    Args:
+        model: model of the hand.
+        stiffness_N_per_mm: stiffness of the grip [N/mm].
+        slip_limit: largest tension after slip [N], for all digits or by digit. None without a limit.
+    """
+    limit = np.full(model.tendon_count, np.nan)
+    if slip_limit is not None:
+        given = dict(slip_limit) if isinstance(slip_limit, tuple) else slip_limit
+        for name, tendons in zip(model.hand.digit_names, model.digit_tendons, strict=True):
+            value = value_for_digit(given, name)
+            limit[tendons] = math.nan if value is None else value
+    return GripPlan(1e3 * stiffness_N_per_mm, limit)
+
+
+def _distance_error(model: HandModel, phase: FollowPhase, estimate: HandEstimate) -> str:
+    """Return a message if a digit is too far from the start of its curve, else an empty text."""
+    for digit in model.digits:
+        angle = np.degrees(coordinates_by_excursion(digit, estimate))
+        joints = digit.coupling @ angle
+        places = {
+            digit.joint_names[j]: joints[j : j + 1] for j in joint_values(phase.angle_deg, digit)
+        }
+        if digit.name in phase.angle_deg:
+            places[digit.name] = angle
+        for name, present in places.items():
+            first = phase.angle_deg[name][0]
+            if np.abs(present - first).max() > FOLLOW_START_DEG:
+                start = f"the trajectory begins at {first:g} deg: move there first"
+                return f"{name} is at {present.mean():.1f} deg, but {start}"
+    return ""
+
+
+def _curve_of_digit(
+    phase: FollowPhase, digit: DigitModel, estimate: HandEstimate
+) -> CurveTrajectory | None:
+    """Return the curve of a digit, None if the phase gives it no angle.
+
+    Joints without angles keep their positions.
+    """
+    count = digit.coupling.shape[1]
+    if digit.name in phase.angle_deg:
+        angles = tuple(map(math.radians, phase.angle_deg[digit.name]))
+        return replace(curve_through(phase.time_s, angles), coordinates=count)
+    given = joint_values(phase.angle_deg, digit)
+    if not given:
+        return None
+    now = coordinates_by_excursion(digit, estimate)
+    rows = zip(*given.values(), strict=True)
+    points = [
+        digit.with_joint_angles(dict(zip(given, np.radians(row), strict=True)), now) for row in rows
+    ]
+    return CurveTrajectory.through_points(phase.time_s, np.array(points), count)
+
+
+@functools.lru_cache(maxsize=64)
+def blind_tip_force(model: HandModel, d: int) -> float:
+    """Return the margin on digit d's contact threshold for tensions without load cell [N], 0 with load cells."""
+    digit = model.digits[d]
+    margin = float(model.blind_margin[digit.tendons].mean())
+    if margin == 0.0:
+        return 0.0
+    # The response is the tensions per tip force of the open digit. The estimated tip force is a
+    # least-squares fit to these tensions.
+    response = digit.torque_to_tension @ joint_lever(digit, digit.joint_min)
+    return margin / float(np.linalg.norm(response))
+
+
+def contact_threshold(goal: DigitGoal, joints: int, threshold: float, t: float) -> float:
+    """Return the tip force that counts as contact [N].
+
+    Args:
+        goal: goal of the digit.
+        joints: number of joints of the digit.
+        threshold: threshold of a moving digit with two joints [N].
+        t: time [s].
+    """
+    threshold *= joints / REFERENCE_JOINTS
+    is_moving = (
+        goal.trajectory is not None
+        and t - goal.since < goal.trajectory.duration + ARRIVAL_DURATION_S
+    )
+    return threshold if is_moving else ARRIVED_THRESHOLD_FACTOR * threshold

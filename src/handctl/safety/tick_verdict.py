@@ -1,0 +1,197 @@
+"""Judgement of each tick: latched faults, faults that buses and host report, and choice of the reaction.
+
+Compiled code (``core.detectors.fault_detection``) debounces the detected faults. This module finds the names
+of newly active faults, debounces the reported faults, and latches faults until an operator clears
+them.
+"""
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.safety.action import SafetyAction
+from handctl.safety.faults.bus import NO_ACKNOWLEDGE_KINDS
+from handctl.safety.faults.fault import (
+    JOINT_INSTANCE,
+    MOTOR_INSTANCE,
+    NODE_INSTANCE,
+    TENDON_INSTANCE,
+    Fault,
+)
+from handctl.safety.faults.host import FOREIGN_CONTROLLER_EVENT
+from handctl.safety.faults.table import (
+    DEBOUNCE_TICKS,
+    DETECTOR_ROWS,
+    FAULT_BY_ID,
+    FAULTS_BY_EVENT_KIND,
+)
+from handctl.safety.safety_limits import SafetyLimits
+
+EventReport = tuple[str, str, float]
+"""Report of an event of a bus, of the host or of the recorder: kind, location, and number."""
+
+
+class LatchedFault(NamedTuple):
+    """Fault that stays active until an operator clears it."""
+
+    id: str
+    instance: str
+
+
+class CountedFault(NamedTuple):
+    """Fault that is reported in this tick, with the number of consecutive ticks with such a report."""
+
+    id: str
+    instance: str
+    ticks: int
+
+
+class FaultFinding(NamedTuple):
+    """Fault that became active in this tick."""
+
+    fault: Fault
+    instance: str
+    value: float
+
+
+class TickVerdict(NamedTuple):
+    """Result of judging a tick.
+
+    Attributes:
+        action: most severe reaction that a fault demands.
+        findings: faults that became active in this tick.
+        latched: faults latched after the tick.
+        reported_faults: faults that are reported in this tick.
+    """
+
+    action: SafetyAction
+    findings: tuple[FaultFinding, ...]
+    latched: tuple[LatchedFault, ...]
+    reported_faults: tuple[CountedFault, ...]
+
+
+_ACTION_BY_NUMBER = {int(action): action for action in SafetyAction}
+
+
+def judge_tick(
+    latched: tuple[LatchedFault, ...],
+    reported_faults: tuple[CountedFault, ...],
+    detected: Sequence[FaultFinding],
+    demanded: int,
+    reports: Iterable[EventReport],
+) -> TickVerdict:
+    """Judge a tick: add the reported faults, latch faults, and choose the most severe reaction.
+
+    Args:
+        latched: latched faults of the last tick.
+        reported_faults: reported faults of the last tick.
+        detected: faults from the detectors that became active in this tick, from
+            ``faults_counting_since_now``.
+        demanded: most severe reaction to all active faults from the detectors.
+        reports: reports from buses, host and recorder in the tick, for ``locate_reports``.
+    """
+    action = demanded
+    findings = list(detected)
+    present = []
+    # A fault without a report in this tick is dropped, so its count starts again at 1.
+    before = {(report.id, report.instance): report.ticks for report in reported_faults}
+    for fault, where, value in locate_reports(reports):
+        ticks = before.get((fault.id, where), 0) + 1
+        present.append(CountedFault(fault.id, where, ticks))
+        if ticks >= fault.debounce:
+            action = max(action, fault.action)
+        if ticks == fault.debounce:
+            findings.append(FaultFinding(fault, where, value))
+    # A latched fault may be found again, but it is not logged again.
+    new = [finding for finding in findings if _latch_of(finding) not in latched]
+    latched += tuple(dict.fromkeys(_latch_of(finding) for finding in new if finding.fault.latched))
+    action = max([action, *(FAULT_BY_ID[mark.id].action for mark in latched)])
+    new.sort(key=lambda finding: _CATALOGUE_POSITION[finding.fault.id])
+    return TickVerdict(_ACTION_BY_NUMBER[action], tuple(new), latched, tuple(present))
+
+
+def _latch_of(finding: FaultFinding) -> LatchedFault:
+    """Return the latched fault for a finding."""
+    return LatchedFault(finding.fault.id, finding.instance)
+
+
+def faults_counting_since_now(
+    limits: SafetyLimits, evidence: NDArray[np.float64], ticks: NDArray[np.int64]
+) -> list[FaultFinding]:
+    """Return the faults that became active in this tick, in the order of the fault table.
+
+    Args:
+        limits: limits of the hand, with the names of tendons, motors, joints and nodes.
+        evidence: (rows, instances) evidence of each fault, NaN where the fault is absent.
+        ticks: (rows, instances) consecutive ticks with each fault.
+    """
+    # The compiled detectors continue to count after the debounce, so the count equals the debounce
+    # in one tick only.
+    rows, instances = np.nonzero(
+        (ticks[: len(DEBOUNCE_TICKS)] == DEBOUNCE_TICKS[:, None]) & ~np.isnan(evidence)
+    )
+    findings = []
+    for row, i in zip(rows.tolist(), instances.tolist(), strict=True):
+        fault, kind = DETECTOR_ROWS[row]
+        findings.append(
+            FaultFinding(fault, _instance_name(limits, fault, kind, i), float(evidence[row, i]))
+        )
+    return findings
+
+
+def _instance_name(limits: SafetyLimits, fault: Fault, kind: str, i: int) -> str:
+    """Return the name of the motor, tendon, joint, or node with a fault."""
+    names = {
+        TENDON_INSTANCE: limits.tendons,
+        MOTOR_INSTANCE: limits.motors,
+        JOINT_INSTANCE: limits.joints,
+        NODE_INSTANCE: limits.nodes,
+    }
+    return names[kind][i] if kind in names else fault.name
+
+
+def locate_reports(reports: Iterable[EventReport]) -> list[tuple[Fault, str, float]]:
+    """Return fault, location, and value for each report.
+
+    If a fault is reported repeatedly at a location, the last report is returned.
+    """
+    faults: dict[tuple[str, str], tuple[Fault, str, float]] = {}
+    for kind, where, value in reports:
+        # The location of a recorder event is its kind ("disk_full"), so it is a part of the key.
+        key = f"{kind}:{where}" if kind == "recorder" else kind
+        for fault in FAULTS_BY_EVENT_KIND.get(key, ()):
+            name = where or kind
+            faults[fault.id, name] = (fault, name, value)
+    return sorted(faults.values(), key=lambda row: _CATALOGUE_POSITION[row[0].id])
+
+
+# Position of each fault in the fault table. Simultaneous faults are sorted by this position.
+_CATALOGUE_POSITION = {id_: position for position, id_ in enumerate(FAULT_BY_ID)}
+
+
+def filter_error_frames(reports: Iterable[EventReport], any_node_heard: bool) -> list[EventReport]:
+    """Drop error frames from the reports, except the first unacknowledged frame (B18).
+
+    Args:
+        reports: reports of the tick.
+        any_node_heard: True if any node has ever answered, or if torque may act. The fault B18 cannot occur
+            then.
+    """
+    kept, error = [], None
+    for one in reports:
+        if one[0] != "error_frame":
+            kept.append(one)
+        elif (
+            error is None
+            and not any_node_heard
+            and any(word in one[1] for word in NO_ACKNOWLEDGE_KINDS)
+        ):
+            error = one
+    return [*kept, error] if error else kept
+
+
+def second_controller_reports(signs: Iterable[str]) -> list[EventReport]:
+    """Return a report of the fault H13 for each sign of a second controller on the bus."""
+    return [(FOREIGN_CONTROLLER_EVENT, sign, 1.0) for sign in signs]
