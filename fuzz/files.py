@@ -133,7 +133,7 @@ def task_target(folder: Path) -> FuzzTarget:
 
 
 def trajectory_target(folder: Path) -> FuzzTarget:
-    """Return the fuzz target that reads a trajectory_target file and checks it against a hand."""
+    """Return the fuzz target that reads a trajectory file and checks it against a hand."""
     jamia = load_hand("jamia")
     angles = [30.0 * math.sin(0.5 * i) ** 2 for i in range(8)]
     content = {

@@ -60,7 +60,9 @@ def read_all(path: Path) -> None:
 def small_log(folder: Path, seconds: float = 0.3) -> Path:
     """Write a small but complete log with a few ticks."""
     path = folder / "small.mcap"
-    synthetic.write(path, synthetic.header(rate_hz=10, attachments={}), seconds)
+    synthetic.write_synthetic_run(
+        path, synthetic.synthetic_header(rate_hz=10, attachments={}), seconds
+    )
     return path
 
 

@@ -26,7 +26,14 @@ from firmware_sim.faults.text import FAULT_KINDS, instances_of_component
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.runtime.mailbox import StatusWatcher
-from tests.runtime.processes import BUS, LONG, end, handctl, start_handctl, write_homed
+from tests.runtime.processes import (
+    LOCAL_BUS,
+    LONG_TASK,
+    end_process,
+    run_handctl,
+    start_handctl,
+    write_homed_calibration,
+)
 
 SIZE_MIB_PER_H = 1.0
 """Largest growth of the memory that passes [MiB/h]."""
@@ -38,7 +45,7 @@ MIN_SLOPE_TIME_S = 1800.0
 """Shortest time of samples from which a growth per hour is computed [s]."""
 ACCEPTED_EXITS = (0, 1, 71)
 """Accepted exit codes of a controller: done, ended by a named fault, or ended without confirmation from all drives."""
-SOAK_TASK = LONG.replace("duration_s = 60.0", "duration_s = 3600.0")
+SOAK_TASK = LONG_TASK.replace("duration_s = 60.0", "duration_s = 3600.0")
 
 
 class MemorySample(NamedTuple):
@@ -97,8 +104,8 @@ class SoakTest:
     def start_simulator(self) -> None:
         """Start a new simulated hand without faults, in place of the old one."""
         if self.simulator:
-            end(self.simulator)
-        words = ("--bus", BUS, "--homed", "--hand", "jamia", "--time-scale", self.scale)
+            end_process(self.simulator)
+        words = ("--bus", LOCAL_BUS, "--homed", "--hand", "jamia", "--time-scale", self.scale)
         command = [sys.executable, "-m", "firmware_sim", *words]
         self.simulator = subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
@@ -111,12 +118,12 @@ class SoakTest:
     def start_controller(self) -> bool:
         """Start a controller. Return True once it has armed and holds the hand bent."""
         self.number += 1
-        write_homed(Path("c.toml"), load_hand("jamia"))
+        write_homed_calibration(Path("c.toml"), load_hand("jamia"))
         words = (
             "--hand",
             "jamia",
             "--bus",
-            BUS,
+            LOCAL_BUS,
             "--calibration",
             "c.toml",
             "--task",
@@ -128,7 +135,7 @@ class SoakTest:
         self.controller = start_handctl("run", *words, *log)
         self.lives["controller"].append([])
         self.counts["controllers"] += 1
-        watcher = StatusWatcher(BUS)
+        watcher = StatusWatcher(LOCAL_BUS)
         until = time.monotonic() + 60.0
         while time.monotonic() < until and self.controller.poll() is None:
             line = watcher.fresh_line(0.2)
@@ -192,7 +199,7 @@ class SoakTest:
         ]
         component, name = self.chance.choice(places)
         text = f"{kind} {component}={name} for={self.chance.choice((1, 20, 200, 2000))}ms"
-        if handctl("fault", "inject", text, "--bus", BUS).returncode:
+        if run_handctl("fault", "inject", text, "--bus", LOCAL_BUS).returncode:
             self.wrong.append(f"refused: {text}")
         self.counts["faults"] += 1
         return text
@@ -272,7 +279,7 @@ def main() -> int:
         finally:
             for process in (soak.controller, soak.simulator):
                 if process:
-                    end(process)
+                    end_process(process)
         print(json.dumps(soak.judged(), indent=2))
         return 1 if soak.wrong else 0
 

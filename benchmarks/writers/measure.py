@@ -39,8 +39,8 @@ def main(about: str) -> None:
 
 def measure(folder: Path, seconds: float, sustained_s: float) -> dict[str, Any]:
     """Measure the cost of all log writers, and continuous writing with handctl."""
-    run = synthetic.header("jamia11", RATE_HZ)
-    ticks = [as_in_the_loop(*tick) for tick in synthetic.Synthetic(run, seconds)]
+    run = synthetic.synthetic_header("jamia11", RATE_HZ)
+    ticks = [as_in_the_loop(*tick) for tick in synthetic.SyntheticTicks(run, seconds)]
     writers = {"handctl": ours(folder / "ours.mcap", run, ticks)}
     messages = decoded(folder / "ours.mcap")
     for name, make in OTHERS.items():

@@ -48,9 +48,9 @@ def sustained(path: Path, seconds: float) -> dict[str, Any]:
     """
     ticks = [
         as_in_the_loop(*tick)
-        for tick in synthetic.Synthetic(synthetic.header(HAND, RATE_HZ), CYCLE_S)
+        for tick in synthetic.SyntheticTicks(synthetic.synthetic_header(HAND, RATE_HZ), CYCLE_S)
     ]
-    recorder = Recorder.start(path, synthetic.header(HAND, RATE_HZ, deterministic=False))
+    recorder = Recorder.start(path, synthetic.synthetic_header(HAND, RATE_HZ, deterministic=False))
     with _on_separate_cores(recorder._child.pid) as granted:
         before = _loop(seconds / 2, granted, ticks, lambda entry, out: None, list)
         spent = _processor_s(recorder._child.pid)

@@ -14,7 +14,7 @@ from handctl.drives.signals import SignalTable
 from handctl.runtime.buses.local import LocalBus
 from handctl.runtime.mailbox import Mailbox
 from tests.drives.bench_process import drives
-from tests.runtime.processes import handctl
+from tests.runtime.processes import run_handctl
 
 WORDS = ["conformance", "--bus", "local:c", "--torque-limit-Nm", "0.1"]
 ENDPOINTS = [f"--option=endpoint_{key}={number}" for number, key in enumerate(
@@ -32,11 +32,11 @@ ENDPOINTS = [f"--option=endpoint_{key}={number}" for number, key in enumerate(
 )
 def test_a_good_drive_in_another_process_passes(protocol, more):
     with drives("local:c", protocol, "--ids", "33"):
-        done = handctl(*WORDS, "--protocol", protocol, "--node", "33", "--yes", "--json", *more)
+        done = run_handctl(*WORDS, "--protocol", protocol, "--node", "33", "--yes", "--json", *more)
         result = json.loads(done.stdout)
         assert [check for check in result["checks"] if check["verdict"] == "failed"] == []
         assert (done.returncode, result["confirmed_off"]) == (0, True)
-        found = handctl("scan", "--bus", "local:c", "--json")
+        found = run_handctl("scan", "--bus", "local:c", "--json")
         assert found.returncode == 0
     (node,) = json.loads(found.stdout)["buses"][0]["nodes"]
     if protocol == "mit":
@@ -50,10 +50,10 @@ def test_conformance_leaves_no_error_in_a_drive(protocol):
     """Regression: a drive kept a latched error, and `commission` then refused the hand."""
     more = ENDPOINTS if protocol == "odrive" else []
     with drives("local:c", protocol, "--ids", "33"):
-        done = handctl(*WORDS, "--protocol", protocol, "--node", "33", "--yes", "--json", *more)
+        done = run_handctl(*WORDS, "--protocol", protocol, "--node", "33", "--yes", "--json", *more)
         assert done.returncode == 0
         time.sleep(0.5)
-        found = handctl("scan", "--bus", "local:c", "--json")
+        found = run_handctl("scan", "--bus", "local:c", "--json")
     (node,) = json.loads(found.stdout)["buses"][0]["nodes"]
     assert node["error"] == ""
     assert "fault" not in node["state"]
@@ -90,7 +90,7 @@ def test_an_odrive_of_firmware_05_needs_no_option(capsys):
 @pytest.mark.realtime
 def test_a_broken_drive_fails_and_its_line_says_why():
     with drives("local:c", "mit", "--ids", "2", "--broken", "sign"):
-        done = handctl(*WORDS, "--protocol", "mit", "--node", "2", "--yes")
+        done = run_handctl(*WORDS, "--protocol", "mit", "--node", "2", "--yes")
     assert done.returncode == 1
     lines = done.stdout.splitlines()
     (line,) = (line for line in lines if line.startswith("FAILED"))

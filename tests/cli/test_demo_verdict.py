@@ -8,7 +8,7 @@ from handctl.cli.main import main
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.load import hand_content
 from tests.cli.refused import refused
-from tests.runtime.processes import handctl, scaled
+from tests.runtime.processes import run_handctl, time_scale_options
 
 GRASP = """schema = 1
 name = "two fingers"
@@ -93,7 +93,7 @@ def test_a_hand_of_two_buses_works_in_real_time(place, slower):
         'schema = 1\nname = "bend"\n[[phase]]\nkind = "move"\nangle_deg = 20.0\n'
     )
     words = ("--hand", "buses.toml", "--task", "bend.toml", "--scene", "none", "--log", "x.mcap")
-    done = handctl("demo", "--json", *words, *scaled(slower))
+    done = run_handctl("demo", "--json", *words, *time_scale_options(slower))
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["failure"] == ""
 

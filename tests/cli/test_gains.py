@@ -14,7 +14,7 @@ from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.calibration import Calibration, TendonCalibration
 from handctl.session.calibration import write_calibration
-from tests.runtime.processes import scaled
+from tests.runtime.processes import time_scale_options
 
 PACKAGED_N = Gains().motion.force_N
 SAME = f"tension.force_N={Gains().tension.force_N}"
@@ -157,7 +157,7 @@ def test_gains_that_give_no_controller_are_not_applied(place, capsys):
 
 @pytest.mark.realtime
 def test_set_on_a_running_hand_is_in_its_log(place, slower):
-    scale = scaled(slower)
+    scale = time_scale_options(slower)
     handctl = [sys.executable, "-m", "handctl.cli"]
     sim = [
         sys.executable,

@@ -7,7 +7,7 @@ import pytest
 from handctl.cli.main import main
 from tests.cli.test_conformance import ENDPOINTS
 from tests.drives.bench_process import drives
-from tests.runtime.processes import handctl
+from tests.runtime.processes import run_handctl
 
 WORDS = ["jog", "--bus", "local:j", "--torque-limit-Nm", "0.3", "--node", "33", "--for", "1.5"]
 
@@ -49,14 +49,14 @@ def test_a_drive_in_another_process_is_moved_and_left_off(protocol, mode, more):
             "--json",
             *more,
         ]
-        done = handctl(*WORDS, *words)
+        done = run_handctl(*WORDS, *words)
         assert done.returncode == 0, done.stderr
         result = json.loads(done.stdout)
         assert (result["failure"], result["confirmed_off"]) == ("", True)
         if mode != "torque":
             assert result["moved_rad"] == pytest.approx(1.0 if "position" in mode else 1.5, abs=0.2)
             assert result["final_rad_s"] < 0.2
-        found = handctl("scan", "--bus", "local:j", "--json")
+        found = run_handctl("scan", "--bus", "local:j", "--json")
     (node,) = json.loads(found.stdout)["buses"][0]["nodes"]
     assert node["error"] == ""
 

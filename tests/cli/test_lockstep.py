@@ -17,7 +17,7 @@ from rosbags.highlevel import AnyReader
 from handctl.cli.main import main
 from handctl.log.read.reader import RunLog
 from tests.conftest import NIGHTLY
-from tests.runtime.processes import SHORT
+from tests.runtime.processes import SHORT_TASK
 
 KEYS = {
     "ticks", "missed", "late_us", "tracking_rmse_rad", "tension_rmse_n", "tension_hold_error_n",
@@ -65,7 +65,7 @@ def run_demos(folder, *hands, task=""):
 def equal_demos(tmp_path_factory):
     """Return the results of two equal demos. By day they are a short motion, at night a grasp."""
     return run_demos(
-        tmp_path_factory.mktemp("equal_demos"), "jamia", "jamia", task="" if NIGHTLY else SHORT
+        tmp_path_factory.mktemp("equal_demos"), "jamia", "jamia", task="" if NIGHTLY else SHORT_TASK
     )
 
 
@@ -186,7 +186,7 @@ def test_the_log_is_complete_and_has_every_tick(equal_demos):
 
 
 def test_a_lockstep_run_shows_its_progress(place, capfd):
-    (place / "short.toml").write_text(SHORT)
+    (place / "short.toml").write_text(SHORT_TASK)
     assert main(["demo", "--lockstep", "--task", "short.toml", "--log", "run.mcap"]) == 0
     error_output = capfd.readouterr().err
     assert "1.000 s  ACTIVE    bend       tension" in error_output

@@ -21,7 +21,7 @@ from handctl.cli.main import main
 from handctl.hand.load import load_hand
 from handctl.runtime.buses.open import real_buses
 from tests.cli.refused import refused
-from tests.runtime.processes import write_homed
+from tests.runtime.processes import write_homed_calibration
 
 REAL = ("socketcan:can0", "pcan:PCAN_USBBUS1", "slcan:/dev/ttyACM0")
 MOVES = {
@@ -136,7 +136,7 @@ def test_a_program_names_hand_and_consent(place, capfd):
 
 def test_files_in_use_are_named_in_the_first_line(place, capsys):
     hand = load_hand("jamia")
-    write_homed(place / "jamia.calibration.toml", hand)
+    write_homed_calibration(place / "jamia.calibration.toml", hand)
     made = (datetime.datetime.now(datetime.UTC) - datetime.timedelta(hours=3)).isoformat()
     head = f'made = "{made}"\nhand = "jamia"\nidentity = "{hand.identity}"\n'
     (place / "jamia.gains.toml").write_text(

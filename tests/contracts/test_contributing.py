@@ -22,9 +22,9 @@ from handctl.log.write.writer import LogWriter
 from rosbags.highlevel import AnyReader
 from pathlib import Path
 
-run, path = lively.header(), Path("run.mcap")
+run, path = lively.varied_header(), Path("run.mcap")
 writer = LogWriter(path, run, lambda event, number: None, 1)
-for tick in lively.ticks(run):
+for tick in lively.varied_ticks(run):
     writer.add(pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :])
 writer.finish("finished", 0)
 with AnyReader([path]) as reader:

@@ -16,7 +16,13 @@ from nbclient import NotebookClient
 
 from handctl.cli.main import main
 from handctl.hand.load import load_hand
-from tests.runtime.processes import HOMED, READY_S, end, scaled, write_homed
+from tests.runtime.processes import (
+    HOMED_OPTIONS,
+    READY_TIMEOUT_S,
+    end_process,
+    time_scale_options,
+    write_homed_calibration,
+)
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 REALTIME = pytest.mark.realtime
@@ -30,11 +36,11 @@ def serving(*words):
         [sys.executable, *words], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     )
     try:
-        assert select.select([process.stdout], [], [], READY_S)[0], "no ready line"
+        assert select.select([process.stdout], [], [], READY_TIMEOUT_S)[0], "no ready line"
         assert process.stdout.readline().startswith("firmware_sim: ready")
         yield
     finally:
-        end(process)
+        end_process(process)
 
 
 @pytest.fixture(autouse=True)
@@ -81,10 +87,10 @@ def check_picture(name):
 @contextmanager
 def hand(slower, *words, name="jamia"):
     """Run the simulated hand of the examples in slowed time. Yield the command-line options of its controller."""
-    scale = scaled(SCALE * slower)
-    write_homed(Path("c.toml"), load_hand(name))
+    scale = time_scale_options(SCALE * slower)
+    write_homed_calibration(Path("c.toml"), load_hand(name))
     with serving(
-        "-m", "firmware_sim", "--hand", name, "--bus", "local:lab", *HOMED, *words, *scale
+        "-m", "firmware_sim", "--hand", name, "--bus", "local:lab", *HOMED_OPTIONS, *words, *scale
     ):
         yield ("--calibration", "c.toml", *scale)
 

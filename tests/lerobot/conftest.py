@@ -5,7 +5,12 @@ import tempfile
 import pytest
 
 from handctl.hand.load import load_hand
-from tests.runtime.processes import end, scaled, start_hand, write_homed
+from tests.runtime.processes import (
+    end_process,
+    time_scale_options,
+    start_hand,
+    write_homed_calibration,
+)
 
 SCALE = 0.5
 """Time of the hand that passes per second of wall time."""
@@ -18,14 +23,14 @@ def place(tmp_path, monkeypatch):
         monkeypatch.setenv("HANDCTL_RUN_DIR", short)
         monkeypatch.setenv("HF_HUB_OFFLINE", "1")
         monkeypatch.chdir(tmp_path)
-        write_homed(tmp_path / "c.toml", load_hand("jamia"))
+        write_homed_calibration(tmp_path / "c.toml", load_hand("jamia"))
         yield tmp_path
 
 
 @pytest.fixture
 def options(place):
     """Start a simulated hand in slowed time, and return the options of its controller."""
-    scale = scaled(SCALE)
+    scale = time_scale_options(SCALE)
     process = start_hand(place / "hand.truth", "--hand", "jamia", "--scene", "none", *scale)
     yield ["--calibration", "c.toml", "--log", "run.mcap", *scale]
-    end(process)
+    end_process(process)

@@ -19,7 +19,7 @@ from handctl.cli.main import main
 from handctl.core.types import Mode
 from handctl.log.read.reader import RunLog
 from tests.lerobot.conftest import SCALE
-from tests.runtime.processes import BUS, HOMED
+from tests.runtime.processes import LOCAL_BUS, HOMED_OPTIONS
 
 FOLDER = Path(__file__).parents[2] / "lerobot_robot_handctl"
 MISSING = "needs lerobot and lerobot_robot_handctl in an environment of its own, see lerobot_robot_handctl/README.md"
@@ -31,7 +31,7 @@ def test_the_distribution_has_the_name_and_version_that_lerobot_and_users_look_f
     assert project["name"] == "lerobot_robot_handctl"
     assert project["version"] == version("handctl")
     assert (FOLDER / project["name"] / "__init__.py").is_file()
-    assert HOMED[0] == "--homed"
+    assert HOMED_OPTIONS[0] == "--homed"
 
 
 @LEROBOT
@@ -55,7 +55,7 @@ def test_a_robot_observes_follows_limits_and_rests_in_pauses(options) -> None:
     from lerobot.utils.errors import DeviceNotConnectedError
     from lerobot_robot_handctl import HandctlRobot, HandctlRobotConfig
 
-    robot = HandctlRobot(HandctlRobotConfig(bus=BUS, options=options))
+    robot = HandctlRobot(HandctlRobotConfig(bus=LOCAL_BUS, options=options))
     with pytest.raises(DeviceNotConnectedError):
         robot.get_observation()
     robot.connect()
@@ -114,7 +114,7 @@ def test_the_script_of_lerobot_teleoperates_the_hand_by_a_log(options, place) ->
     assert main(["-q", "demo", "--lockstep", "--log", "leader.mcap"]) == 0
     seconds = 6.0
     words = [
-        "--robot.type=handctl", f"--robot.bus={BUS}", f"--robot.options={list(options)}".replace("'", '"'),
+        "--robot.type=handctl", f"--robot.bus={LOCAL_BUS}", f"--robot.options={list(options)}".replace("'", '"'),
         "--teleop.type=handctl_log", "--teleop.log=leader.mcap", f"--fps={round(50 * SCALE)}",
         f"--teleop_time_s={seconds}",
     ]  # fmt: skip

@@ -17,7 +17,7 @@ from handctl.core.types import Mode
 from handctl.log.export.lerobot import export_lerobot
 from handctl.log.read.reader import RunLog
 from tests.lerobot.conftest import SCALE
-from tests.runtime.processes import BUS, handctl
+from tests.runtime.processes import LOCAL_BUS, run_handctl
 
 pytestmark = pytest.mark.skipif(
     find_spec("lerobot") is None, reason="needs LeRobot, see tests/lerobot/test_environment.py"
@@ -53,7 +53,7 @@ def test_recorded_episodes_can_be_loaded_replayed_and_run(options, place) -> Non
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     assert main(["-q", "demo", "--lockstep", "--log", "leader.mcap"]) == 0
-    robot = ["--robot.type=handctl", f"--robot.bus={BUS}"]
+    robot = ["--robot.type=handctl", f"--robot.bus={LOCAL_BUS}"]
     option = "--robot.options=" + json.dumps(options)
     data = ["--dataset.repo_id=me/hand", "--dataset.root=data"]
     script(
@@ -93,8 +93,8 @@ def test_recorded_episodes_can_be_loaded_replayed_and_run(options, place) -> Non
     assert highest == pytest.approx(expected, abs=2.0)
 
     words = [word.replace("run.mcap", "again.mcap") for word in options]
-    ran = handctl(
-        "run", "--hand", "jamia", "--bus", BUS, "--dataset", "data", "--speed", "200", *words
+    ran = run_handctl(
+        "run", "--hand", "jamia", "--bus", LOCAL_BUS, "--dataset", "data", "--speed", "200", *words
     )
     assert ran.returncode == 0, ran.stderr
     with RunLog(Path("again.mcap")) as log:

@@ -14,7 +14,7 @@ def small_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     import synthetic
 
     path = tmp_path_factory.mktemp("log") / "small.mcap"
-    synthetic.write(path, synthetic.header(rate_hz=10), 2.5)
+    synthetic.write_synthetic_run(path, synthetic.synthetic_header(rate_hz=10), 2.5)
     return path
 
 
@@ -24,5 +24,5 @@ def run_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     import synthetic
 
     path = tmp_path_factory.mktemp("log") / "run.mcap"
-    synthetic.write(path, synthetic.header(rate_hz=500), 2.0)
+    synthetic.write_synthetic_run(path, synthetic.synthetic_header(rate_hz=500), 2.0)
     return path

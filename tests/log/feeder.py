@@ -17,8 +17,8 @@ from handctl.log.write.recorder import Recorder
 
 def main() -> None:
     """Record endless ticks, with about a millisecond between them."""
-    run = synthetic.header(rate_hz=1000, deterministic=False)
-    ticks = list(synthetic.Synthetic(run, 0.2))
+    run = synthetic.synthetic_header(rate_hz=1000, deterministic=False)
+    ticks = list(synthetic.SyntheticTicks(run, 0.2))
     recorder = Recorder.start(Path(sys.argv[1]), run)
     for k in itertools.count():
         tick_in, out = ticks[k % len(ticks)]

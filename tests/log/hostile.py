@@ -12,7 +12,7 @@ from handctl.log.read.logfile import MAX_CHUNK_BYTES, LogFile
 from handctl.log.read.record_scan import RecordScan, scan_records
 
 
-def _chunk(compression: str, packed: bytes, size: int, crc: int = 0) -> bytes:
+def _chunk_record(compression: str, packed: bytes, size: int, crc: int = 0) -> bytes:
     name = compression.encode()
     body = (
         struct.pack("<QQQII", 0, 0, size, crc, len(name))
@@ -23,12 +23,12 @@ def _chunk(compression: str, packed: bytes, size: int, crc: int = 0) -> bytes:
     return struct.pack("<BQ", 6, len(body)) + body
 
 
-def _with_chunks(small: Path, chunks: bytes) -> bytes:
+def _with_chunks(small_log: Path, chunks: bytes) -> bytes:
     """Return the bytes of the start of a real log, followed by other chunks."""
-    file, scan = LogFile(small), RecordScan()
+    file, scan = LogFile(small_log), RecordScan()
     scan_records(file, scan)
     file.close()
-    return small.read_bytes()[: scan.chunks[1].end] + chunks
+    return small_log.read_bytes()[: scan.chunks[1].end] + chunks
 
 
 def _zeros_zstd(size: int) -> bytes:
@@ -37,7 +37,7 @@ def _zeros_zstd(size: int) -> bytes:
     return b"".join(compressor.compress(part) for _ in range(size >> 20)) + compressor.flush()
 
 
-def hostile(small: Path) -> dict[str, bytes]:
+def hostile_files(small_log: Path) -> dict[str, bytes]:
     """Return the name and the bytes of each hostile file. Most begin as a real log."""
     message = struct.pack("<BQHIQQ", 5, 22, 3, 0, 0, 0)
     other = struct.pack("<BQHIQQ", 5, 22, 4, 0, 0, 0)
@@ -52,37 +52,41 @@ def hostile(small: Path) -> dict[str, bytes]:
         + bytes(36)
         + b"\xff\xff\xff\x7f"
     )
-    bombs = _chunk("zstd", zstandard.compress(zeros), len(zeros), zlib.crc32(zeros))
+    bombs = _chunk_record("zstd", zstandard.compress(zeros), len(zeros), zlib.crc32(zeros))
     text = struct.pack("<I", 2**32 - 1)
     return {
-        "zstd of a gigabyte": _with_chunks(small, _chunk("zstd", _zeros_zstd(1 << 30), 1 << 20)),
+        "zstd of a gigabyte": _with_chunks(
+            small_log, _chunk_record("zstd", _zeros_zstd(1 << 30), 1 << 20)
+        ),
         "zstd that says how large it is": _with_chunks(
-            small, _chunk("zstd", _zeros_zstd(1 << 30), 1 << 30)
+            small_log, _chunk_record("zstd", _zeros_zstd(1 << 30), 1 << 30)
         ),
         "lz4 of more than it says": _with_chunks(
-            small, _chunk("lz4", lz4.frame.compress(zeros), 1000)
+            small_log, _chunk_record("lz4", lz4.frame.compress(zeros), 1000)
         ),
         "lz4 of less than it says": _with_chunks(
-            small, _chunk("lz4", lz4.frame.compress(b"x"), 1000)
+            small_log, _chunk_record("lz4", lz4.frame.compress(b"x"), 1000)
         ),
-        "many bombs": _with_chunks(small, bombs * 300),
+        "many bombs": _with_chunks(small_log, bombs * 300),
         "zeros as records": _with_chunks(
-            small, _chunk("lz4", lz4.frame.compress(zeros), len(zeros))
+            small_log, _chunk_record("lz4", lz4.frame.compress(zeros), len(zeros))
         ),
         "a million messages": _with_chunks(
-            small, _chunk("lz4", lz4.frame.compress(many), len(many))
+            small_log, _chunk_record("lz4", lz4.frame.compress(many), len(many))
         ),
         "a million channels": _with_chunks(
-            small, _chunk("lz4", lz4.frame.compress(channels), len(channels))
+            small_log, _chunk_record("lz4", lz4.frame.compress(channels), len(channels))
         ),
-        "a tick that lies": _with_chunks(small, _chunk("", tick, len(tick))),
-        "a chunk larger than the file": _with_chunks(small, struct.pack("<BQ", 6, 2**63))
+        "a tick that lies": _with_chunks(small_log, _chunk_record("", tick, len(tick))),
+        "a chunk larger than the file": _with_chunks(small_log, struct.pack("<BQ", 6, 2**63))
         + bytes(100)
         + MAGIC,
-        "a huge attachment": _with_chunks(small, struct.pack("<BQ", 9, 17 << 20) + bytes(17 << 20)),
-        "metadata that lies": _with_chunks(small, struct.pack("<BQ", 12, 20) + text * 5),
-        "a million empty records": _with_chunks(small, struct.pack("<BQ", 0x90, 0) * 1_000_000),
-        "an unknown compression": _with_chunks(small, _chunk("lzma", b"x", 1)),
+        "a huge attachment": _with_chunks(
+            small_log, struct.pack("<BQ", 9, 17 << 20) + bytes(17 << 20)
+        ),
+        "metadata that lies": _with_chunks(small_log, struct.pack("<BQ", 12, 20) + text * 5),
+        "a million empty records": _with_chunks(small_log, struct.pack("<BQ", 0x90, 0) * 1_000_000),
+        "an unknown compression": _with_chunks(small_log, _chunk_record("lzma", b"x", 1)),
         "not a log": b"PK\x03\x04" * 100,
         "nothing": b"",
     }

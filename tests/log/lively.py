@@ -13,30 +13,30 @@ from handctl.log.header import RunHeader
 from handctl.programs.requests import target_text
 from handctl.safety.action import Action
 
-BUSES = ("main", "a_second_bus")
+BUS_NAMES = ("main", "a_second_bus")
 OPEN_STREAM = (
     '{"do": "stream", "stream": "s", "space": "digit", "names": ["index", "thumb"], "rate_Hz": 100}'
 )
 
 
-def header(**more: object) -> RunHeader:
+def varied_header(**more: object) -> RunHeader:
     """Create a header with two buses whose names differ in length."""
-    return replace(synthetic.header(rate_hz=100), buses=BUSES, **more)
+    return replace(synthetic.synthetic_header(rate_hz=100), buses=BUS_NAMES, **more)
 
 
-def ticks(run: RunHeader, number: int = 120) -> Iterator[tuple[TickIn, TickOut]]:
+def varied_ticks(run: RunHeader, count: int = 120) -> Iterator[tuple[TickIn, TickOut]]:
     """Yield ticks with every kind of content.
 
     Some ticks are missed. There are frames of all kinds on all buses, NaN, infinities, odd texts,
     every mode and every action.
     """
     random, k = np.random.default_rng(1), 0
-    for index in range(number):
+    for index in range(count):
         k += 1 + (index % 17 == 16) * 3
         yield _tick_in(run, k, index, random), _tick_output(run, index, random)
 
 
-def _frames(index: int, t_ns: int, random: np.random.Generator) -> tuple[Frame, ...]:
+def _random_frames(index: int, t_ns: int, random: np.random.Generator) -> tuple[Frame, ...]:
     frames = []
     for n in range(index % 7):
         flag = (0, EXTENDED, REMOTE, ERROR, EXTENDED | REMOTE)[(index + n) % 5]
@@ -59,12 +59,17 @@ def _tick_in(run: RunHeader, k: int, index: int, random: np.random.Generator) ->
     if index > 50:
         requests += (target_text("s", index, t_ns - 10**6, (10.0, index / 7)),)
     return TickIn(
-        k, t_ns, int(random.integers(0, 10**7)), _frames(index, t_ns, random), io_events, requests
+        k,
+        t_ns,
+        int(random.integers(0, 10**7)),
+        _random_frames(index, t_ns, random),
+        io_events,
+        requests,
     )
 
 
 def _tick_output(run: RunHeader, index: int, random: np.random.Generator) -> TickOut:
-    telemetry = _telemetry(run, index, random)
+    telemetry = _random_telemetry(run, index, random)
     events: tuple[TickEvent, ...] = ()
     if index % 13 == 2:
         events = (
@@ -75,11 +80,11 @@ def _tick_output(run: RunHeader, index: int, random: np.random.Generator) -> Tic
         events += (TickEvent("weird", "gain", "filter.mode", "a word"),)
     mode, action = Mode(index // 12 % 9), Action(index // 20 % 5)
     phase = ("idle", "close", "h\u00e4lt", "")[index // 30 % 4]
-    frames = _frames(index + 2, 0, random)
+    frames = _random_frames(index + 2, 0, random)
     return TickOut(frames, mode, phase, action, telemetry, events, random.bytes(8))
 
 
-def _telemetry(run: RunHeader, index: int, random: np.random.Generator) -> Telemetry:
+def _random_telemetry(run: RunHeader, index: int, random: np.random.Generator) -> Telemetry:
     values = {
         name: random.standard_normal(len(run.axis(axis))) for name, axis in TELEMETRY_AXES.items()
     }

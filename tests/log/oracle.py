@@ -10,7 +10,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 
-class Logged(NamedTuple):
+class LoggedMessage(NamedTuple):
     """One message of a log, as the package mcap reads it."""
 
     topic: str
@@ -22,12 +22,12 @@ class Logged(NamedTuple):
     data: bytes
 
 
-def messages(path: Path) -> list[Logged]:
+def read_messages(path: Path) -> list[LoggedMessage]:
     """Return all messages of a log in the order of their log times, and check the checksums."""
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         return [
-            Logged(
+            LoggedMessage(
                 channel.topic,
                 schema.name,
                 schema.data.decode(),
@@ -41,15 +41,15 @@ def messages(path: Path) -> list[Logged]:
         ]
 
 
-def by_topic(path: Path) -> dict[str, list[Logged]]:
+def messages_by_topic(path: Path) -> dict[str, list[LoggedMessage]]:
     """Return the messages of a log by topic, each in the order of the log times."""
-    topics: dict[str, list[Logged]] = {}
-    for message in messages(path):
+    topics: dict[str, list[LoggedMessage]] = {}
+    for message in read_messages(path):
         topics.setdefault(message.topic, []).append(message)
     return topics
 
 
-class Ros2Support:
+class Ros2SupportSerialiser:
     """Serialiser of the package mcap-ros2-support for one message type."""
 
     def __init__(self, kind: str, schema: str) -> None:
@@ -57,7 +57,7 @@ class Ros2Support:
         self.encode = serialize_dynamic(kind, schema)[kind]
 
 
-class Rosbags:
+class RosbagsSerialiser:
     """Serialiser of the package rosbags for one message type. It knows only the definition in the log."""
 
     def __init__(self, kind: str, schema: str) -> None:
@@ -72,7 +72,9 @@ class Rosbags:
         return bytes(self.store.serialize_cdr(message, self._kind))
 
 
-def oracles(kind: str, schema: str) -> Iterator[Ros2Support | Rosbags]:
+def other_serialisers(
+    kind: str, schema: str
+) -> Iterator[Ros2SupportSerialiser | RosbagsSerialiser]:
     """Yield the serialisers of both packages for a message type."""
-    yield Ros2Support(kind, schema)
-    yield Rosbags(kind, schema)
+    yield Ros2SupportSerialiser(kind, schema)
+    yield RosbagsSerialiser(kind, schema)

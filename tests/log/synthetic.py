@@ -1,4 +1,4 @@
-"""Synthetic run: plausible motion of a hand, for tests of the log and trials of the viewer.
+"""SyntheticTicks run: plausible motion of a hand, for tests of the log and trials of the viewer.
 
 Command: `python tests/log/synthetic.py OUT.mcap [--hand jamia|jamia11] [--seconds 10] [--rate 500]`.
 
@@ -24,7 +24,7 @@ from handctl.log.topics.state_topics import moment_arms
 from handctl.log.write.recorder import Recorder
 from handctl.safety.action import Action
 
-SCHEDULE = (
+PHASE_ENDS = (
     ("start", 0.02),
     ("tighten", 0.08),
     ("close", 0.40),
@@ -35,7 +35,7 @@ SCHEDULE = (
 """Phases of the run, each with the fraction of the run at which it ends. The phase after them is "end"."""
 
 
-def header(hand: str = "jamia", rate_hz: int = 500, **more: object) -> RunHeader:
+def synthetic_header(hand: str = "jamia", rate_hz: int = 500, **more: object) -> RunHeader:
     """Create the header of a deterministic run of a packaged hand."""
     described = load_hand(hand)
     attachments = {
@@ -52,11 +52,11 @@ def header(hand: str = "jamia", rate_hz: int = 500, **more: object) -> RunHeader
     return RunHeader.of_hand(described.to_toml(), 10**9 // rate_hz, **(given | more))
 
 
-def _phase(fraction: float) -> str:
-    return next((name for name, end in SCHEDULE if fraction < end), "end")
+def _phase_at(fraction: float) -> str:
+    return next((name for name, end in PHASE_ENDS if fraction < end), "end")
 
 
-class Synthetic:
+class SyntheticTicks:
     """The ticks of a synthetic run. Equal seeds give equal ticks."""
 
     def __init__(self, run: RunHeader, seconds: float, seed: int = 0) -> None:
@@ -76,7 +76,7 @@ class Synthetic:
         for k in range(self.ticks):
             fraction = k / max(self.ticks, 1)
             telemetry = self._telemetry(k, fraction)
-            phase = _phase(fraction)
+            phase = _phase_at(fraction)
             tick_in = self._tick_in(k, telemetry)
             events = (TickEvent("info", "phase", "", phase),) if phase != previous else ()
             if k == self.ticks // 3:
@@ -167,10 +167,12 @@ class Synthetic:
         return tuple(frames)
 
 
-def write(path: Path, run: RunHeader, seconds: float, seed: int = 0) -> dict[str, object]:
+def write_synthetic_run(
+    path: Path, run: RunHeader, seconds: float, seed: int = 0
+) -> dict[str, object]:
     """Record a synthetic run with a real recorder, and return the recorder's summary."""
     recorder = Recorder.start(path, run)
-    for tick_in, out in Synthetic(run, seconds, seed):
+    for tick_in, out in SyntheticTicks(run, seconds, seed):
         recorder.record(pack_tick_record(tick_in, out))
     return recorder.close("finished")
 
@@ -185,7 +187,11 @@ def main() -> None:
     )
     parser.add_argument("--rate", type=int, default=500, help="control rate [Hz] (default: 500)")
     options = parser.parse_args()
-    print(write(options.path, header(options.hand, options.rate), options.seconds))
+    print(
+        write_synthetic_run(
+            options.path, synthetic_header(options.hand, options.rate), options.seconds
+        )
+    )
 
 
 if __name__ == "__main__":

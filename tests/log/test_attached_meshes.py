@@ -24,9 +24,9 @@ def test_a_log_has_the_meshes_of_its_hand(tmp_path: Path) -> None:
     assert not left_out
     assert list(attachments) == ["mesh/t42/palm.stl", "mesh/t42/inner.stl", "mesh/t42/outer.stl"]
     log = tmp_path / "run.mcap"
-    header = synthetic.header("t42", 100)
+    header = synthetic.synthetic_header("t42", 100)
     header.attachments.update(attachments)
-    synthetic.write(log, header, 0.5)
+    synthetic.write_synthetic_run(log, header, 0.5)
     recovered = tmp_path / "recovered.mcap"
     recover_log(log, recovered)
     for path in (log, recovered):

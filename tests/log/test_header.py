@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 
 import pytest
-from headers import with_metadata, with_run
+from headers import with_metadata, with_run_metadata
 
 from handctl.cli.main import main
 from handctl.errors import LogError
@@ -104,11 +104,11 @@ def test_invalid_period_is_refused_in_one_line(
     place: Path, capsys: pytest.CaptureFixture[str], verb: str
 ) -> None:
     for period in ("0", "0.5", str(2**64)):
-        with_run(GOLDEN, place / "odd.mcap", period_ns=period)
+        with_run_metadata(GOLDEN, place / "odd.mcap", period_ns=period)
         assert "period_ns" in _refused(capsys, *VERBS[verb])
-    with_run(GOLDEN, place / "odd.mcap", offset_ns=str(2**64))
+    with_run_metadata(GOLDEN, place / "odd.mcap", offset_ns=str(2**64))
     assert "offset_ns" in _refused(capsys, *VERBS[verb])
-    with_run(GOLDEN, place / "odd.mcap", tendons='["\\ud800", ["a"]]')
+    with_run_metadata(GOLDEN, place / "odd.mcap", tendons='["\\ud800", ["a"]]')
     assert "tendons" in _refused(capsys, *VERBS[verb])
 
 
@@ -119,7 +119,7 @@ def test_a_number_of_the_header_has_its_type_and_range(
     small_log: Path, tmp_path: Path, key: str, text: str
 ) -> None:
     with pytest.raises(LogError, match=key if len(text) < 4000 else "digits"):
-        RunLog(with_run(small_log, tmp_path / "odd.mcap", **{key: text}))
+        RunLog(with_run_metadata(small_log, tmp_path / "odd.mcap", **{key: text}))
 
 
 @pytest.mark.parametrize("text", TEXTS)
@@ -128,15 +128,19 @@ def test_a_name_of_the_header_is_a_name(
     small_log: Path, tmp_path: Path, key: str, text: str
 ) -> None:
     with pytest.raises(LogError, match=key) as refused:
-        RunLog(with_run(small_log, tmp_path / "odd.mcap", **{key: text}))
+        RunLog(with_run_metadata(small_log, tmp_path / "odd.mcap", **{key: text}))
     assert str(refused.value).isprintable()
 
 
 def test_the_ends_of_the_ranges_are_read(small_log: Path, tmp_path: Path) -> None:
     for period in PERIOD_RANGE_NS:
-        with RunLog(with_run(small_log, tmp_path / "odd.mcap", period_ns=str(period))) as log:
+        with RunLog(
+            with_run_metadata(small_log, tmp_path / "odd.mcap", period_ns=str(period))
+        ) as log:
             assert log.header.period_ns == period
-    with RunLog(with_run(small_log, tmp_path / "odd.mcap", offset_ns=str(MAX_LOG_TIME_NS))) as log:
+    with RunLog(
+        with_run_metadata(small_log, tmp_path / "odd.mcap", offset_ns=str(MAX_LOG_TIME_NS))
+    ) as log:
         assert log.header.offset_ns == MAX_LOG_TIME_NS
 
 
@@ -171,7 +175,7 @@ def test_invalid_truth_offset_is_refused(
 def test_logs_of_other_columns_are_not_compared(
     place: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with_run(GOLDEN, place / "odd.mcap", joints='["a", "b"]')
+    with_run_metadata(GOLDEN, place / "odd.mcap", joints='["a", "b"]')
     assert main(["log", "diff", str(GOLDEN), "odd.mcap"]) == 4
     assert "other joints" in capsys.readouterr().err
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 import synthetic
-from hostile import hostile
+from hostile import hostile_files
 
 from handctl.cli.main import main
 from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record
@@ -55,7 +55,7 @@ print(json.dumps([found, peak <= limit]))
 def test_every_verb_refuses_a_hostile_log_in_one_line(small_log: Path, tmp_path: Path) -> None:
     folder = tmp_path / "hostile"
     folder.mkdir()
-    for name, data in hostile(small_log).items():
+    for name, data in hostile_files(small_log).items():
         (folder / f"{name}\x1b[2J.mcap").write_bytes(data)
     done = subprocess.run(
         [sys.executable, "-c", PROBE, str(folder)], capture_output=True, text=True, check=False
@@ -84,9 +84,9 @@ def test_names_from_a_log_cannot_control_the_terminal_or_write_files(
         "gains": {evil: evil},
         "attachments": {f"../{evil}": b"x"},
     }
-    run = synthetic.header(rate_hz=50, **more)
+    run = synthetic.synthetic_header(rate_hz=50, **more)
     writer = LogWriter(inner / "run.mcap", run, lambda *what: None, 1)
-    for tick in synthetic.Synthetic(run, 0.5):
+    for tick in synthetic.SyntheticTicks(run, 0.5):
         writer.add(pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :])
     writer.finish(evil, 0)
     for words in (

@@ -6,7 +6,7 @@ from pathlib import Path
 import lively
 import numpy as np
 import pytest
-from oracle import Ros2Support, Rosbags, by_topic, oracles
+from oracle import Ros2SupportSerialiser, RosbagsSerialiser, messages_by_topic, other_serialisers
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from handctl.log.message_types import MESSAGE_DEFINITIONS, schema_name, schema_text
@@ -38,9 +38,9 @@ STATES = {30: b"one state", 136: bytes(range(256)) * 100}
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("lively") / "run.mcap"
-    run = lively.header(deterministic=False)
+    run = lively.varied_header(deterministic=False)
     recorder = Recorder.start(path, run)
-    for tick_in, out in lively.ticks(run):
+    for tick_in, out in lively.varied_ticks(run):
         assert recorder.record(pack_tick_record(tick_in, out))
         if tick_in.k in STATES:
             assert recorder.record(pack_snapshot(tick_in, STATES[tick_in.k]))
@@ -60,7 +60,7 @@ def test_a_standard_type_has_the_fields_and_constants_of_ros(name: str) -> None:
 
 
 def test_every_topic_has_messages_in_the_lively_run(log: Path) -> None:
-    topics = by_topic(log)
+    topics = messages_by_topic(log)
     used = {message.kind for messages in topics.values() for message in messages}
     parts = {
         "Time",
@@ -85,9 +85,9 @@ def test_a_snapshot_is_read_as_it_was_written(log: Path) -> None:
 
 def test_both_serialisers_give_back_every_message(log: Path) -> None:
     seen = 0
-    for messages in by_topic(log).values():
+    for messages in messages_by_topic(log).values():
         first = messages[0]
-        for oracle in oracles(first.kind, first.schema):
+        for oracle in other_serialisers(first.kind, first.schema):
             for message in messages:
                 assert oracle.encode(oracle.decode(message.data)) == message.data, message.topic
                 seen += 1
@@ -95,7 +95,7 @@ def test_both_serialisers_give_back_every_message(log: Path) -> None:
 
 
 def _built(kind: str, values: dict[str, object]) -> bytes:
-    return Ros2Support(schema_name(kind), schema_text(kind)).encode(values)
+    return Ros2SupportSerialiser(schema_name(kind), schema_text(kind)).encode(values)
 
 
 STAMP = {"sec": 5, "nanosec": 7}
@@ -166,9 +166,9 @@ def test_message_equals_the_reference_encoding(
 
 
 def test_joint_states_carry_the_telemetry_by_name(log: Path) -> None:
-    run, logged = lively.header(), by_topic(log)["/joint_states"]
-    oracle = Rosbags(logged[0].kind, logged[0].schema)
-    for (tick_in, out), message in zip(lively.ticks(run), logged, strict=True):
+    run, logged = lively.varied_header(), messages_by_topic(log)["/joint_states"]
+    oracle = RosbagsSerialiser(logged[0].kind, logged[0].schema)
+    for (tick_in, out), message in zip(lively.varied_ticks(run), logged, strict=True):
         state = oracle.decode(message.data)
         assert state.name == list(run.joints)
         np.testing.assert_array_equal(state.position, out.telemetry.q)
@@ -178,15 +178,15 @@ def test_joint_states_carry_the_telemetry_by_name(log: Path) -> None:
 
 
 def test_frames_of_all_buses_stay_in_order(log: Path) -> None:
-    topics = by_topic(log)
+    topics = messages_by_topic(log)
     for topic, choose in (("rx", lambda i, o: i.frames), ("tx", lambda i, o: o.frames)):
         for suffix, long in (("", False), ("_fd", True)):
             messages = topics[f"/can/{topic}{suffix}"]
-            oracle = Rosbags(messages[0].kind, messages[0].schema)
+            oracle = RosbagsSerialiser(messages[0].kind, messages[0].schema)
             ours = [oracle.decode(message.data) for message in messages]
             sent = [
                 frame
-                for tick in lively.ticks(lively.header())
+                for tick in lively.varied_ticks(lively.varied_header())
                 for frame in choose(*tick)
                 if bool(frame.flags & 4) == long
             ]
@@ -195,24 +195,25 @@ def test_frames_of_all_buses_stay_in_order(log: Path) -> None:
                 assert message.id == frame.can_id & 0x1FFF_FFFF
                 assert message.is_extended == bool(frame.can_id >> 31)
                 assert message.is_error == bool(frame.can_id >> 29 & 1)
-                assert message.header.frame_id == (*lively.BUSES, "unknown")[min(frame.bus, 2)]
+                assert message.header.frame_id == (*lively.BUS_NAMES, "unknown")[min(frame.bus, 2)]
                 length = message.len if long else message.dlc
                 assert bytes(message.data[:length]) == frame.data
                 assert long or message.is_rtr == bool(frame.can_id >> 30 & 1)
 
 
 def test_received_frames_have_their_time_and_sent_frames_that_of_their_tick(log: Path) -> None:
-    topics = by_topic(log)
+    topics = messages_by_topic(log)
     times = [
         frame.t_ns
-        for tick_in, _ in lively.ticks(lively.header())
+        for tick_in, _ in lively.varied_ticks(lively.varied_header())
         for frame in tick_in.frames
         if not frame.flags
     ]
     assert [message.publish_time for message in topics["/can/rx"]] == times
-    oracle = Rosbags(topics["/can/tx"][0].kind, topics["/can/tx"][0].schema)
+    oracle = RosbagsSerialiser(topics["/can/tx"][0].kind, topics["/can/tx"][0].schema)
     starts = {
-        tick_in.k: tick_in.t_ns + tick_in.late_ns for tick_in, _ in lively.ticks(lively.header())
+        tick_in.k: tick_in.t_ns + tick_in.late_ns
+        for tick_in, _ in lively.varied_ticks(lively.varied_header())
     }
     for message in topics["/can/tx"]:
         stamp = oracle.decode(message.data).header.stamp
@@ -220,5 +221,5 @@ def test_received_frames_have_their_time_and_sent_frames_that_of_their_tick(log:
 
 
 def test_every_message_header_is_little_endian_cdr(log: Path) -> None:
-    for messages in by_topic(log).values():
+    for messages in messages_by_topic(log).values():
         assert all(struct.unpack_from("<I", message.data)[0] == 0x100 for message in messages)

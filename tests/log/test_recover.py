@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import synthetic
-from oracle import messages
+from oracle import read_messages
 
 from handctl.errors import ConfigError, LogError
 from handctl.log.read.logfile import LogFile
@@ -28,7 +28,9 @@ def smallest_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "gains.toml": b"[motion]\nposition_error_m = 6e-4\n",
         "initial_state": bytes(range(64)),
     }
-    synthetic.write(path, synthetic.header(rate_hz=4, attachments=attachments), 1.75)
+    synthetic.write_synthetic_run(
+        path, synthetic.synthetic_header(rate_hz=4, attachments=attachments), 1.75
+    )
     assert 60 << 10 < path.stat().st_size <= 68 << 10
     return path
 
@@ -98,10 +100,10 @@ def test_a_recovered_file_is_readable_by_others_and_marked_as_recovered(
     recovery, out = _recovered(raw[: scan.chunks[6].end + 5], tmp_path)
     assert recovery.status == RecoveryStatus.LOSSY
     assert recovery.lost[-1][1] == scan.chunks[6].end + 5
-    recovered = messages(out)
+    recovered = read_messages(out)
     assert len(recovered) == recovery.messages
     last = max(one.log_time for one in recovered if one.topic == "/tick")
-    whole = [one for one in messages(small_log) if one.log_time <= last]
+    whole = [one for one in read_messages(small_log) if one.log_time <= last]
     assert sorted(recovered) == sorted(whole)
     with RunLog(out) as log, RunLog(small_log) as old:
         assert "without an end mark" in log.end["recovered"]
@@ -112,7 +114,7 @@ def test_a_recovered_file_is_readable_by_others_and_marked_as_recovered(
 def test_a_complete_file_is_copied_unchanged(small_log: Path, tmp_path: Path) -> None:
     recovery, out = _recovered(small_log.read_bytes(), tmp_path)
     assert (recovery.status, recovery.lost, recovery.problem) == (RecoveryStatus.WHOLE, (), "")
-    assert messages(out) == messages(small_log)
+    assert read_messages(out) == read_messages(small_log)
     with RunLog(out) as log, RunLog(small_log) as old:
         assert log.end == old.end
         assert log.header == old.header
@@ -161,7 +163,7 @@ def test_a_damaged_summary_loses_no_message(small_log: Path, tmp_path: Path) -> 
     recovery, out = _recovered(bytes(raw), tmp_path)
     assert recovery.status == RecoveryStatus.WHOLE
     assert "summary" in recovery.problem
-    assert messages(out) == messages(small_log)
+    assert read_messages(out) == read_messages(small_log)
 
 
 def test_an_existing_file_is_not_overwritten(small_log: Path, tmp_path: Path) -> None:
@@ -181,7 +183,7 @@ def test_another_file_is_an_error(tmp_path: Path) -> None:
 
 def test_a_log_with_only_its_header_gives_nothing_but_the_names(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
-    synthetic.write(path, synthetic.header(rate_hz=50), 0.5)
+    synthetic.write_synthetic_run(path, synthetic.synthetic_header(rate_hz=50), 0.5)
     first = _scan(path).chunks[0]
     recovery, out = _recovered(path.read_bytes()[: first.end], tmp_path)
     assert (recovery.status, recovery.chunks) == (RecoveryStatus.LOSSY, 1)

@@ -27,5 +27,7 @@ def fresh(tmp_path_factory: pytest.TempPathFactory) -> Path:
     requests = {250: ('{"do": "arm"}', "no request"), 450: ('{"do": "stop"}',)}
     log = folder / "fresh.mcap"
     task, spoil = runs.short_task(folder), runs.peer_with_silent_index
-    runs.run(log, task, rate_hz=200.0, spoil=spoil, io_events=io_events, requests=requests)
+    runs.record_lockstep_run(
+        log, task, rate_hz=200.0, spoil=spoil, io_events=io_events, requests=requests
+    )
     return log

@@ -30,7 +30,9 @@ def tensions_held(before: RunLog, after: RunLog) -> tuple[NDArray[np.float64], N
     starts = {change.name: change.t_ns * 1e-9 for change in before.phases}
     start, _ = active_interval(before)
     at_rest = starts["hold"] + SETTLED_S - start, starts["release"] - start
-    return _mean(before, start, *at_rest), _mean(after, start_of_repetition_s(after), *at_rest)
+    return _mean_tension(before, start, *at_rest), _mean_tension(
+        after, start_of_repetition_s(after), *at_rest
+    )
 
 
 def start_of_repetition_s(log: RunLog) -> float:
@@ -38,6 +40,6 @@ def start_of_repetition_s(log: RunLog) -> float:
     return next(change.t_ns * 1e-9 for change in log.phases if change.name == "playback")
 
 
-def _mean(log: RunLog, start_s: float, from_s: float, end_s: float) -> NDArray[np.float64]:
+def _mean_tension(log: RunLog, start_s: float, from_s: float, end_s: float) -> NDArray[np.float64]:
     at = (log.times >= start_s + from_s) & (log.times <= start_s + end_s)
     return np.asarray(log.field("tension")[at].mean(axis=0), np.float64)

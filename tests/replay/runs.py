@@ -24,7 +24,7 @@ from handctl.session.header import run_header
 from handctl.session.plan import RunPlan
 from handctl.session.run import snapshot_recorder
 
-TASK = """schema = 1
+SHORT_GRASP_TASK = """schema = 1
 name = "short grasp"
 description = "Close, hold, let go, as fast as it goes"
 [[phase]]
@@ -48,7 +48,7 @@ tension_N = 9.0
 rate_N_per_s = 120.0
 """
 
-SCENE = """name = "cylinder"
+CYLINDER_SCENE = """name = "cylinder"
 [object]
 shape = "cylinder"
 diameter_m = 0.035
@@ -94,11 +94,11 @@ class PeerWithLostReplies:
 def short_task(folder: Path) -> TaskProgram:
     """Return the program of the short grasp of these runs. Its task is written into a folder."""
     path = folder / "task.toml"
-    path.write_text(TASK)
+    path.write_text(SHORT_GRASP_TASK)
     return TaskProgram(load_task(path))
 
 
-def run(
+def record_lockstep_run(
     log: Path,
     program: Program,
     *,
@@ -126,7 +126,7 @@ def run(
     plan = RunPlan(described, Gains(), rate_hz, ())
     with tempfile.TemporaryDirectory() as folder:
         scene = Path(folder) / "scene.toml"
-        scene.write_text(SCENE.format(friction=friction))
+        scene.write_text(CYLINDER_SCENE.format(friction=friction))
         options: dict[str, object] = {
             "hand_path": str(hand_path(hand)),
             "scene": str(scene),
@@ -170,25 +170,25 @@ def peer_with_silent_index(peer: LockstepPeer) -> LockstepPeer:
     return PeerWithLostReplies(peer, 0x11, 2_200_000_000)
 
 
-def golden(folder: Path) -> None:
+def write_golden_logs(folder: Path) -> None:
     """Write new golden logs."""
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as scratch:
         task = short_task(Path(scratch))
     for old in folder.glob("*.mcap"):
         old.unlink()
-    run(folder / "jamia-grasp.mcap", task, rate_hz=200.0)
-    run(folder / "jamia-lost.mcap", task, rate_hz=200.0, friction=0.02)
+    record_lockstep_run(folder / "jamia-grasp.mcap", task, rate_hz=200.0)
+    record_lockstep_run(folder / "jamia-lost.mcap", task, rate_hz=200.0, friction=0.02)
     events = {400: (IoEvent("dropped", "main", 3),)}
-    run(
+    record_lockstep_run(
         folder / "jamia-fault.mcap",
         task,
         rate_hz=200.0,
         spoil=peer_with_silent_index,
         io_events=events,
     )
-    run(folder / "jamia11-grasp.mcap", task, hand="jamia11", rate_hz=200.0)
+    record_lockstep_run(folder / "jamia11-grasp.mcap", task, hand="jamia11", rate_hz=200.0)
 
 
 if __name__ == "__main__":
-    golden(Path(sys.argv[1]))
+    write_golden_logs(Path(sys.argv[1]))

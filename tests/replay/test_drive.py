@@ -30,7 +30,9 @@ def replayed(golden: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """
     path = tmp_path_factory.mktemp("drive") / "again.mcap"
     with RunLog(golden / "jamia-grasp.mcap") as before:
-        state = runs.run(path, playback_program(before, 1 / 250, raw=False), rate_hz=250.0, seed=5)
+        state = runs.record_lockstep_run(
+            path, playback_program(before, 1 / 250, raw=False), rate_hz=250.0, seed=5
+        )
     assert state.failure == ""
     return path
 

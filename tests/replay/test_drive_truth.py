@@ -73,7 +73,9 @@ class Pair:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Record the first run, and return the folder of its log and truth."""
     made = tmp_path_factory.mktemp("pair")
-    runs.run(made / "first.mcap", runs.short_task(made), rate_hz=200.0, truth=made / "first.truth")
+    runs.record_lockstep_run(
+        made / "first.mcap", runs.short_task(made), rate_hz=200.0, truth=made / "first.truth"
+    )
     return made
 
 
@@ -84,7 +86,10 @@ def pair(folder: Path, request: pytest.FixtureRequest) -> Pair:
     with RunLog(folder / "first.mcap") as before:
         program = playback_program(before, 1 / RATE_HZ, made.raw)
     truth = made.repeat.with_suffix(".truth")
-    assert runs.run(made.repeat, program, rate_hz=RATE_HZ, seed=5, truth=truth).failure == ""
+    assert (
+        runs.record_lockstep_run(made.repeat, program, rate_hz=RATE_HZ, seed=5, truth=truth).failure
+        == ""
+    )
     return made
 
 

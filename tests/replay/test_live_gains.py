@@ -31,7 +31,7 @@ def test_a_run_whose_gains_were_set_repeats(tmp_path: Path) -> None:
         300: (REQUEST, '{"do": "gains", "set": {"motion.force": 1}}'),
         600: ('{"do": "stop"}',),
     }
-    runs.run(log, runs.short_task(tmp_path), rate_hz=200.0, requests=requests)
+    runs.record_lockstep_run(log, runs.short_task(tmp_path), rate_hz=200.0, requests=requests)
     with RunLog(log) as record:
         messages = {
             event.event.where: event.event.text

@@ -58,7 +58,7 @@ def write(log: Path) -> None:
         MOVE.format(n=n, angle=chance.uniform(2.0, 60.0)) for n in range(int((SECONDS - 4) / 2))
     ]
     task = log.with_suffix(".task.toml")
-    task.write_text(runs.TASK + "".join(moves))
+    task.write_text(runs.SHORT_GRASP_TASK + "".join(moves))
     ticks = range(400, int(SECONDS * RATE_HZ), 1999)
     io_events = {k: (IoEvent("recorder", "dropped", 1),) for k in ticks}
     requests = {k + 7: ("no request",) for k in ticks}
@@ -66,7 +66,7 @@ def write(log: Path) -> None:
     def spoil(peer: LockstepPeer) -> LockstepPeer:
         return runs.PeerWithLostReplies(LossyPeer(peer), 0x12, int(DEAF_S * 1e9))
 
-    runs.run(
+    runs.record_lockstep_run(
         log,
         TaskProgram(load_task(task)),
         rate_hz=RATE_HZ,

@@ -106,8 +106,12 @@ def test_a_stopped_replay_is_compared_up_to_its_end(golden: Path, tmp_path: Path
             playback_program(before, 1 / rate, raw=False),
             active_interval(before),
         )
-        runs.run(tmp_path / "late.mcap", program, rate_hz=rate, requests={1000: (STOP,)})
-        runs.run(tmp_path / "early.mcap", program, rate_hz=rate, requests={400: (STOP,)})
+        runs.record_lockstep_run(
+            tmp_path / "late.mcap", program, rate_hz=rate, requests={1000: (STOP,)}
+        )
+        runs.record_lockstep_run(
+            tmp_path / "early.mcap", program, rate_hz=rate, requests={400: (STOP,)}
+        )
         with RunLog(tmp_path / "late.mcap") as after:
             started = next(
                 change.t_ns * 1e-9 for change in after.phases if change.name == "playback"

@@ -15,7 +15,7 @@ from handctl.report.truth import TruthRecord
 PERIOD_NS = 10_000_000
 
 
-class MadeUpLog:
+class InventedLog:
     """The parts of a `RunLog` that the report uses. All telemetry is NaN until a test sets it."""
 
     def __init__(self, hand: Hand, ticks: int, phases: dict[int, str]) -> None:
@@ -51,7 +51,7 @@ class MadeUpLog:
         return self.fields[name]
 
 
-def truth_of(hand: Hand, ticks: int, offset_ns: int = 0) -> TruthRecord:
+def zero_truth(hand: Hand, ticks: int, offset_ns: int = 0) -> TruthRecord:
     """Create a truth with one row of zeros per tick. It has two rows more than the run at each end."""
     columns = [f"tension/{name}" for name in hand.tendon_names]
     columns += [f"q/{name}" for name in hand.joints]
@@ -61,7 +61,7 @@ def truth_of(hand: Hand, ticks: int, offset_ns: int = 0) -> TruthRecord:
     return TruthRecord({}, t_ns, np.zeros((len(t_ns), len(columns))), tuple(columns))
 
 
-def set_column(truth: TruthRecord, name: str, values: np.ndarray | float) -> None:
+def set_truth_column(truth: TruthRecord, name: str, values: np.ndarray | float) -> None:
     """Set a column of a truth over the ticks of the run.
 
     The rows outside the run get the first and the last value.

@@ -8,7 +8,7 @@ import pytest
 
 from handctl.errors import LogError
 from handctl.report.truth import TruthRecord, read_truth
-from tests.report.made_up import JAMIA, set_column, truth_of, write_truth
+from tests.report.made_up import JAMIA, set_truth_column, zero_truth, write_truth
 
 
 @pytest.fixture
@@ -90,8 +90,8 @@ def test_a_missing_file_and_a_folder_give_a_one_line_error(tmp_path: Path) -> No
 
 
 def test_values_are_interpolated_between_rows_and_nan_outside() -> None:
-    truth = truth_of(JAMIA, 10, offset_ns=2**61)
-    set_column(truth, "object/x", np.arange(10.0))
+    truth = zero_truth(JAMIA, 10, offset_ns=2**61)
+    set_truth_column(truth, "object/x", np.arange(10.0))
     t_ns = 2**61 + np.array([-(10**9), 0, 5_000_000, 25_000_000, 10**12])
     np.testing.assert_allclose(truth.at("object/x", t_ns), [np.nan, 0.0, 0.5, 2.5, np.nan])
     assert truth.table(["object/x", "object/y"], t_ns).shape == (5, 2)
@@ -99,7 +99,7 @@ def test_values_are_interpolated_between_rows_and_nan_outside() -> None:
 
 def test_a_column_that_is_not_there_is_named() -> None:
     with pytest.raises(LogError, match="no column 'tension/pinky'"):
-        truth_of(JAMIA, 3).at("tension/pinky", np.array([0]))
+        zero_truth(JAMIA, 3).at("tension/pinky", np.array([0]))
 
 
 def test_the_header_is_kept(tmp_path: Path) -> None:

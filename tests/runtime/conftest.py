@@ -5,7 +5,16 @@ import tempfile
 import pytest
 
 from handctl.hand.load import load_hand
-from tests.runtime.processes import BUS, LONG, SCALE, SHORT, end, scaled, start_hand, write_homed
+from tests.runtime.processes import (
+    LOCAL_BUS,
+    LONG_TASK,
+    SCALE,
+    SHORT_TASK,
+    end_process,
+    time_scale_options,
+    start_hand,
+    write_homed_calibration,
+)
 
 
 @pytest.fixture
@@ -14,8 +23,8 @@ def place(tmp_path, monkeypatch):
     with tempfile.TemporaryDirectory(prefix="h-") as short:
         monkeypatch.setenv("HANDCTL_RUN_DIR", short)
         monkeypatch.chdir(tmp_path)
-        (tmp_path / "short.toml").write_text(SHORT)
-        (tmp_path / "long.toml").write_text(LONG)
+        (tmp_path / "short.toml").write_text(SHORT_TASK)
+        (tmp_path / "long.toml").write_text(LONG_TASK)
         yield tmp_path
 
 
@@ -25,13 +34,13 @@ def processes():
     running = []
     yield running
     for process in reversed(running):
-        end(process)
+        end_process(process)
 
 
 @pytest.fixture
 def scale(request, slower):
     """Return the command-line options for the time scale. A test module may set its own ``SCALE``."""
-    return scaled(getattr(request.module, "SCALE", SCALE) * slower)
+    return time_scale_options(getattr(request.module, "SCALE", SCALE) * slower)
 
 
 @pytest.fixture
@@ -44,5 +53,5 @@ def hand(place, processes, scale):
 @pytest.fixture
 def calibrated(place):
     """Write the calibration of a simulated hand, and return the command-line options for a controller of this hand."""
-    write_homed(place / "c.toml", load_hand("jamia"))
-    return ("--hand", "jamia", "--bus", BUS, "--calibration", "c.toml")
+    write_homed_calibration(place / "c.toml", load_hand("jamia"))
+    return ("--hand", "jamia", "--bus", LOCAL_BUS, "--calibration", "c.toml")

@@ -31,11 +31,18 @@ from handctl.runtime.paths import faults_path, local_bus_path, run_dir
 from handctl.session.plan import RunPlan, bus_specs
 from handctl.session.run import make_controller, run_live
 from handctl.session.tasks import load_task
-from tests.runtime.processes import BUS, LONG, end, scaled, start_hand, write_homed
+from tests.runtime.processes import (
+    LOCAL_BUS,
+    LONG_TASK,
+    end_process,
+    time_scale_options,
+    start_hand,
+    write_homed_calibration,
+)
 
-SYNC = 0x080
+SYNC_ID = 0x080
 """CAN identifier of the SYNC frame, whose first byte is the tick count."""
-RECORD = 72
+FRAME_RECORD_BYTES = 72
 """Size of the record of a frame on the local bus [bytes]."""
 RATE_HZ = 500.0
 WATCHDOG_MS = 50.0
@@ -53,7 +60,7 @@ MAX_DELAY_S = 1.8
 
 In this time a run arms the hand, bends its fingers and holds them.
 """
-WAIT_S = 60.0
+PROCESS_TIMEOUT_S = 60.0
 """Longest time that a test waits for a process [s]."""
 
 
@@ -118,7 +125,7 @@ class KillVerdict(NamedTuple):
         )
 
 
-class Range:
+class KillTestHand:
     """A simulated hand, and the plan from which each controller beside it starts."""
 
     def __init__(self, folder: Path, scale: float) -> None:
@@ -128,11 +135,11 @@ class Range:
         hand = load_hand("jamia")
         task = folder / "long.toml"
         calibration = folder / "c.toml"
-        task.write_text(LONG)
-        write_homed(calibration, hand)
+        task.write_text(LONG_TASK)
+        write_homed_calibration(calibration, hand)
         load = tuple(one.at(RATE_HZ) for one in bus_loads(hand))
         self.plan = RunPlan(
-            hand, Gains(), RATE_HZ, load, bus_specs(hand, [BUS]), time_scale=scale, clear=True
+            hand, Gains(), RATE_HZ, load, bus_specs(hand, [LOCAL_BUS]), time_scale=scale, clear=True
         )
         self.controller: Controller = make_controller(
             self.plan,
@@ -141,15 +148,15 @@ class Range:
             arm_at_once=True,
         )
         self.truth = folder / "hand.truth"
-        self.simulator = start_hand(self.truth, "--hand", "jamia", *scaled(scale))
+        self.simulator = start_hand(self.truth, "--hand", "jamia", *time_scale_options(scale))
 
     def now_ns(self) -> tuple[int, int]:
         """Return the time of the simulator, and the part of this time in which it did not run [ns]."""
         reply_path = run_dir() / f"kills-{os.getpid()}"
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as link:
             link.bind(str(reply_path))
-            link.settimeout(WAIT_S)
-            link.sendto(b'{"list": true}', str(faults_path(BUS)))
+            link.settimeout(PROCESS_TIMEOUT_S)
+            link.sendto(b'{"list": true}', str(faults_path(LOCAL_BUS)))
             answer = json.loads(link.recv(1 << 16))
         reply_path.unlink()
         return int(answer["t_ns"]), int(answer["slip_ns"])
@@ -171,7 +178,7 @@ class Range:
     def disturb(self, number: int, how: signal.Signals, delay_s: float) -> DisturbedRun:
         """Start a controller, send it a signal ``delay_s`` after its first SYNC, and return the record of its run."""
         log = self.folder / f"{number}.mcap"
-        with Listener() as listener:
+        with SyncListener() as listener:
             child = self.start(log)
             try:
                 listener.wait_for_sync(child)
@@ -183,7 +190,7 @@ class Range:
                 slipped_ns = self.now_ns()[1] - slip_ns
                 if how == signal.SIGSTOP:
                     os.kill(child, signal.SIGCONT)
-                ended(child, listener)
+                wait_for_end(child, listener)
             finally:
                 with suppress(ProcessLookupError, ChildProcessError):
                     os.kill(child, signal.SIGKILL)
@@ -201,7 +208,7 @@ class Range:
         return [verdict_of_kill(truth, run) for run in runs]
 
 
-class Listener:
+class SyncListener:
     """A further node on the bus that collects the tick counts of all SYNC frames of the controller.
 
     Attributes:
@@ -213,9 +220,9 @@ class Listener:
         self.syncs = bytearray()
         self._partial = b""
 
-    def __enter__(self) -> "Listener":
+    def __enter__(self) -> "SyncListener":
         self.link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self.link.connect(str(local_bus_path(BUS.partition(":")[2])))
+        self.link.connect(str(local_bus_path(LOCAL_BUS.partition(":")[2])))
         self.link.setblocking(False)
         return self
 
@@ -236,28 +243,28 @@ class Listener:
         with suppress(BlockingIOError):
             while data := self.link.recv(1 << 18):
                 self._partial += data
-        end = len(self._partial) // RECORD * RECORD
-        for at in range(0, end, RECORD):
-            if int.from_bytes(self._partial[at : at + 4], "little") == SYNC:
+        end = len(self._partial) // FRAME_RECORD_BYTES * FRAME_RECORD_BYTES
+        for at in range(0, end, FRAME_RECORD_BYTES):
+            if int.from_bytes(self._partial[at : at + 4], "little") == SYNC_ID:
                 self.syncs.append(self._partial[at + 8])
         self._partial = self._partial[end:]
 
     def wait_for_sync(self, child: int) -> None:
         """Wait until the process of a controller has sent its first SYNC."""
-        until = time.monotonic() + WAIT_S
+        until = time.monotonic() + PROCESS_TIMEOUT_S
         while not self.syncs:
             assert os.waitpid(child, os.WNOHANG) == (0, 0), "the controller ended before the signal"
             assert time.monotonic() < until, "the controller sent no SYNC"
             self.wait(0.004)
 
 
-def ended(child: int, listener: Listener) -> None:
+def wait_for_end(child: int, listener: SyncListener) -> None:
     """Wait for the end of a controller process. Terminate it if it does not end without a signal."""
     until = time.monotonic() + 3.0
     while os.waitpid(child, os.WNOHANG) == (0, 0):
         if time.monotonic() > until:
             os.kill(child, signal.SIGTERM)
-            until += WAIT_S
+            until += PROCESS_TIMEOUT_S
         listener.wait(0.02)
 
 
@@ -268,7 +275,9 @@ def read_syncs(path: Path) -> tuple[str, bytes]:
         with RunLog(path) as log:
             if not log.warning or time.monotonic() > until:
                 frames = (frame for tick in log.ticks() for frame in tick.frames)
-                return log.warning, bytes(frame.data[0] for frame in frames if frame.can_id == SYNC)
+                return log.warning, bytes(
+                    frame.data[0] for frame in frames if frame.can_id == SYNC_ID
+                )
         time.sleep(0.05)
 
 
@@ -294,33 +303,35 @@ def verdict_of_kill(truth: TruthRecord, run: DisturbedRun) -> KillVerdict:
     )
 
 
-def kills(folder: Path, times: int, seed: int, scale: float) -> list[KillVerdict]:
+def disturb_controllers(folder: Path, times: int, seed: int, scale: float) -> list[KillVerdict]:
     """Disturb ``times`` controllers of one simulated hand, by SIGKILL and SIGSTOP in turn."""
     chance = random.Random(seed)
-    place = Range(folder, scale)
+    place = KillTestHand(folder, scale)
     runs: list[DisturbedRun] = []
     try:
         for number in range(times):
             how = signal.SIGKILL if number % 2 == 0 else signal.SIGSTOP
             runs.append(place.disturb(number, how, chance.uniform(0.0, MAX_DELAY_S)))
     finally:
-        end(place.simulator)
+        end_process(place.simulator)
     return place.judged(runs)
 
 
-BATCH = 25
+CONTROLLERS_PER_SIMULATOR = 25
 """Number of controllers beside one simulator. Its truth file is read after each batch and then deleted."""
 
 
-def batches(times: int, seed: int, scale: float) -> Iterator[list[KillVerdict]]:
-    """Disturb ``times`` controllers. Each simulator has ``BATCH`` of them one after the other."""
-    for first in range(0, times, BATCH):
+def disturb_in_batches(times: int, seed: int, scale: float) -> Iterator[list[KillVerdict]]:
+    """Disturb ``times`` controllers. Each simulator has ``CONTROLLERS_PER_SIMULATOR`` of them one after the other."""
+    for first in range(0, times, CONTROLLERS_PER_SIMULATOR):
         with tempfile.TemporaryDirectory(prefix="h-") as folder:
             os.environ["HANDCTL_RUN_DIR"] = folder
-            yield kills(Path(folder), min(BATCH, times - first), seed + first, scale)
+            yield disturb_controllers(
+                Path(folder), min(CONTROLLERS_PER_SIMULATOR, times - first), seed + first, scale
+            )
 
 
-def summary(runs: list[KillVerdict]) -> str:
+def kill_summary(runs: list[KillVerdict]) -> str:
     """Summarise disturbed runs in one line of text."""
     safe = sum(run.safe for run in runs)
     complete = sum(run.complete for run in runs)

@@ -30,13 +30,13 @@ from handctl.runtime.confirm import request_action, send_with_confirmation
 from handctl.runtime.mailbox import Mailbox, StatusWatcher
 from handctl.runtime.paths import mailbox_path, run_dir
 from tests.runtime.processes import (
-    BUS,
-    end,
-    handctl,
-    modes_of_complete,
-    result_of,
+    LOCAL_BUS,
+    end_process,
+    run_handctl,
+    modes_of_complete_log,
+    process_result,
     start_handctl,
-    wait_for,
+    wait_for_phase,
 )
 
 NOBODY = 65534
@@ -281,7 +281,7 @@ class AnsweringController:
     """A thread that serves the mailbox of a bus as a controller does, with the same texts of events."""
 
     def __init__(self, end_with: str = "DISARM -> DONE", deaf_after: str = "") -> None:
-        self.box = Mailbox(BUS)
+        self.box = Mailbox(LOCAL_BUS)
         self.taken = []
         self._on = True
         self._end = end_with
@@ -324,10 +324,10 @@ class AnsweringController:
 
 def test_stop_ends_when_the_controller_reports_every_drive_off(place, capsys):
     with AnsweringController() as controller:
-        assert main(["stop", "--bus", BUS, "--json"]) == 0
+        assert main(["stop", "--bus", LOCAL_BUS, "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {
         "asked": "stop",
-        "bus": BUS,
+        "bus": LOCAL_BUS,
         "confirmed": True,
         "mode": "DONE",
     }
@@ -336,7 +336,7 @@ def test_stop_ends_when_the_controller_reports_every_drive_off(place, capsys):
 
 def test_stop_names_a_drive_that_stays_on(place, capsys):
     with AnsweringController("DISARM -> DONE: REMOVE POWER: not confirmed disabled: index_motor"):
-        assert main(["stop", "--bus", BUS]) == 71
+        assert main(["stop", "--bus", LOCAL_BUS]) == 71
     assert "REMOVE POWER: not confirmed disabled: index_motor" in capsys.readouterr().err
 
 
@@ -348,19 +348,19 @@ def short_confirmation_wait(monkeypatch):
 
 def test_stop_is_unconfirmed_if_the_controller_falls_silent(place, short_confirmation_wait, capsys):
     with AnsweringController(deaf_after="RELAX"):
-        assert main(["stop", "--bus", BUS]) == 71
+        assert main(["stop", "--bus", LOCAL_BUS]) == 71
     assert UNCONFIRMED in capsys.readouterr().err
 
 
 def test_clear_ends_when_the_controller_has_taken_it(place, capsys):
     with AnsweringController() as controller:
-        assert main(["clear", "--bus", BUS]) == 0
+        assert main(["clear", "--bus", LOCAL_BUS]) == 0
     assert controller.taken == ["clear"]
     assert "has cleared its faults" in capsys.readouterr().out
 
 
 def test_a_request_is_confirmed_although_all_watcher_slots_are_taken(place):
-    others = [StatusWatcher(BUS) for _ in range(6)]
+    others = [StatusWatcher(LOCAL_BUS) for _ in range(6)]
     with AnsweringController() as controller:
         until = time.monotonic() + 1.0
 
@@ -371,7 +371,7 @@ def test_a_request_is_confirmed_although_all_watcher_slots_are_taken(place):
 
         crowding = threading.Thread(target=crowd)
         crowding.start()
-        asking = StatusWatcher(BUS)
+        asking = StatusWatcher(LOCAL_BUS)
         for _ in range(20):
             assert send_with_confirmation(asking, {"do": "arm"})[1] == []
         asking.close()
@@ -399,12 +399,12 @@ def fill_mailbox(path: Path) -> int:
 def test_an_unread_mailbox_confirms_nothing_and_blocks_no_client(
     place, short_confirmation_wait, word, full
 ):
-    box = Mailbox(BUS)
+    box = Mailbox(LOCAL_BUS)
     if full:
         assert fill_mailbox(box.path)
     began = time.monotonic()
     with pytest.raises(UnconfirmedError, match=UNCONFIRMED) as caught:
-        request_action(BUS, word)
+        request_action(LOCAL_BUS, word)
     assert time.monotonic() - began < 2.4
     assert isinstance(caught.value, PowerError)
     assert ("its mailbox is full" if full else "the controller is silent") in str(caught.value)
@@ -419,23 +419,23 @@ def test_a_paused_controller_confirms_no_stop_and_a_flooded_one_stops(
         "run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *scale
     )
     try:
-        watcher = StatusWatcher(BUS)
-        wait_for("stay", watcher, process)
+        watcher = StatusWatcher(LOCAL_BUS)
+        wait_for_phase("stay", watcher, process)
         watcher.close()
         process.send_signal(signal.SIGSTOP)
         for word in (("clear",), ("stop",)):
-            done = handctl(*word, "--bus", BUS)
+            done = run_handctl(*word, "--bus", LOCAL_BUS)
             assert (done.returncode, done.stdout) == (71, "")
             assert UNCONFIRMED in done.stderr
-        fill_mailbox(mailbox_path(BUS))
-        assert handctl("stop", "--cut", "--bus", BUS).returncode == 71
+        fill_mailbox(mailbox_path(LOCAL_BUS))
+        assert run_handctl("stop", "--cut", "--bus", LOCAL_BUS).returncode == 71
         process.send_signal(signal.SIGCONT)
-        assert result_of(process)[0] in (0, 1), (
+        assert process_result(process)[0] in (0, 1), (
             "the controller paused (H03), and reads the orders after the pause"
         )
     finally:
         process.send_signal(signal.SIGCONT)
-        end(process)
+        end_process(process)
 
 
 @pytest.mark.realtime
@@ -449,21 +449,21 @@ def test_a_flooded_mailbox_still_takes_a_stop(place, hand, calibrated, scale):
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
             while not ended.is_set():
                 try:
-                    out.sendto(b'{"do": "arm"}', str(mailbox_path(BUS)))
+                    out.sendto(b'{"do": "arm"}', str(mailbox_path(LOCAL_BUS)))
                 except OSError:
                     return
 
     flooding = threading.Thread(target=flood)
     try:
-        watcher = StatusWatcher(BUS)
-        wait_for("stay", watcher, process)
+        watcher = StatusWatcher(LOCAL_BUS)
+        wait_for_phase("stay", watcher, process)
         watcher.close()
         flooding.start()
-        done = handctl("stop", "--bus", BUS)
+        done = run_handctl("stop", "--bus", LOCAL_BUS)
         assert done.returncode == 0, done.stderr
-        assert result_of(process)[0] == 0
+        assert process_result(process)[0] == 0
     finally:
         ended.set()
-        end(process)
+        end_process(process)
         flooding.join()
-    assert modes_of_complete(place / "run.mcap")[-1] == "DISARM -> DONE"
+    assert modes_of_complete_log(place / "run.mcap")[-1] == "DISARM -> DONE"

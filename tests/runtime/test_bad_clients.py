@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.streaming import CLIENTS, Homed, measure_clients
 from handctl.hand.load import load_hand
-from tests.runtime.processes import BUS, HOMED, write_homed
+from tests.runtime.processes import LOCAL_BUS, HOMED_OPTIONS, write_homed_calibration
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 SCALE = 0.6
@@ -28,13 +28,13 @@ FAULTS = {
 @pytest.fixture
 def homed(place) -> Homed:
     """Return the calibration and the simulator options of a commissioned hand."""
-    write_homed(place / "c.toml", load_hand("jamia"))
-    return place / "c.toml", HOMED
+    write_homed_calibration(place / "c.toml", load_hand("jamia"))
+    return place / "c.toml", HOMED_OPTIONS
 
 
 @pytest.mark.realtime
 def test_invalid_clients_do_not_disturb_a_run(homed, slower):
-    rows = measure_clients(SAMPLE, BUS, SCALE * slower, homed)
+    rows = measure_clients(SAMPLE, LOCAL_BUS, SCALE * slower, homed)
     hand = load_hand("jamia")
     assert list(rows) == SAMPLE
     for name, row in rows.items():

@@ -20,7 +20,7 @@ from handctl.runtime.buses import canfd
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.buses.socketcan import MAX_FRAMES_PER_CALL, SocketCanBus
-from tests.runtime.bus_hub import RUN_DIR, ScriptedHub, record
+from tests.runtime.bus_hub import RUN_DIR_VARIABLE, ScriptedHub, frame_record
 from tests.runtime.datagrams import datagram_bus
 
 CLASSICAL, FD = struct.Struct("=IB3x8s"), struct.Struct("=IBB2x64s")
@@ -70,7 +70,7 @@ def zero_behind_payloads(frames: Frames) -> bool:
 
 @pytest.fixture
 def local(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Bus, socket.socket]]:
-    monkeypatch.setenv(RUN_DIR, str(tmp_path))
+    monkeypatch.setenv(RUN_DIR_VARIABLE, str(tmp_path))
     served = ScriptedHub(tmp_path, "x")
     bus = open_bus("local:x", INDEX, 1_000_000)
     link = served.accept()
@@ -109,7 +109,7 @@ def test_local_bus_carries_every_batch_both_ways(
 ) -> None:
     bus, link = local
     batch = BATCHES[name]
-    whole = b"".join(record(frame.can_id, frame.data, frame.flags) for frame in batch)
+    whole = b"".join(frame_record(frame.can_id, frame.data, frame.flags) for frame in batch)
     assert bus.send(frames_as_records(batch)) == len(batch)
     sent = b""
     while len(sent) < len(whole):
@@ -146,7 +146,7 @@ def test_batches_of_all_kinds_in_turn_leave_no_bytes_of_one_another(
             assert bus.send(frames_as_records(test_batch)) == len(test_batch)
             if bus is local[0]:
                 whole = b"".join(
-                    record(frame.can_id, frame.data, frame.flags) for frame in test_batch
+                    frame_record(frame.can_id, frame.data, frame.flags) for frame in test_batch
                 )
                 sent = b""
                 while len(sent) < len(whole):
@@ -171,7 +171,7 @@ def test_bytes_behind_a_payload_are_ignored(
     batch = [*of_one_kind(3, 0), *of_one_kind(12, FDF), *of_one_kind(0, 0)]
     bus, link = local
     for frame in batch:
-        whole = record(frame.can_id, frame.data, frame.flags)
+        whole = frame_record(frame.can_id, frame.data, frame.flags)
         link.sendall(whole[: 8 + len(frame.data)] + garbage[: 64 - len(frame.data)])
     got = drained(bus, len(batch))
     assert contents(got) == [frame[:4] for frame in batch]
@@ -193,7 +193,8 @@ def test_error_frames_between_others_become_events_and_keep_the_order(
     bus, link = local
     link.sendall(
         b"".join(
-            record(f.can_id, f.data, f.flags) + record(bus_off.can_id, bus_off.data) for f in batch
+            frame_record(f.can_id, f.data, f.flags) + frame_record(bus_off.can_id, bus_off.data)
+            for f in batch
         )
     )
     assert contents(drained(bus, len(batch))) == [frame[:4] for frame in batch]
@@ -205,7 +206,7 @@ def test_error_frames_between_others_become_events_and_keep_the_order(
     assert contents(drained(can, len(batch))) == [frame[:4] for frame in batch]
     events = [("error_frame", "socketcan:test bus off", 20), ("bus_off", "socketcan:test", 1)]
     assert can.take_events() == events
-    link.sendall(record(bus_off.can_id, bus_off.data))
+    link.sendall(frame_record(bus_off.can_id, bus_off.data))
     far.send(datagram(bus_off))
     time.sleep(0.05)
     assert len(bus.drain()) == len(can.drain()) == 0
@@ -218,7 +219,7 @@ def test_a_record_split_within_an_odd_batch_is_reassembled(
 ) -> None:
     bus, link = local
     batch = mixed(30, 4)
-    whole = b"".join(record(frame.can_id, frame.data, frame.flags) for frame in batch)
+    whole = b"".join(frame_record(frame.can_id, frame.data, frame.flags) for frame in batch)
     parts = []
     at = 0
     for cut in (1, 71, 72, 73, 100, 500, 700, len(whole)):

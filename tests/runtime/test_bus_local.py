@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from handctl.drives.frame import ERROR, FDF, Frame
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.open import open_bus
-from tests.runtime.bus_hub import RUN_DIR, ScriptedHub, record
+from tests.runtime.bus_hub import RUN_DIR_VARIABLE, ScriptedHub, frame_record
 
 SIZE = 72
 
@@ -21,7 +21,7 @@ SIZE = 72
 def scripted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[tuple[Bus, socket.socket]]:
-    monkeypatch.setenv(RUN_DIR, str(tmp_path))
+    monkeypatch.setenv(RUN_DIR_VARIABLE, str(tmp_path))
     served = ScriptedHub(tmp_path, "x")
     bus = open_bus("local:x", 2, 1_000_000)
     link = served.accept()
@@ -35,7 +35,7 @@ def scripted(
 def torn(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Bus, socket.socket]]:
     folder = tmp_path_factory.mktemp("torn")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(RUN_DIR, str(folder))
+        patch.setenv(RUN_DIR_VARIABLE, str(folder))
         served = ScriptedHub(folder, "x")
         bus = open_bus("local:x", 2, 1_000_000)
     link = served.accept()
@@ -48,8 +48,10 @@ def torn(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Bus, socket
 def test_a_record_is_laid_out_as_agreed(scripted: tuple[Bus, socket.socket]) -> None:
     bus, link = scripted
     assert bus.send([Frame(0x123, b"\x01\x02"), Frame(0x80000456, bytes(range(12)), FDF)]) == 2
-    assert link.recv(1000) == record(0x123, b"\x01\x02") + record(0x80000456, bytes(range(12)), FDF)
-    link.send(record(0x7FF, b"reply"))
+    assert link.recv(1000) == frame_record(0x123, b"\x01\x02") + frame_record(
+        0x80000456, bytes(range(12)), FDF
+    )
+    link.send(frame_record(0x7FF, b"reply"))
     (frame,) = bus.drain()
     assert frame[:4] == (0x7FF, b"reply", 0, 2)
 
@@ -59,7 +61,9 @@ def test_records_split_anywhere_are_reassembled(
     torn: tuple[Bus, socket.socket], cuts: list[int], count: int
 ) -> None:
     bus, link = torn
-    stream = b"".join(record(number, bytes([number] * (number % 9))) for number in range(count))
+    stream = b"".join(
+        frame_record(number, bytes([number] * (number % 9))) for number in range(count)
+    )
     frames: list[Frame] = []
     at = 0
     for cut in cuts:
@@ -98,7 +102,7 @@ def test_a_slow_hub_costs_frames_but_no_time_and_no_alignment(
         stream += link.recv(1 << 20)
     records = [stream[at : at + SIZE] for at in range(0, len(stream), SIZE)]
     assert [item[8:12] for item in records[:-1]] == accepted
-    assert records[-1] == record(2, b"after")
+    assert records[-1] == frame_record(2, b"after")
 
 
 @pytest.mark.parametrize(
@@ -111,7 +115,7 @@ def test_frames_dropped_by_the_hub_are_reported_once(
     bus, link = scripted
     numbers = []
     for counter in counters:
-        link.send(record(1, b"", dropped=counter))
+        link.send(frame_record(1, b"", dropped=counter))
         assert len(bus.drain()) == 1
         numbers += bus.take_events()
     assert all(event[:2] == ("dropped", "local:x") for event in numbers)
@@ -120,7 +124,7 @@ def test_frames_dropped_by_the_hub_are_reported_once(
 
 def test_a_lost_hub_is_reported_at_every_call(scripted: tuple[Bus, socket.socket]) -> None:
     bus, link = scripted
-    link.send(record(5, b"last"))
+    link.send(frame_record(5, b"last"))
     link.close()
     assert [frame.can_id for frame in bus.drain()] == [5]
     assert bus.drain() == []
@@ -139,7 +143,7 @@ def test_sending_to_a_lost_hub_does_not_raise(scripted: tuple[Bus, socket.socket
 
 def test_error_frames_become_events(scripted: tuple[Bus, socket.socket]) -> None:
     bus, link = scripted
-    link.send(record(ERROR | 0x40, bytes(8)) + record(7, b"data"))
+    link.send(frame_record(ERROR | 0x40, bytes(8)) + frame_record(7, b"data"))
     assert [frame.can_id for frame in bus.drain()] == [7]
     kinds = [kind for kind, _, _ in bus.take_events()]
     assert kinds == ["error_frame", "bus_off"]

@@ -17,7 +17,7 @@ from handctl.drives.frame import Frame
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.buses.pythoncan import PythonCanBus
-from tests.runtime.bus_hub import RUN_DIR, ScriptedHub, hub, record
+from tests.runtime.bus_hub import RUN_DIR_VARIABLE, ScriptedHub, hub_process, frame_record
 
 
 class Broken(can.BusABC):
@@ -108,13 +108,13 @@ def test_garbage_of_a_serial_adapter_is_counted_and_skipped(bus: PythonCanBus) -
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     made = tmp_path_factory.mktemp("tools")
-    with hub("tools", made):
+    with hub_process("tools", made):
         yield made
 
 
 @pytest.fixture
 def ours(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bus]:
-    monkeypatch.setenv(RUN_DIR, str(folder))
+    monkeypatch.setenv(RUN_DIR_VARIABLE, str(folder))
     opened = open_bus("local:tools", 0, 1_000_000)
     yield opened
     opened.close()
@@ -224,7 +224,7 @@ def test_python_cans_logger_writes_what_was_sent(ours: Bus, folder: Path, tmp_pa
 
 
 def test_a_bus_without_a_hub_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(RUN_DIR, str(tmp_path))
+    monkeypatch.setenv(RUN_DIR_VARIABLE, str(tmp_path))
     with pytest.raises(can.CanInitializationError, match="firmware_sim"):
         can.Bus("nobody", interface="local", ignore_config=True)
 
@@ -233,7 +233,7 @@ def test_a_bus_without_a_hub_is_an_error(tmp_path: Path, monkeypatch: pytest.Mon
 def scripted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[tuple[can.BusABC, socket.socket]]:
-    monkeypatch.setenv(RUN_DIR, str(tmp_path))
+    monkeypatch.setenv(RUN_DIR_VARIABLE, str(tmp_path))
     served = ScriptedHub(tmp_path, "x")
     with can.Bus("x", interface="local", ignore_config=True) as theirs:
         link = served.accept()
@@ -264,7 +264,7 @@ def test_sending_waits_for_room_until_the_timeout(
 
 def test_a_lost_hub_ends_reading_and_sending(scripted: tuple[can.BusABC, socket.socket]) -> None:
     theirs, link = scripted
-    link.send(record(9, b"last"))
+    link.send(frame_record(9, b"last"))
     link.close()
     last = theirs.recv(5.0)
     assert last is not None

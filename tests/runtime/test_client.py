@@ -10,11 +10,17 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-import handctl as library
+import run_handctl as library
 from handctl import BusError, ConfigError, DriveError, PowerError
 from handctl.client import HandClient
 from handctl.runtime.mailbox import StatusWatcher, is_running
-from tests.runtime.processes import BUS, handctl, modes_of_complete, start_handctl, wait_for
+from tests.runtime.processes import (
+    LOCAL_BUS,
+    run_handctl,
+    modes_of_complete_log,
+    start_handctl,
+    wait_for_phase,
+)
 
 REALTIME = pytest.mark.realtime
 PROGRAM = """
@@ -137,7 +143,7 @@ def test_an_invalid_bus_starts_no_controller(place, bus):
 def test_a_path_too_long_for_a_socket_is_one_line(tmp_path, monkeypatch):
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path / ("x" * 120)))
     with pytest.raises(BusError, match="HANDCTL_RUN_DIR"):
-        library.connect("jamia", BUS)
+        library.connect("jamia", LOCAL_BUS)
 
 
 def test_dir_lists_the_public_names():
@@ -165,7 +171,7 @@ def test_connect_reports_why_the_controller_ends(place, capfd):
 @REALTIME
 def test_a_program_moves_holds_and_reads_the_state(place, hand, calibrated, scale):
     with library.connect(
-        "jamia", f"main={BUS}", "--calibration", "c.toml", "--log", "live.mcap", *scale
+        "jamia", f"main={LOCAL_BUS}", "--calibration", "c.toml", "--log", "live.mcap", *scale
     ) as client:
         client.move(duration_s=0.4, wait=False, index=30.0)
         client.wait("live", 5.0)
@@ -186,7 +192,7 @@ def test_a_program_moves_holds_and_reads_the_state(place, hand, calibrated, scal
         assert client.state()["t_s"] >= before_s + 0.5, (
             "the duration is in the slower time of the hand"
         )
-        with library.connect("jamia", BUS) as other:
+        with library.connect("jamia", LOCAL_BUS) as other:
             assert other.state()["phase"] == "live"
         assert client.state()["mode"] == "ACTIVE", "a client without requests does not end the run"
         client.hold(thumb=12.0)
@@ -198,14 +204,21 @@ def test_a_program_moves_holds_and_reads_the_state(place, hand, calibrated, scal
         assert state["mode"] == "ACTIVE"
     assert client.child.returncode == 0
     assert client.result["log"] == "live.mcap"
-    modes_of_complete(place / "live.mcap")
+    modes_of_complete_log(place / "live.mcap")
 
 
 @REALTIME
 def test_a_fault_is_reported_by_name(place, hand, calibrated, scale):
-    client = library.connect("jamia", BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale)
+    client = library.connect(
+        "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale
+    )
     with client:
-        assert handctl("fault", "inject", "--bus", BUS, "snap tendon=index_tendon").returncode == 0
+        assert (
+            run_handctl(
+                "fault", "inject", "--bus", LOCAL_BUS, "snap tendon=index_tendon"
+            ).returncode
+            == 0
+        )
         with pytest.raises(DriveError, match="the controller ended: fault "):
             client.move(index=60.0, duration_s=5.0)
         with pytest.raises(DriveError, match="the controller ended: fault "):
@@ -215,10 +228,14 @@ def test_a_fault_is_reported_by_name(place, hand, calibrated, scale):
 
 @REALTIME
 def test_a_fault_between_two_calls_is_reported_at_the_end(place, hand, calibrated, scale):
-    client = library.connect("jamia", BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale)
+    client = library.connect(
+        "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale
+    )
     client.wait("live", 60.0)
-    assert handctl("fault", "inject", "--bus", BUS, "off node=index_motor").returncode == 0
-    wait_until(lambda: not is_running(BUS))
+    assert (
+        run_handctl("fault", "inject", "--bus", LOCAL_BUS, "off node=index_motor").returncode == 0
+    )
+    wait_until(lambda: not is_running(LOCAL_BUS))
     with pytest.raises(
         PowerError, match=r"fault .*; REMOVE POWER: not confirmed disabled: index_motor"
     ):
@@ -232,17 +249,17 @@ def test_a_task_of_another_program_goes_on(place, hand, calibrated, processes, m
         "run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *scale
     )
     processes.append(process)
-    watcher = StatusWatcher(BUS)
-    wait_for("stay", watcher, process)
+    watcher = StatusWatcher(LOCAL_BUS)
+    wait_for_phase("stay", watcher, process)
     watcher.close()
     with (
         pytest.raises(DriveError, match=r"not in phase 'live' after 1 s: phase 'stay'"),
-        library.connect("jamia", BUS),
+        library.connect("jamia", LOCAL_BUS),
     ):
         pass
     time.sleep(1.0)
     assert process.poll() is None
-    assert is_running(BUS)
+    assert is_running(LOCAL_BUS)
 
 
 def start_program(processes, *words):
@@ -258,13 +275,13 @@ def start_program(processes, *words):
 @REALTIME
 def test_ctrl_c_while_it_starts_leaves_no_controller(place, hand, processes, scale):
     program = start_program(processes, "--log", "live.mcap", *scale)
-    wait_until(lambda: is_running(BUS))
+    wait_until(lambda: is_running(LOCAL_BUS))
     program.send_signal(signal.SIGINT)
     _, err = program.communicate(timeout=60.0)
     assert "KeyboardInterrupt" in err
-    assert not is_running(BUS)
+    assert not is_running(LOCAL_BUS)
     time.sleep(2.0)
-    assert not is_running(BUS), "the controller does not continue after commissioning"
+    assert not is_running(LOCAL_BUS), "the controller does not continue after commissioning"
 
 
 @REALTIME
@@ -273,8 +290,8 @@ def test_a_program_that_is_killed_leaves_no_armed_hand(place, hand, calibrated, 
     assert program.stdout.readline() == "live\n"
     program.kill()
     program.wait()
-    wait_until(lambda: not is_running(BUS), 20.0)
-    assert modes_of_complete(place / "live.mcap")[-3:] == [
+    wait_until(lambda: not is_running(LOCAL_BUS), 20.0)
+    assert modes_of_complete_log(place / "live.mcap")[-3:] == [
         "ACTIVE -> RELAX",
         "RELAX -> DISARM",
         "DISARM -> DONE",

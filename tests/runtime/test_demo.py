@@ -3,7 +3,7 @@
 import pytest
 
 from handctl.log.read.reader import RunLog
-from tests.runtime.processes import modes_of_complete, result_of, start_handctl
+from tests.runtime.processes import modes_of_complete_log, process_result, start_handctl
 
 pytestmark = [pytest.mark.realtime, pytest.mark.alone]
 
@@ -23,14 +23,14 @@ FAST = (
 
 def test_the_clock_of_the_demo_pauses_on_a_slow_machine(place, processes):
     processes.append(start_handctl("demo", *FAST))
-    code, result, err = result_of(processes.pop())
+    code, result, err = process_result(processes.pop())
     assert code == 0, err
     assert result["failure"] == ""
     assert result["time_scale"] == 16.0
     assert (result["missed"], result["frames_late"], result["frames_lost"]) == (0, 0, 0)
     assert max(result["tracking_rmse_deg"].values()) < 1.0
     assert result["clock_pauses"] > 0
-    modes_of_complete(place / "run.mcap")
+    modes_of_complete_log(place / "run.mcap")
     with RunLog(place / "run.mcap") as log:
         assert int(log.end["clock_pauses"]) == result["clock_pauses"]
         assert float(log.end["clock_paused_ms"]) == pytest.approx(
@@ -40,5 +40,5 @@ def test_the_clock_of_the_demo_pauses_on_a_slow_machine(place, processes):
 
 def test_a_strict_clock_does_not_pause(place, processes):
     processes.append(start_handctl("demo", "--strict-clock", *FAST))
-    code, _, err = result_of(processes.pop())
+    code, _, err = process_result(processes.pop())
     assert code == 1, err

@@ -16,13 +16,13 @@ from handctl.log.read.reader import RunLog
 from handctl.replay.execute import execute_log
 from handctl.runtime.mailbox import StatusWatcher
 from tests.runtime.processes import (
-    BUS,
-    end,
-    handctl,
+    LOCAL_BUS,
+    end_process,
+    run_handctl,
     start_hand,
     start_handctl,
-    wait_for,
-    write_homed,
+    wait_for_phase,
+    write_homed_calibration,
 )
 
 pytestmark = [pytest.mark.realtime, pytest.mark.alone]
@@ -32,7 +32,7 @@ ROOM = "96m"
 
 @pytest.fixture
 def place(place):
-    write_homed(place / "c.toml", load_hand("jamia"))
+    write_homed_calibration(place / "c.toml", load_hand("jamia"))
     return place
 
 
@@ -76,7 +76,7 @@ def test_a_full_disk_is_reported_and_the_hand_continues_to_hold(place, disk, sca
         "--hand",
         "jamia",
         "--bus",
-        BUS,
+        LOCAL_BUS,
         "--calibration",
         "c.toml",
         "--task",
@@ -84,9 +84,9 @@ def test_a_full_disk_is_reported_and_the_hand_continues_to_hold(place, disk, sca
         *scale,
     )
     process = start_handctl("run", *words, "--log", str(disk / "run.mcap"))
-    watcher = StatusWatcher(BUS)
+    watcher = StatusWatcher(LOCAL_BUS)
     try:
-        wait_for("stay", watcher, process)
+        wait_for_phase("stay", watcher, process)
         full_at = watcher.fresh_line(2.0)["k"]
         fill(disk / "other")
         assert seconds_until(process, b"H08 the disk is full") < 2.5, (
@@ -101,12 +101,12 @@ def test_a_full_disk_is_reported_and_the_hand_continues_to_hold(place, disk, sca
             "a warning does not stop the hand"
         )
         assert min(after["tension_N"]) > 4.0
-        assert handctl("stop", "--bus", BUS).returncode == 0
+        assert run_handctl("stop", "--bus", LOCAL_BUS).returncode == 0
         _, err = process.communicate(timeout=30.0)
     finally:
         watcher.close()
-        end(process)
-        end(simulated)
+        end_process(process)
+        end_process(simulated)
     assert process.returncode == 0, err
     with RunLog(disk / "run.mcap") as log:
         assert not log.warning

@@ -8,7 +8,7 @@ import os
 
 import pytest
 
-from tests.runtime.kills import batches, summary
+from tests.runtime.kills import disturb_in_batches, kill_summary
 
 pytestmark = [pytest.mark.realtime, pytest.mark.alone]
 TIMES = 500 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 8
@@ -17,7 +17,7 @@ SCALE = 0.7
 
 def all_batches(times, seed, scale):
     """Disturb ``times`` controllers, and return the verdict on each."""
-    return [run for batch in batches(times, seed, scale) for run in batch]
+    return [run for batch in disturb_in_batches(times, seed, scale) for run in batch]
 
 
 @pytest.mark.timeout(300 + 15 * TIMES)
@@ -30,7 +30,7 @@ def test_drives_remove_torque_and_logs_end_with_the_last_tick(slower):
     assert [run for run in runs if not run.complete] == [], (
         "a log lacks the last ticks that were on the bus"
     )
-    assert max(run.tension for run in runs) < 5.0, summary(runs)
+    assert max(run.tension for run in runs) < 5.0, kill_summary(runs)
     assert sum(run.driven for run in runs) >= TIMES // 2, (
         "most runs are disturbed while a motor makes torque"
     )

@@ -17,7 +17,7 @@ from handctl.session.plan import RunPlan, default_rate
 from handctl.session.run import make_controller, run_lockstep
 from handctl.session.simulate import SimulatorSettings
 from tests.drives.protocol_bench import hand_file
-from tests.runtime.processes import GO, MOVE
+from tests.runtime.processes import TASK_HEAD, MOVE_PHASE
 
 RUNS = 2
 
@@ -39,7 +39,7 @@ def test_a_run_after_another_one_finds_drives_that_were_disarmed(
 ) -> None:
     path = hand_file(tmp_path, [protocol])
     task = tmp_path / "short.toml"
-    task.write_text(GO + MOVE.format(name="bend", angle=10.0, duration=0.1))
+    task.write_text(TASK_HEAD + MOVE_PHASE.format(name="bend", angle=10.0, duration=0.1))
     hand = load_hand(path)
     rate = default_rate(hand)
     plan = RunPlan(hand, Gains(), rate, (0.5,))

@@ -18,14 +18,14 @@ from handctl import ConfigError, DriveError
 from handctl.client.heartbeat import Heartbeat
 from handctl.log.read.reader import RunLog
 from handctl.runtime.mailbox import Mailbox
-from tests.runtime.processes import BUS, READY_S
+from tests.runtime.processes import LOCAL_BUS, READY_TIMEOUT_S
 
 REALTIME = pytest.mark.realtime
 LEASE_S = 0.6
 HELD_N = 12.0
 PROGRAM = f"""
 import handctl, time
-with handctl.connect("jamia", {BUS!r}, **{{options}}) as hand:
+with handctl.connect("jamia", {LOCAL_BUS!r}, **{{options}}) as hand:
     hand.hold(index={HELD_N})
     hand.wait_for(phase="live")
     print("held", flush=True)
@@ -37,7 +37,7 @@ def hold(**options):
     """Start another client in a process. It holds a tension and then does nothing."""
     command = [sys.executable, "-c", PROGRAM.format(options=options)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    assert select.select([process.stdout], [], [], READY_S)[0]
+    assert select.select([process.stdout], [], [], READY_TIMEOUT_S)[0]
     assert process.stdout.readline() == "held\n"
     return process
 
@@ -62,7 +62,7 @@ def test_a_lost_client_makes_the_hand_relax(place, hand, calibrated, scale, how)
     """Regression: the hand kept the tension of a lost client without a time limit."""
     factor = float(scale[1])
     client = library.connect(
-        "jamia", BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale
+        "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale
     ).open()
     try:
         other = hold(lease_s=LEASE_S, **({"watchdog_s": LEASE_S} if how == "hangs" else {}))
@@ -104,12 +104,12 @@ def test_a_program_that_waits_keeps_its_hold(place, hand, calibrated, scale):
     """
     factor = float(scale[1])
     options = ("--calibration", "c.toml", "--log", "live.mcap", *scale)
-    with library.connect("jamia", BUS, *options, lease_s=LEASE_S) as client:
+    with library.connect("jamia", LOCAL_BUS, *options, lease_s=LEASE_S) as client:
         client.hold(index=HELD_N)
         time.sleep(4.0 * LEASE_S / factor)
         assert client.observe(wait=True).mode == "ACTIVE"
         client.hold()
-        with library.connect("jamia", BUS, lease_s=None) as other:
+        with library.connect("jamia", LOCAL_BUS, lease_s=None) as other:
             other.take_over()
             other.hold(index=HELD_N)
             time.sleep(4.0 * LEASE_S / factor)
@@ -129,7 +129,7 @@ def test_a_program_that_waits_keeps_its_hold(place, hand, calibrated, scale):
 )
 def test_a_wrong_lease_is_one_line(options, line):
     with pytest.raises(ConfigError, match=line):
-        library.connect("jamia", BUS, **options)
+        library.connect("jamia", LOCAL_BUS, **options)
 
 
 def test_a_watchdog_stops_the_signs_of_life(place):

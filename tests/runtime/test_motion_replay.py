@@ -15,16 +15,16 @@ from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.runtime.mailbox import StatusWatcher
 from tests.replay.repeat import mean_angle_differences, tensions_held
-from tests.replay.runs import SCENE
+from tests.replay.runs import CYLINDER_SCENE
 from tests.runtime.processes import (
-    BUS,
-    end,
-    handctl,
-    result_of,
+    LOCAL_BUS,
+    end_process,
+    run_handctl,
+    process_result,
     start_hand,
     start_handctl,
-    wait_for,
-    write_homed,
+    wait_for_phase,
+    write_homed_calibration,
 )
 
 pytestmark = [pytest.mark.realtime, pytest.mark.alone]
@@ -33,18 +33,18 @@ GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 
 @pytest.fixture
 def place(place):
-    (place / "scene.toml").write_text(SCENE.format(friction=0.5))
-    write_homed(place / "c.toml", load_hand("jamia"))
+    (place / "scene.toml").write_text(CYLINDER_SCENE.format(friction=0.5))
+    write_homed_calibration(place / "c.toml", load_hand("jamia"))
     return place
 
 
 def test_a_golden_grasp_repeats_on_the_local_bus(place, scale):
     simulated = start_hand(place / "x.truth", "--hand", "jamia", "--scene", "scene.toml", *scale)
     try:
-        words = ("--hand", "jamia", "--bus", BUS, "--calibration", "c.toml", *scale)
-        done = handctl("replay", "drive", str(GOLDEN), *words, "--log", "again.mcap", "--json")
+        words = ("--hand", "jamia", "--bus", LOCAL_BUS, "--calibration", "c.toml", *scale)
+        done = run_handctl("replay", "drive", str(GOLDEN), *words, "--log", "again.mcap", "--json")
     finally:
-        end(simulated)
+        end_process(simulated)
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
     # At first contact one joint of a digit yields before the other. This makes 2.7 deg here, and
@@ -69,7 +69,7 @@ def test_an_interrupted_replay_reports_its_progress(place, scale):
         "--hand",
         "jamia",
         "--bus",
-        BUS,
+        LOCAL_BUS,
         "--calibration",
         "c.toml",
         *scale,
@@ -79,14 +79,14 @@ def test_an_interrupted_replay_reports_its_progress(place, scale):
     )
     try:
         driving = start_handctl("replay", "drive", str(GOLDEN), *words)
-        watcher = StatusWatcher(BUS)
-        wait_for("playback", watcher, driving)
+        watcher = StatusWatcher(LOCAL_BUS)
+        wait_for_phase("playback", watcher, driving)
         time.sleep(0.6)
         driving.send_signal(signal.SIGINT)
-        code, result, err = result_of(driving)
+        code, result, err = process_result(driving)
         watcher.close()
     finally:
-        end(simulated)
+        end_process(simulated)
     assert code == 1
     assert f"stopped: {result['driven_s']:.2f} of {result['seconds']:.2f} s were driven" in err
     assert result["complete"] is False

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.runtime.processes import READY_S, modes_of_complete, start_handctl
+from tests.runtime.processes import READY_TIMEOUT_S, modes_of_complete_log, start_handctl
 
 README = (Path(__file__).parents[2] / "README.md").read_text()
 LOAD = "import os\nparent = os.getppid()\nwhile os.getppid() == parent: pass"
@@ -42,11 +42,11 @@ def test_the_program_in_the_readme_runs_beside_busy_ones(place, processes, busy)
     assert ran.returncode == 0, ran.stderr[-2000:]
     forces, log = ran.stdout.splitlines()
     assert len(forces.strip("[]").split(",")) == 4
-    modes_of_complete(place / log)
+    modes_of_complete_log(place / log)
 
 
 def ready(simulator: "subprocess.Popen[str]") -> None:
     """Wait until a simulator serves its bus."""
     assert simulator.stdout
-    assert select.select([simulator.stdout], [], [], READY_S)[0], "no ready line"
+    assert select.select([simulator.stdout], [], [], READY_TIMEOUT_S)[0], "no ready line"
     simulator.stdout.readline()

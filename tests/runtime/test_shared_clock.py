@@ -13,7 +13,7 @@ from firmware_sim.bus.ports import is_on_this_machine
 from handctl.runtime.clocks import shared
 from handctl.runtime.clocks.shared import ClockFile, SharedClock
 from handctl.runtime.mailbox import StatusWatcher
-from tests.runtime.processes import BUS, result_of, start_handctl, wait_for
+from tests.runtime.processes import LOCAL_BUS, process_result, start_handctl, wait_for_phase
 
 PERIOD = 2_000_000
 TOLERATED_LATENESS_NS = PERIOD // 10
@@ -248,15 +248,15 @@ def test_a_short_stop_of_a_process_is_no_fault(hand, calibrated, processes, vict
         start_handctl("run", *calibrated, "--task", "short.toml", "--log", "run.mcap", "--json")
     )
     simulator, controller = processes[-2:]
-    with closing(StatusWatcher(BUS)) as watcher:
-        wait_for("bend", watcher, controller)
+    with closing(StatusWatcher(LOCAL_BUS)) as watcher:
+        wait_for_phase("bend", watcher, controller)
     process = simulator if victim == "simulator" else controller
     for _ in range(5):
         process.send_signal(signal.SIGSTOP)
         time.sleep(0.02)
         process.send_signal(signal.SIGCONT)
         time.sleep(0.05)
-    code, result, err = result_of(processes.pop())
+    code, result, err = process_result(processes.pop())
     assert code == 0, err
     assert (result["missed"], result["frames_late"], result["frames_lost"]) == (0, 0, 0)
     assert result["clock_paused_s"] > 0.05

@@ -10,10 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import handctl as library
+import run_handctl as library
 from handctl import ConfigError, DriveError
 from handctl.runtime.mailbox import MAX_WATCHERS, WATCH_REQUEST, Mailbox, StatusWatcher
-from tests.runtime.processes import BUS, READY_S, handctl, modes_of_complete, start_handctl
+from tests.runtime.processes import (
+    LOCAL_BUS,
+    READY_TIMEOUT_S,
+    run_handctl,
+    modes_of_complete_log,
+    start_handctl,
+)
 
 REALTIME = pytest.mark.realtime
 PAGE = (Path(__file__).parents[2] / "docs" / "how-to" / "python.md").read_text()
@@ -23,7 +29,7 @@ PAGE = (Path(__file__).parents[2] / "docs" / "how-to" / "python.md").read_text()
 def live(place, hand, calibrated, scale):
     """Return a client that has started the controller of a simulated hand."""
     with library.connect(
-        "jamia", f"main={BUS}", "--calibration", "c.toml", "--log", "live.mcap", *scale
+        "jamia", f"main={LOCAL_BUS}", "--calibration", "c.toml", "--log", "live.mcap", *scale
     ) as client:
         yield client
 
@@ -31,13 +37,13 @@ def live(place, hand, calibrated, scale):
 @REALTIME
 def test_a_stream_is_followed_observed_logged_and_repeated(place, hand, calibrated, scale):
     with library.connect(
-        "jamia", f"main={BUS}", "--calibration", "c.toml", "--log", "live.mcap", *scale
+        "jamia", f"main={LOCAL_BUS}", "--calibration", "c.toml", "--log", "live.mcap", *scale
     ) as client:
         client.move(index=30.0)
         seen, ready = [], threading.Event()
 
         def watch():
-            with library.connect("jamia", BUS) as other:
+            with library.connect("jamia", LOCAL_BUS) as other:
                 for one in other.observations():
                     ready.set()
                     seen.append((one.k, one.q_deg[:3].mean(), np.degrees(one.q_goal_rad[0])))
@@ -63,8 +69,8 @@ def test_a_stream_is_followed_observed_logged_and_repeated(place, hand, calibrat
         with pytest.raises(DriveError, match="this stream is closed"):
             stream.send([1.0])
     assert client.result["failure"] == ""
-    modes_of_complete(place / "live.mcap")
-    again = handctl("replay", "execute", "live.mcap")
+    modes_of_complete_log(place / "live.mcap")
+    again = run_handctl("replay", "execute", "live.mcap")
     assert again.returncode == 0
     assert " 0 differ" in again.stdout
 
@@ -76,7 +82,7 @@ def test_only_one_of_several_clients_commands_the_hand(live):
     Two threads of one client got no results of their moves.
     """
     live.move(index=10.0, duration_s=0.3)
-    with library.connect("jamia", BUS) as other:
+    with library.connect("jamia", LOCAL_BUS) as other:
         assert other.observe().mode == "ACTIVE"
         with pytest.raises(
             ConfigError, match=f"{live.name} commands this hand, expected take_over"
@@ -166,7 +172,7 @@ def test_the_programs_of_the_page_run(place, processes, scale, example):
     assert len(programs) == 3
     simulator = start_handctl("sim", "--hand", "jamia", "--bus", "local:lab", *scale)
     processes.append(simulator)
-    assert select.select([simulator.stdout], [], [], READY_S)[0]
+    assert select.select([simulator.stdout], [], [], READY_TIMEOUT_S)[0]
     (place / "example.py").write_text(programs[example])
     ran = subprocess.run(
         [sys.executable, "example.py"], capture_output=True, text=True, timeout=300.0

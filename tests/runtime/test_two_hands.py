@@ -5,13 +5,13 @@ import pytest
 from handctl.hand.load import load_hand
 from handctl.runtime.mailbox import StatusWatcher
 from tests.runtime.processes import (
-    handctl,
-    modes_of_complete,
-    result_of,
+    run_handctl,
+    modes_of_complete_log,
+    process_result,
     start_hand,
     start_handctl,
-    wait_for,
-    write_homed,
+    wait_for_phase,
+    write_homed_calibration,
 )
 
 pytestmark = [pytest.mark.realtime, pytest.mark.alone, pytest.mark.nightly]
@@ -22,7 +22,7 @@ SCALE = 0.5
 
 
 def test_a_stop_of_one_hand_leaves_the_other_moving(place, processes, scale):
-    write_homed(place / "c.toml", load_hand("jamia"))
+    write_homed_calibration(place / "c.toml", load_hand("jamia"))
     buses = [f"local:{side}" for side in SIDES]
     runs = []
     for side, bus in zip(SIDES, buses, strict=True):
@@ -43,19 +43,19 @@ def test_a_stop_of_one_hand_leaves_the_other_moving(place, processes, scale):
     watchers = [StatusWatcher(bus) for bus in buses]
     try:
         for watcher, run in zip(watchers, runs, strict=True):
-            wait_for("stay", watcher, run)
-        stopped = handctl("stop", "--bus", buses[0])
+            wait_for_phase("stay", watcher, run)
+        stopped = run_handctl("stop", "--bus", buses[0])
         assert stopped.returncode == 0, stopped.stderr
-        code, result, err = result_of(runs[0])
+        code, result, err = process_result(runs[0])
         assert (code, result["failure"]) == (0, ""), err
         # The second hand still holds its goal until it gets a stop of its own.
         assert runs[1].poll() is None
-        wait_for("stay", watchers[1], runs[1])
+        wait_for_phase("stay", watchers[1], runs[1])
     finally:
         for watcher in watchers:
             watcher.close()
-    assert handctl("stop", "--bus", buses[1]).returncode == 0
-    code, result, err = result_of(runs[1])
+    assert run_handctl("stop", "--bus", buses[1]).returncode == 0
+    code, result, err = process_result(runs[1])
     assert (code, result["failure"]) == (0, ""), err
     for side in SIDES:
-        assert modes_of_complete(place / f"{side}.mcap")[-1] == "DISARM -> DONE"
+        assert modes_of_complete_log(place / f"{side}.mcap")[-1] == "DISARM -> DONE"

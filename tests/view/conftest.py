@@ -26,8 +26,10 @@ def log_path(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     import synthetic
 
     path = tmp_path_factory.mktemp("view") / f"{request.param}.mcap"
-    synthetic.write(
-        path, synthetic.header(request.param, 100, offset_ns=1_760_000_000_123_456_789), SECONDS
+    synthetic.write_synthetic_run(
+        path,
+        synthetic.synthetic_header(request.param, 100, offset_ns=1_760_000_000_123_456_789),
+        SECONDS,
     )
     return path
 
@@ -38,7 +40,7 @@ def jamia_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     import synthetic
 
     path = tmp_path_factory.mktemp("view") / "run.mcap"
-    synthetic.write(path, synthetic.header(rate_hz=100), SECONDS)
+    synthetic.write_synthetic_run(path, synthetic.synthetic_header(rate_hz=100), SECONDS)
     return path
 
 

@@ -59,10 +59,10 @@ def test_a_growing_log_arrives_in_the_viewer(
         monkeypatch.setenv(name, value)
     path, run = (
         tmp_path / "run.mcap",
-        synthetic.header(rate_hz=100, deterministic=False, offset_ns=10**18),
+        synthetic.synthetic_header(rate_hz=100, deterministic=False, offset_ns=10**18),
     )
     follower = start_live(path, "--headless", "--window-size", "800x600")
-    recorder, ticks = Recorder.start(path, run), list(synthetic.Synthetic(run, 4.0))
+    recorder, ticks = Recorder.start(path, run), list(synthetic.SyntheticTicks(run, 4.0))
     viewers: list[psutil.Process] = []
     try:
         for tick_in, out in ticks[:200]:
@@ -92,11 +92,11 @@ def test_live_view_ends_with_its_viewer(
 
     for name, value in vulkan.items():
         monkeypatch.setenv(name, value)
-    path, run = tmp_path / "run.mcap", synthetic.header(rate_hz=100)
+    path, run = tmp_path / "run.mcap", synthetic.synthetic_header(rate_hz=100)
     recorder = Recorder.start(path, run)
     follower = start_live(path, "--headless", "--window-size", "400x300")
     try:
-        for tick_in, out in synthetic.Synthetic(run, 1.0):
+        for tick_in, out in synthetic.SyntheticTicks(run, 1.0):
             recorder.record(pack_tick_record(tick_in, out))
         assert wait_for(ViewerClient.connect(url_of(follower)), 1) > 0, (
             "the follower is connected to its viewer"

@@ -14,7 +14,7 @@ from handctl.log.read.reader import RunLog
 from handctl.programs.calibration import Calibration, TendonCalibration
 from handctl.session.calibration import write_calibration
 from tests.replay.repeat import mean_angle_differences, tensions_held
-from tests.replay.runs import SCENE
+from tests.replay.runs import CYLINDER_SCENE
 
 HANDCTL = Path(sys.executable).with_name("handctl")
 GOLDEN = Path(__file__).parents[3] / "logs" / "golden" / "jamia-grasp.mcap"
@@ -29,7 +29,7 @@ SIMULATED = ["--homed", "--scene", str(SCENE_FILE), "--time-scale", str(SLOWER)]
 
 @pytest.fixture(scope="module", autouse=True)
 def scene() -> None:
-    SCENE_FILE.write_text(SCENE.format(friction=0.5))
+    SCENE_FILE.write_text(CYLINDER_SCENE.format(friction=0.5))
 
 
 def _write_homed_calibration(path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 from benchmarks import streaming
 from handctl import DriveError, UnconfirmedError
 from handctl.hand.load import load_hand
-from tests.runtime.processes import HOMED, write_homed
+from tests.runtime.processes import HOMED_OPTIONS, write_homed_calibration
 from tests.vcan.inside.conftest import SIMULATOR, STALL_FAULTS, TIME_SCALE
 
 TIME_SCALES = (TIME_SCALE, 0.7 * TIME_SCALE, 0.4 * TIME_SCALE)
@@ -32,7 +32,7 @@ def test_a_streamed_sine_is_followed_like_a_task(
     monkeypatch.setattr(streaming, "TRACKED_S", TRACKED_S)
     monkeypatch.setattr(streaming, "INTERPOLATIONS", ("minimum_jerk",))
     calibration = tmp_path / "jamia.calibration.toml"
-    write_homed(calibration, load_hand("jamia"))
+    write_homed_calibration(calibration, load_hand("jamia"))
     for time_scale in TIME_SCALES:
         with contextlib.suppress(GuestStoppedError):
             result = tracking(time_scale, calibration)
@@ -54,7 +54,9 @@ def tracking(time_scale: float, calibration: Path) -> dict[str, Any]:
         GuestStoppedError: client, controller or simulated hand did not run for a while.
     """
     try:
-        return streaming.measure_tracking("socketcan:vcan0", time_scale, (calibration, HOMED))
+        return streaming.measure_tracking(
+            "socketcan:vcan0", time_scale, (calibration, HOMED_OPTIONS)
+        )
     except UnconfirmedError as error:  # the controller ended before a request
         raise GuestStoppedError from error
     except DriveError as error:
