@@ -22,43 +22,43 @@ from handctl.safety.action import Action
 from handctl.session.plan import default_rate
 from handctl.session.simulate import SimulatedRun
 
-FAULT_S = 2.0
+OPERATOR_DELAY_S = 2.0
 """Time from the fault until the operator stops the run [s]."""
-STOPPED_S = 1.5
+AFTER_STOP_S = 1.5
 """Time from the stop by the operator to the end of the run [s]."""
-STOP = '{"do": "stop"}'
+STOP_REQUEST = '{"do": "stop"}'
 HOLD_N = 90.0
 FAST_RISE_N_PER_S = 60.0
-FREE = "free"
-LOW = "hold 24"
-RISING = "rising"
-HIGH = "hold 90"
-STAGES = (FREE, LOW, RISING, HIGH)
-GRASPED = (LOW, HIGH)
-FAULTS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
-    ("registers lost, as saved", "forget node={motor}", STAGES),
-    ("registers lost, TMAX 10 N m", "forget node={motor} size=10", STAGES),
-    ("encoder slips by 0.5 rad/s", "drift encoder={motor} size=0.5", STAGES),
-    ("encoder slips by -0.5 rad/s", "drift encoder={motor} size=-0.5", STAGES),
-    ("encoder slips by 2 rad/s", "drift encoder={motor} size=2", STAGES),
-    ("encoder slips by -2 rad/s", "drift encoder={motor} size=-2", STAGES),
-    ("encoder scale 0.5", "scale encoder={motor} size=0.5", STAGES),
-    ("encoder scale 1.5", "scale encoder={motor} size=1.5", STAGES),
-    ("sensor frames 16 ticks old", "replay node=sensors size=16", STAGES),
-    ("sensor frames 32 ticks old", "replay node=sensors size=32", STAGES),
-    ("load cell 16 ticks old", "old cell={tendon} size=16", STAGES),
-    ("load cell 30 ticks old", "old cell={tendon} size=30", STAGES),
-    ("load cell 50 ticks old", "old cell={tendon} size=50", STAGES),
-    ("ripple 0.1 N m at 20 Hz", "ripple node={motor} size=0.1 hz=20", STAGES),
-    ("ripple 0.2 N m at 20 Hz", "ripple node={motor} size=0.2 hz=20", STAGES),
-    ("ripple 0.2 N m at 30 Hz", "ripple node={motor} size=0.2 hz=30", STAGES),
-    ("ripple 0.2 N m at 40 Hz", "ripple node={motor} size=0.2 hz=40", STAGES),
-    ("runaway at torque_max_N_m", "runaway node={motor}", STAGES),
-    ("runaway at torque_peak_N_m", "runaway node={motor} size={peak}", STAGES),
+FREE_STAGE = "free"
+LOW_HOLD_STAGE = "hold 24"
+RISING_STAGE = "rising"
+HIGH_HOLD_STAGE = "hold 90"
+FAULT_STAGES = (FREE_STAGE, LOW_HOLD_STAGE, RISING_STAGE, HIGH_HOLD_STAGE)
+GRASPED_STAGES = (LOW_HOLD_STAGE, HIGH_HOLD_STAGE)
+HIDDEN_FAULTS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
+    ("registers lost, as saved", "forget node={motor}", FAULT_STAGES),
+    ("registers lost, TMAX 10 N m", "forget node={motor} size=10", FAULT_STAGES),
+    ("encoder slips by 0.5 rad/s", "drift encoder={motor} size=0.5", FAULT_STAGES),
+    ("encoder slips by -0.5 rad/s", "drift encoder={motor} size=-0.5", FAULT_STAGES),
+    ("encoder slips by 2 rad/s", "drift encoder={motor} size=2", FAULT_STAGES),
+    ("encoder slips by -2 rad/s", "drift encoder={motor} size=-2", FAULT_STAGES),
+    ("encoder scale 0.5", "scale encoder={motor} size=0.5", FAULT_STAGES),
+    ("encoder scale 1.5", "scale encoder={motor} size=1.5", FAULT_STAGES),
+    ("sensor frames 16 ticks old", "replay node=sensors size=16", FAULT_STAGES),
+    ("sensor frames 32 ticks old", "replay node=sensors size=32", FAULT_STAGES),
+    ("load cell 16 ticks old", "old cell={tendon} size=16", FAULT_STAGES),
+    ("load cell 30 ticks old", "old cell={tendon} size=30", FAULT_STAGES),
+    ("load cell 50 ticks old", "old cell={tendon} size=50", FAULT_STAGES),
+    ("ripple 0.1 N m at 20 Hz", "ripple node={motor} size=0.1 hz=20", FAULT_STAGES),
+    ("ripple 0.2 N m at 20 Hz", "ripple node={motor} size=0.2 hz=20", FAULT_STAGES),
+    ("ripple 0.2 N m at 30 Hz", "ripple node={motor} size=0.2 hz=30", FAULT_STAGES),
+    ("ripple 0.2 N m at 40 Hz", "ripple node={motor} size=0.2 hz=40", FAULT_STAGES),
+    ("runaway at torque_max_N_m", "runaway node={motor}", FAULT_STAGES),
+    ("runaway at torque_peak_N_m", "runaway node={motor} size={peak}", FAULT_STAGES),
 )
 
 
-def task() -> dict[str, Any]:
+def rising_hold_task() -> dict[str, Any]:
     """Return the task of the campaign, with an added phase in which the tension rises to 90 N and stays there."""
     other = copy.deepcopy(CAMPAIGN_TASK)
     hold = other["phase"][-1]
@@ -77,11 +77,13 @@ def task() -> dict[str, Any]:
 def is_at_stage(stage: str, out: Any, first: int) -> bool:
     """Return True if a run is at a stage. ``first`` is the number of ticks that the free phase has lasted."""
     tension = float(out.telemetry.tension.max())
-    if stage == FREE:
+    if stage == FREE_STAGE:
         return bool(out.phase == "free" and first > 100)
-    if stage == LOW:
+    if stage == LOW_HOLD_STAGE:
         return bool(out.phase == "hold" and tension > 20.0)
-    return bool(out.phase == "rise" and tension > (40.0 if stage == RISING else 0.95 * HOLD_N))
+    return bool(
+        out.phase == "rise" and tension > (40.0 if stage == RISING_STAGE else 0.95 * HOLD_N)
+    )
 
 
 def run_with_fault(simulation: SimulatedRun, text: str) -> dict[str, Any]:
@@ -96,10 +98,13 @@ def run_with_fault(simulation: SimulatedRun, text: str) -> dict[str, Any]:
     reacted = -1.0
     tension = 0.0
     stopped = 0.0
-    watched, end = (round(s * 1e9 / simulation.period_ns) for s in (FAULT_S, FAULT_S + STOPPED_S))
+    watched, end = (
+        round(s * 1e9 / simulation.period_ns)
+        for s in (OPERATOR_DELAY_S, OPERATOR_DELAY_S + AFTER_STOP_S)
+    )
     for i in range(end):
         stops = i == watched and reacted < 0
-        out = simulation.tick(requests=(STOP,) if stops else ())
+        out = simulation.tick(requests=(STOP_REQUEST,) if stops else ())
         effect = simulation.peer.fault_states()[-1]
         effect_ns = effect["first_ns"] if effect["first_ns"] >= 0 else start * simulation.period_ns
         detected += [
@@ -120,7 +125,9 @@ def run_with_fault(simulation: SimulatedRun, text: str) -> dict[str, Any]:
             "felt": bool(simulation.peer.fault_states()[-1]["felt"])}  # fmt: skip
 
 
-def rows(hand_name: str, protocol: str, seed: int, selected_fault: str) -> Iterator[dict[str, Any]]:
+def fault_rows(
+    hand_name: str, protocol: str, seed: int, selected_fault: str
+) -> Iterator[dict[str, Any]]:
     """Yield a row for every fault in every stage of one run.
 
     Each fault is injected in a forked copy of this process.
@@ -134,8 +141,8 @@ def rows(hand_name: str, protocol: str, seed: int, selected_fault: str) -> Itera
         "tendon": tendon.name,
         "peak": f"{motor.torque_peak_N_m / motor.torque_max_N_m:.6g}",
     }
-    with homed_run(hand, rate, seed, task=task()) as simulation:
-        for stage in STAGES:
+    with homed_run(hand, rate, seed, task=rising_hold_task()) as simulation:
+        for stage in FAULT_STAGES:
             first = 0
             for _ in range(round(15.0 * rate)):
                 out = simulation.tick()
@@ -146,7 +153,7 @@ def rows(hand_name: str, protocol: str, seed: int, selected_fault: str) -> Itera
                 raise SystemExit(
                     f"seed {seed}: no {stage}: {simulation.state.failure or out.phase}"
                 )
-            for name, text, stages in FAULTS:
+            for name, text, stages in HIDDEN_FAULTS:
                 if stage in stages and selected_fault in name:
                     reading, writing = os.pipe()
                     if os.fork() == 0:
@@ -166,7 +173,7 @@ def rows(hand_name: str, protocol: str, seed: int, selected_fault: str) -> Itera
                     os.wait()
 
 
-def table(results: list[dict[str, Any]]) -> str:
+def results_table(results: list[dict[str, Any]]) -> str:
     """Tabulate relaxed runs, reported faults, latest reaction and largest true tension for each fault and stage."""
     lines = ["| fault | stage | relaxed or cut | by (runs) | at the latest, ms | true tension, N | after a stop, N |",
              "|---|---|---|---|---|---|---|"]  # fmt: skip
@@ -200,9 +207,11 @@ def main() -> None:
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     args = parser.parse_args()
     results = [
-        row for seed in range(args.seeds) for row in rows(args.hand, args.protocol, seed, args.only)
+        row
+        for seed in range(args.seeds)
+        for row in fault_rows(args.hand, args.protocol, seed, args.only)
     ]
-    print(json.dumps(results, indent=1) if args.json else table(results))
+    print(json.dumps(results, indent=1) if args.json else results_table(results))
 
 
 if __name__ == "__main__":

@@ -16,13 +16,13 @@ from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import load_task
 from handctl.session.simulate import SimulatorSettings
 
-RATES = {"jamia": 500.0, "jamia11": 200.0}
+RATE_BY_HAND_HZ = {"jamia": 500.0, "jamia11": 200.0}
 """Default control rate of each hand on one classical bus [Hz]."""
-HEAD = 'schema = 1\nname = "benchmark"\ndescription = "for lockstep.py"\n'
+TASK_HEAD = 'schema = 1\nname = "benchmark"\ndescription = "for lockstep.py"\n'
 
 
 @dataclass(frozen=True)
-class Free:
+class FreeMotionSetup:
     """Program that moves the fingers without an object."""
 
     scene: ClassVar[str | None] = None
@@ -34,7 +34,7 @@ class Free:
 
 
 @dataclass(frozen=True)
-class Grasp:
+class GraspSetup:
     """Program that grasps a cylinder on a table and holds it."""
 
     scene: ClassVar[str | None] = "cylinder"
@@ -47,7 +47,7 @@ class Grasp:
     repeat: ClassVar[int] = 1
 
 
-class Stack:
+class LockstepStack:
     """A homed simulated hand with its controller, which runs tick by tick.
 
     Attributes:
@@ -56,10 +56,12 @@ class Stack:
         peer: simulated nodes on the bus.
     """
 
-    def __init__(self, hand: str, rate_hz: float, scene: type[Free | Grasp]) -> None:
+    def __init__(
+        self, hand: str, rate_hz: float, scene: type[FreeMotionSetup | GraspSetup]
+    ) -> None:
         with TemporaryDirectory() as folder:
             path = Path(folder) / "task.toml"
-            path.write_text(HEAD + scene.task * scene.repeat)
+            path.write_text(TASK_HEAD + scene.task * scene.repeat)
             program = TaskProgram(load_task(path))
         controller = make_controller(
             load_hand(hand), Gains(), rate_hz, program, None, arm_at_once=True
@@ -83,7 +85,7 @@ class Stack:
             took.append(now() - before)
         return took
 
-    def behind_the_wire(self, seconds: float) -> list[float]:
+    def simulator_tick_times(self, seconds: float) -> list[float]:
         """Run for a simulated time [s]. Return the CPU time of the simulator with its plant in each tick [s]."""
         clock = self.simulation._clock
         took = []

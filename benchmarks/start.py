@@ -22,19 +22,19 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-LONGEST_S = 600.0
+FRAME_TIMEOUT_S = 600.0
 """Longest time to wait for a frame, with compilation [s]."""
-BUS = "start"
+BUS_NAME = "start"
 """Name of the local bus."""
-RUNS = {"handctl run": "jamia", "handctl run, 11 motors": "jamia11"}
+HAND_BY_RUN = {"handctl run": "jamia", "handctl run, 11 motors": "jamia11"}
 """Packaged hand of each measured run."""
 
 
-class Start(NamedTuple):
+class StartTime(NamedTuple):
     """Wall time of a start [s], and CPU time of the started process until then [s]."""
 
-    wall: float
-    cpu: float
+    wall_s: float
+    cpu_s: float
 
 
 def main() -> None:
@@ -51,30 +51,30 @@ def main() -> None:
             "PYTHONDONTWRITEBYTECODE", None
         )  # without stored byte code each start would compile 300 modules
         os.environ["PYTHONPYCACHEPREFIX"] = folder
-        result = measure(args.repeats, Path(folder))
-    print(json.dumps(result, indent=2)) if args.json else show(result)
+        result = measure_starts(args.repeats, Path(folder))
+    print(json.dumps(result, indent=2)) if args.json else print_results(result)
 
 
-def measure(repeats: int, folder: Path) -> dict[str, list[Start]]:
+def measure_starts(repeats: int, folder: Path) -> dict[str, list[StartTime]]:
     """Return the times of all starts of each program. The programs are started in turns."""
-    command = [sys.executable, "-m", "firmware_sim", "bus", BUS]
+    command = [sys.executable, "-m", "firmware_sim", "bus", BUS_NAME]
     hub = subprocess.Popen(
         command, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[1]
     )
     assert hub.stdout
     hub.stdout.readline()
-    measures: dict[str, Callable[[], Start]] = {
+    measures: dict[str, Callable[[], StartTime]] = {
         "python -c 'import numpy'": lambda: time_until_exit([sys.executable, "-c", "import numpy"]),
         "handctl run --help": lambda: time_until_exit(
             [sys.executable, "-m", "handctl.cli", "run", "--help"]
         ),
     }
-    for name, hand in RUNS.items():
+    for name, hand in HAND_BY_RUN.items():
         measures[name] = partial(until_first_frame, hand, folder)
     try:
         for one in measures.values():
             one()  # The first start compiles, and fills the disk cache.
-        times: dict[str, list[Start]] = {name: [] for name in measures}
+        times: dict[str, list[StartTime]] = {name: [] for name in measures}
         for _ in range(repeats):
             for name, one in measures.items():
                 times[name].append(one())
@@ -84,32 +84,32 @@ def measure(repeats: int, folder: Path) -> dict[str, list[Start]]:
         hub.wait()
 
 
-def time_until_exit(command: list[str]) -> Start:
+def time_until_exit(command: list[str]) -> StartTime:
     """Return the wall time and CPU time of a command from its start to its end."""
-    before = cpu_of_children()
+    before = children_cpu_s()
     begin = time.monotonic()
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-    return Start(time.monotonic() - begin, cpu_of_children() - before)
+    return StartTime(time.monotonic() - begin, children_cpu_s() - before)
 
 
-def cpu_of_children() -> float:
+def children_cpu_s() -> float:
     """Return the CPU time of all ended child processes [s]."""
     usage = resource.getrusage(resource.RUSAGE_CHILDREN)
     return usage.ru_utime + usage.ru_stime
 
 
-def cpu_of(pid: int) -> float:
+def process_cpu_s(pid: int) -> float:
     """Return the CPU time of a running process [s]."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def until_first_frame(hand: str, folder: Path) -> Start:
+def until_first_frame(hand: str, folder: Path) -> StartTime:
     """Return the wall time and CPU time from the start of ``handctl run`` to its first frame."""
     from handctl.runtime.buses.local import connect_to_hub
 
-    listener = connect_to_hub(BUS)
-    words = ["run", "--hand", hand, "--bus", f"local:{BUS}", "--log", str(folder / "run.mcap")]
+    listener = connect_to_hub(BUS_NAME)
+    words = ["run", "--hand", hand, "--bus", f"local:{BUS_NAME}", "--log", str(folder / "run.mcap")]
     begin = time.monotonic()
     run = subprocess.Popen(
         [sys.executable, "-m", "handctl.cli", *words],
@@ -118,9 +118,11 @@ def until_first_frame(hand: str, folder: Path) -> Start:
         stderr=subprocess.DEVNULL,
     )
     try:
-        if not select.select([listener], [], [], LONGEST_S)[0]:
-            raise SystemExit(f"handctl {' '.join(words)} has sent no frame within {LONGEST_S:g} s")
-        return Start(time.monotonic() - begin, cpu_of(run.pid))
+        if not select.select([listener], [], [], FRAME_TIMEOUT_S)[0]:
+            raise SystemExit(
+                f"handctl {' '.join(words)} has sent no frame within {FRAME_TIMEOUT_S:g} s"
+            )
+        return StartTime(time.monotonic() - begin, process_cpu_s(run.pid))
     finally:
         run.terminate()
         run.wait()
@@ -128,12 +130,12 @@ def until_first_frame(hand: str, folder: Path) -> Start:
         (folder / "run.mcap").unlink(missing_ok=True)
 
 
-def show(result: dict[str, list[Start]]) -> None:
+def print_results(result: dict[str, list[StartTime]]) -> None:
     """Print a table of the times."""
     print(f"{'program':28} {'median [s]':>11} {'smallest':>9} {'largest':>8} {'CPU [s]':>8}")
     for name, starts in result.items():
-        times = [start.wall for start in starts]
-        cpu = statistics.median(start.cpu for start in starts)
+        times = [start.wall_s for start in starts]
+        cpu = statistics.median(start.cpu_s for start in starts)
         print(
             f"{name:28} {statistics.median(times):11.2f} {min(times):9.2f} {max(times):8.2f} {cpu:8.2f}"
         )

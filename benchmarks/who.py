@@ -5,7 +5,7 @@ import pstats
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 
-PARTS = {
+PART_MARKS = {
     "mj_step": ("mj_step", "firmware_sim/plant/drivetrain.py/steps"),
     "plant around its steps": ("firmware_sim/plant/plant", "firmware_sim/plant/tendon", "firmware_sim/plant/motor",
         "firmware_sim/plant/engine", "firmware_sim/scene/support", "firmware_sim/plant/drivetrain"),
@@ -30,10 +30,10 @@ them. Each stage of the tick is therefore recognised by the method that runs it.
 calls ``mj_step``, so that the time of ``mj_step`` includes tendons and rotors.
 """
 
-Function = tuple[str, int, str]
+ProfiledFunction = tuple[str, int, str]
 
 
-def spent(work: Callable[[], None]) -> dict[str, float]:
+def cpu_time_fractions(work: Callable[[], None]) -> dict[str, float]:
     """Return the fraction of the time that each part takes.
 
     The profiler slows down Python calls, so that compiled code seems faster.
@@ -43,20 +43,22 @@ def spent(work: Callable[[], None]) -> dict[str, float]:
     stats = pstats.Stats(profile).stats
     total: dict[str, float] = defaultdict(float)
     for function, (_, _, self_s, _, _) in stats.items():
-        for part, fraction in _owners(stats, function, 6):
+        for part, fraction in _parts_of_function(stats, function, 6):
             total[part] += self_s * fraction
     whole = sum(total.values())
     return {part: value / whole for part, value in sorted(total.items(), key=lambda row: -row[1])}
 
 
-def _owners(stats: dict, function: Function, depth: int) -> Iterator[tuple[str, float]]:
+def _parts_of_function(
+    stats: dict, function: ProfiledFunction, depth: int
+) -> Iterator[tuple[str, float]]:
     """Yield the parts to which a function belongs, with fractions.
 
     These are its own part, or the parts of its callers in proportion to their time.
     """
     name = f"{function[0]}/{function[2]}"
     part = next(
-        (part for part, marks in PARTS.items() if any(mark in name for mark in marks)), None
+        (part for part, marks in PART_MARKS.items() if any(mark in name for mark in marks)), None
     )
     callers = stats[function][4]
     if part or not callers or not depth:
@@ -64,5 +66,5 @@ def _owners(stats: dict, function: Function, depth: int) -> Iterator[tuple[str, 
         return
     whole = sum(times[3] for times in callers.values()) or 1.0
     for caller, times in callers.items():
-        for owner, fraction in _owners(stats, caller, depth - 1):
+        for owner, fraction in _parts_of_function(stats, caller, depth - 1):
             yield owner, fraction * times[3] / whole

@@ -46,7 +46,7 @@ A count without such a quantity is absolute.
 LONG_LINE_CHARACTERS = 100
 """Number of characters above which a line counts as long."""
 LIMITS_PER_UNIT = 2
-"""Limits are multiples of 1 / ROUNDING, so that a single sentence does not exceed a limit."""
+"""Limits are multiples of 1 / LIMITS_PER_UNIT, so that a single sentence does not exceed a limit."""
 
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+")
 _PROSE = {

@@ -13,16 +13,16 @@ import struct
 from types import SimpleNamespace
 
 import can
-from exchange.ways import feedback
+from exchange.ways import feedback_frame
 
 
-class Damiao:
+class DamiaoClient:
     """Client damiao-motor, without its polling thread.
 
     The method `receive` polls the bus, and this thread does not run.
     """
 
-    answer = staticmethod(feedback)
+    reply_of = staticmethod(feedback_frame)
 
     def __init__(self, interface, channel, motors):
         from damiao_motor import DaMiaoController
@@ -46,23 +46,23 @@ class Damiao:
         self.controller.shutdown()
 
 
-class Odrive:
+class OdriveClient:
     """Client odrive-can, which encodes a torque with its DBC and decodes a position with its reader."""
 
-    AXES = 8
+    DBC_AXIS_COUNT = 8
     """Number of axes in the DBC of odrive-can."""
 
     def __init__(self, interface, channel, motors):
         from odrive_can import odrive
 
-        if motors > self.AXES:
-            raise ValueError(f"the DBC of odrive-can has {self.AXES} axes")
+        if motors > self.DBC_AXIS_COUNT:
+            raise ValueError(f"the DBC of odrive-can has {self.DBC_AXIS_COUNT} axes")
         self.bus = can.Bus(channel, interface=interface, ignore_config=True)
         self.read = odrive.CanMsg
         self.drives = [odrive.ODriveCAN(axis_id=i, can_bus=self.bus) for i in range(motors)]
 
     @staticmethod
-    def answer(motor):
+    def reply_of(motor):
         return (motor - 1) << 5 | 0x09, struct.pack("<ff", 1.5, 0.1), 0
 
     def send(self, torques):
@@ -78,7 +78,7 @@ class Odrive:
         self.bus.shutdown()
 
 
-class TMotor:
+class TMotorClient:
     """Client TMotorCANControl for a CubeMars AK80-9. This class makes the calls of its notifier thread.
 
     The manager of the client supports only can0. Therefore its command ``sudo ip link set can0`` is
@@ -105,7 +105,7 @@ class TMotor:
             motor.set_current_gains()
 
     @staticmethod
-    def answer(motor):
+    def reply_of(motor):
         return motor, bytes((motor, 0x80, 0x10, 0x7F, 0xF8, 0x20, 30, 0)), 0
 
     def send(self, torques):
@@ -124,7 +124,7 @@ class TMotor:
         self.bus.shutdown()
 
 
-class Moteus:
+class MoteusClient:
     """Client moteus over python-can in CAN FD, which sends a position command with a torque and the default query."""
 
     def __init__(self, interface, channel, motors):
@@ -142,7 +142,7 @@ class Moteus:
         self.nan = float("nan")
 
     @staticmethod
-    def answer(motor):
+    def reply_of(motor):
         motion = b"\x2f\x01" + struct.pack("<fff", 0.1, 0.2, 0.3)
         data = b"\x21\x00\x0a" + motion + b"\x23\x0d\x30\x20\x00"
         extended = 0x80000000 if motor << 8 > 0x7FF else 0
@@ -175,9 +175,9 @@ class Moteus:
         self.loop.close()
 
 
-CLIENTS = {
-    "damiao-motor": Damiao,
-    "odrive-can": Odrive,
-    "TMotorCANControl": TMotor,
-    "moteus": Moteus,
+CLIENT_BY_PACKAGE = {
+    "damiao-motor": DamiaoClient,
+    "odrive-can": OdriveClient,
+    "TMotorCANControl": TMotorClient,
+    "moteus": MoteusClient,
 }

@@ -7,11 +7,11 @@ from collections.abc import Callable
 from contextlib import contextmanager
 from pathlib import Path
 
-CLASSICAL = struct.Struct("=IB3x8s")
-FD = struct.Struct("=IBB2x64s")
-RECORD = struct.Struct("<IBBH64s")
+CLASSICAL_FRAME_STRUCT = struct.Struct("=IB3x8s")
+FD_FRAME_STRUCT = struct.Struct("=IBB2x64s")
+FRAME_RECORD_STRUCT = struct.Struct("<IBBH64s")
 FDF = 4
-Answer = Callable[[int], tuple[int, bytes, int]]
+ReplyFunction = Callable[[int], tuple[int, bytes, int]]
 """Function that returns identifier, payload and flags of the reply of a motor. Motors are numbered from 1."""
 
 
@@ -25,16 +25,17 @@ class LocalMotors:
         self.listener.listen()
         self.link = None
 
-    def answer(self, motors: int, of: Answer) -> None:
+    def send_replies(self, motors: int, reply_of: ReplyFunction) -> None:
         if self.link is None:
             self.link, _ = self.listener.accept()
         size = 0
-        while size < motors * RECORD.size:
+        while size < motors * FRAME_RECORD_STRUCT.size:
             size += len(self.link.recv(1 << 16))
-        answers = [of(i + 1) for i in range(motors)]
+        answers = [reply_of(i + 1) for i in range(motors)]
         self.link.sendall(
             b"".join(
-                RECORD.pack(can_id, len(data), flags, 0, data) for can_id, data, flags in answers
+                FRAME_RECORD_STRUCT.pack(can_id, len(data), flags, 0, data)
+                for can_id, data, flags in answers
             )
         )
 
@@ -54,26 +55,29 @@ class VcanMotors:
         self.link.bind((name,))
         self.link.settimeout(5.0)
 
-    def answer(self, motors: int, of: Answer) -> None:
+    def send_replies(self, motors: int, reply_of: ReplyFunction) -> None:
         for _ in range(motors):
-            self.link.recv(FD.size)
+            self.link.recv(FD_FRAME_STRUCT.size)
         for i in range(motors):
-            can_id, data, flags = of(i + 1)
-            fd = FD.pack(can_id, len(data), flags, data) if flags & FDF else b""
-            self.link.send(fd or CLASSICAL.pack(can_id, len(data), data))
+            can_id, data, flags = reply_of(i + 1)
+            fd = FD_FRAME_STRUCT.pack(can_id, len(data), flags, data) if flags & FDF else b""
+            self.link.send(fd or CLASSICAL_FRAME_STRUCT.pack(can_id, len(data), data))
 
     def close(self) -> None:
         self.link.close()
 
 
-MEDIA = {"local": (LocalMotors, "local", "b"), "vcan": (VcanMotors, "socketcan", "vcan0")}
+MOTORS_BY_MEDIUM = {
+    "local": (LocalMotors, "local", "b"),
+    "vcan": (VcanMotors, "socketcan", "vcan0"),
+}
 """Class of the motors, interface and channel of each bus."""
 
 
 @contextmanager
 def motors_on(medium: str):
     """Start the motors of a bus, and yield them with interface and channel of this bus."""
-    made, interface, channel = MEDIA[medium]
+    made, interface, channel = MOTORS_BY_MEDIUM[medium]
     motors = made(channel)
     try:
         yield motors, interface, channel

@@ -6,11 +6,11 @@ The clients from the package index are in the module ``clients``.
 from functools import cache
 from pathlib import Path
 
-LIMIT = 0.8
-POSITION = 12.5
-VELOCITY = 50.0
-REPLY = bytes((0x80, 0x10, 0x7F, 0xF8, 0x20, 30, 31))
-DBC = """VERSION ""
+TORQUE_RANGE_N_M = 0.8
+POSITION_RANGE_RAD = 12.5
+VELOCITY_RANGE_RAD_S = 50.0
+FEEDBACK_TAIL = bytes((0x80, 0x10, 0x7F, 0xF8, 0x20, 30, 31))
+MIT_DBC_TEXT = """VERSION ""
 NS_ :
 BS_:
 BU_: H
@@ -31,16 +31,16 @@ BO_ 17 Feedback: 8 H
 """
 
 
-def feedback(motor: int) -> tuple[int, bytes, int]:
+def feedback_frame(motor: int) -> tuple[int, bytes, int]:
     """Return the feedback frame that an enabled Damiao motor sends with its MST_ID."""
-    return 0x10 + motor, bytes((0x10 | motor,)) + REPLY, 0
+    return 0x10 + motor, bytes((0x10 | motor,)) + FEEDBACK_TAIL, 0
 
 
 RATE_HZ = 200.0
 
 
 @cache
-def enabled(motors):
+def enabled_controller(motors):
     """Return a controller of a packaged hand with this many MIT motors, and a state in which all motors are enabled."""
     from handctl.core.gains.gains import Gains
     from handctl.core.model import HandModel
@@ -59,10 +59,10 @@ def enabled(motors):
         return controller, run.state
 
 
-class Ours:
+class HandctlExchange:
     """Bus and compiled codec of handctl, which also update the state of each drive as in a tick."""
 
-    answer = staticmethod(feedback)
+    reply_of = staticmethod(feedback_frame)
 
     def __init__(self, interface, channel, motors):
         import numpy as np
@@ -72,10 +72,10 @@ class Ours:
         from handctl.drives.records import WORDS_PER_RECORD
         from handctl.runtime.buses.open import open_bus
 
-        self.controller, state = enabled(motors)
+        self.controller, state = enabled_controller(motors)
         self.state = state.copy()
-        self.want = DriveTarget.ENABLE
-        self.start = wire.begin_tick
+        self.drive_target = DriveTarget.ENABLE
+        self.begin_tick = wire.begin_tick
         self.np = np
         self.shape = 1 + motors, WORDS_PER_RECORD
         self.bus = open_bus(f"{interface}:{channel}", 0, 1_000_000)
@@ -85,13 +85,15 @@ class Ours:
         np = self.np
         state = self.state
         out = np.zeros(self.shape, dtype=np.uint64)
-        frames = self.controller._send(state, out, 0, self.want, np.array(torques), self.t_ns)
+        frames = self.controller._send(
+            state, out, 0, self.drive_target, np.array(torques), self.t_ns
+        )
         self.bus.send(frames[1:])  # The benchmark sends no SYNC.
 
     def receive(self):
         frames = self.bus.drain()
         state = self.state
-        self.start(
+        self.begin_tick(
             state.block, self.controller.layout.places, state.k, self.t_ns, 0, 0, len(frames)
         )
         self.controller._receive(state, frames, 0)
@@ -101,10 +103,10 @@ class Ours:
         self.bus.close()
 
 
-class Scalar:
+class ScalarCodecExchange:
     """python-can with one message at a time, and a typical hand-written codec."""
 
-    answer = staticmethod(feedback)
+    reply_of = staticmethod(feedback_frame)
 
     def __init__(self, interface, channel, motors):
         import can
@@ -114,13 +116,15 @@ class Scalar:
         self.bus = can.Bus(channel, interface=interface, ignore_config=True)
 
     def encode(self, torque):
-        raw = int((torque + LIMIT) * 4095 / (2 * LIMIT))
+        raw = int((torque + TORQUE_RANGE_N_M) * 4095 / (2 * TORQUE_RANGE_N_M))
         return bytes((0x7F, 0xFF, 0x7F, 0xF0, 0, 0, raw >> 8, raw & 0xFF))
 
     def decode(self, data):
-        position = (data[1] << 8 | data[2]) * 2 * POSITION / 65535 - POSITION
-        velocity = (data[3] << 4 | data[4] >> 4) * 2 * VELOCITY / 4095 - VELOCITY
-        torque = ((data[4] & 0xF) << 8 | data[5]) * 2 * LIMIT / 4095 - LIMIT
+        position = (data[1] << 8 | data[2]) * 2 * POSITION_RANGE_RAD / 65535 - POSITION_RANGE_RAD
+        velocity = (
+            data[3] << 4 | data[4] >> 4
+        ) * 2 * VELOCITY_RANGE_RAD_S / 4095 - VELOCITY_RANGE_RAD_S
+        torque = ((data[4] & 0xF) << 8 | data[5]) * 2 * TORQUE_RANGE_N_M / 4095 - TORQUE_RANGE_N_M
         return data[0] >> 4, position, velocity, torque, max(data[6], data[7])
 
     def send(self, torques):
@@ -136,14 +140,14 @@ class Scalar:
         self.bus.shutdown()
 
 
-class Cantools(Scalar):
+class CantoolsExchange(ScalarCodecExchange):
     """python-can with one message at a time, and a codec of cantools from a DBC."""
 
     def __init__(self, interface, channel, motors):
         super().__init__(interface, channel, motors)
         import cantools
 
-        database = cantools.database.load_string(DBC, "dbc")
+        database = cantools.database.load_string(MIT_DBC_TEXT, "dbc")
         self.command, self.feedback = (
             database.get_message_by_name(name) for name in ("Command", "Feedback")
         )
@@ -156,8 +160,8 @@ class Cantools(Scalar):
         return self.feedback.decode(bytes(data))
 
 
-ALTERNATIVES = {
-    "handctl": Ours,
-    "python-can, scalar codec": Scalar,
-    "python-can, cantools": Cantools,
+EXCHANGE_BY_NAME = {
+    "handctl": HandctlExchange,
+    "python-can, scalar codec": ScalarCodecExchange,
+    "python-can, cantools": CantoolsExchange,
 }

@@ -11,19 +11,19 @@ from typing import Any
 
 import numpy as np
 
-from grasps.contact import WALL, task_of
-from grasps.trial import hand_model, simulate
+from grasps.contact import WALL_SCENE, program_of_phases
+from grasps.trial import hand_model, simulate_grasp
 
-COMMANDS_N = (2.0, 4.0, 6.0)
+COMMANDED_FORCES_N = (2.0, 4.0, 6.0)
 HOLD_S = 0.8
-JUDGED_S = 0.4
+JUDGED_HOLD_S = 0.4
 
 
-def press(job: tuple[str, int]) -> list[dict[str, Any]]:
+def measure_tip_force(job: tuple[str, int]) -> list[dict[str, Any]]:
     """Measure the mean estimated and true force [N] of each digit at each commanded force, for a hand and a seed."""
     hand, seed = job
     chance = random.Random(f"tip {seed}")
-    wall = WALL.format(x=0.045 + chance.uniform(-3e-3, 3e-3), y=chance.uniform(-4e-3, 2e-3))
+    wall = WALL_SCENE.format(x=0.045 + chance.uniform(-3e-3, 3e-3), y=chance.uniform(-4e-3, 2e-3))
     phases: list[dict[str, Any]] = [
         {
             "kind": "move",
@@ -34,13 +34,15 @@ def press(job: tuple[str, int]) -> list[dict[str, Any]]:
     ]
     phases += [
         {"kind": "hold", "name": f"{f:g}", "tip_force_N": f, "duration_s": HOLD_S}
-        for f in COMMANDS_N
+        for f in COMMANDED_FORCES_N
     ]
-    run = simulate(hand, task_of(phases), wall, seed=seed, until="end", timeout=12.0)
+    run = simulate_grasp(
+        hand, program_of_phases(phases), wall, seed=seed, until="end", timeout=12.0
+    )
     rows = []
-    for command in COMMANDS_N:
+    for command in COMMANDED_FORCES_N:
         mask = np.array(run.phase) == f"{command:g}"
-        mask &= run.t > run.t[mask].max(initial=0.0) - JUDGED_S
+        mask &= run.t > run.t[mask].max(initial=0.0) - JUDGED_HOLD_S
         for d, name in enumerate(hand_model(hand)[0].hand.digit_names):
             if mask.any() and run.contact[mask, d].all():
                 estimated = run.tip_force[mask, d]

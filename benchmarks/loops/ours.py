@@ -24,7 +24,7 @@ from handctl.session.run import make_controller
 DESIGN_HZ = 1000.0
 
 
-class Stay:
+class StayProgram:
     """Program that holds every digit at its present position."""
 
     def initial(self, model):
@@ -57,7 +57,7 @@ class UnpacedClock:
         return {}
 
 
-def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, log: Path):
+def run_loop(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, log: Path):
     """Run the controller until some time has passed since the hand became active.
 
     Args:
@@ -74,7 +74,7 @@ def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, lo
     hand = load_hand(hand_name)
     rate = rate_hz or DESIGN_HZ
     plan = RunPlan(hand, Gains(), rate, (0.0,), (f"local:{bus_name}",))
-    controller = make_controller(plan, Stay(), None, arm_at_once=True)
+    controller = make_controller(plan, StayProgram(), None, arm_at_once=True)
     bus = open_bus(plan.buses[0], 0, 1_000_000)
     clock = RealClock(plan.period_ns) if rate_hz else UnpacedClock(bus.fileno())
     priority = take_priority()
@@ -84,7 +84,7 @@ def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, lo
     recorder = Recorder.start(
         log, RunHeader.of_hand(hand.to_toml(), plan.period_ns, attachments=described)
     )
-    counter = Counter(seconds)
+    counter = ActiveTickCounter(seconds)
     cut = controller.cut_frames()
 
     def record(entry, out):
@@ -118,26 +118,26 @@ class TimedTick:
     It measures the wall time of its three steps: begin, command and conclude [ns].
     """
 
-    def __init__(self, controller, state, entry, took) -> None:
-        began = _now()
+    def __init__(self, controller, state, entry, tick_times_ns) -> None:
+        began = _now_ns()
         self.step = controller.begin(state, entry)
-        self.took = took
-        self.spent = _now() - began
+        self.tick_times_ns = tick_times_ns
+        self.spent_ns = _now_ns() - began
 
     def command(self, requests):
-        began = _now()
+        began = _now_ns()
         frames = self.step.command(requests)
-        self.spent += _now() - began
+        self.spent_ns += _now_ns() - began
         return frames
 
     def conclude(self):
-        began = _now()
+        began = _now_ns()
         result = self.step.conclude()
-        self.took.append(self.spent + _now() - began)
+        self.tick_times_ns.append(self.spent_ns + _now_ns() - began)
         return result
 
 
-class Counter:
+class ActiveTickCounter:
     """Observer that counts the ticks with an active hand and ends the run after the requested time."""
 
     def __init__(self, seconds: float) -> None:
@@ -153,7 +153,7 @@ class Counter:
             return
         if not self.first_ns:
             self.first_cpu_s = time.process_time()
-            self.first_ns = self.last_ns = _now()
+            self.first_ns = self.last_ns = _now_ns()
             self.first_k = self.last_k = entry.k
             return
         self.ticks += 1
@@ -163,7 +163,7 @@ class Counter:
     def requests(self) -> tuple[str, ...]:
         if not self.first_ns or self.stopped:
             return ()
-        self.last_ns = _now()
+        self.last_ns = _now_ns()
         if self.last_ns - self.first_ns < self.seconds * 1e9:
             return ()
         self.cpu_s = time.process_time() - self.first_cpu_s
@@ -171,5 +171,5 @@ class Counter:
         return (STOP_REQUEST,)
 
 
-def _now() -> int:
+def _now_ns() -> int:
     return time.monotonic_ns()

@@ -12,11 +12,11 @@ from firmware_sim.bus.local import HubPort
 from firmware_sim.priority import take_priority
 from firmware_sim.rig import LockstepHand
 
-SPECIAL = b"\xff" * 7
-ENABLED = 1
+SPECIAL_COMMAND_HEAD = b"\xff" * 7
+ENABLED_STATE = 1
 
 
-class Echo:
+class CachedReplies:
     """Replies of the simulated nodes. Each reply is computed only once and then cached."""
 
     def __init__(self, hand: str) -> None:
@@ -24,9 +24,11 @@ class Echo:
         self.replies: dict[tuple[int, int], bytes] = {}
         self.sync = self.rig.world.hand.sensors.sync_id
 
-    def answer(self, frame: Frame) -> bytes:
+    def replies_to(self, frame: Frame) -> bytes:
         """Return the replies of the nodes to a frame, as records."""
-        if frame.can_id != self.sync and (frame.can_id > 0xFF or frame.data.startswith(SPECIAL)):
+        if frame.can_id != self.sync and (
+            frame.can_id > 0xFF or frame.data.startswith(SPECIAL_COMMAND_HEAD)
+        ):
             self.replies.clear()
             return b"".join(map(pack_record, self.rig.world.receive(frame)))
         key = (frame.can_id, frame.data[0] & 0xF if frame.can_id == self.sync else 0)
@@ -34,20 +36,20 @@ class Echo:
             return self.replies[key]
         answers = self.rig.world.receive(frame)
         records = b"".join(map(pack_record, answers))
-        if frame.can_id == self.sync or (answers and answers[0].data[0] >> 4 == ENABLED):
+        if frame.can_id == self.sync or (answers and answers[0].data[0] >> 4 == ENABLED_STATE):
             self.replies[key] = records
         return records
 
 
 def main(hand: str, name: str) -> None:
     """Reply to frames on the bus until the process is killed."""
-    echo = Echo(hand)
+    echo = CachedReplies(hand)
     port = HubPort(name, 0)
     take_priority()
     print("ready", flush=True)
     while True:
         ready, _, _ = select.select(port.readers(), port.writers(), [])
-        records = b"".join(map(echo.answer, port.receive(ready)))
+        records = b"".join(map(echo.replies_to, port.receive(ready)))
         if records:
             port._hub.send(records)
 

@@ -14,8 +14,8 @@ from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.load import load_hand
 from handctl.runtime.clocks.priority import take_priority
 
-ENABLE = b"\xff" * 7 + b"\xfc"
-DISABLE = b"\xff" * 7 + b"\xfd"
+ENABLE_PAYLOAD = b"\xff" * 7 + b"\xfc"
+DISABLE_PAYLOAD = b"\xff" * 7 + b"\xfd"
 
 
 def tendon_filter(dt: float) -> KalmanFilter:
@@ -28,7 +28,7 @@ def tendon_filter(dt: float) -> KalmanFilter:
     return one
 
 
-def command(torque: float) -> bytes:
+def torque_payload(torque: float) -> bytes:
     """Encode a torque in the MIT frame of a Damiao motor (range 0.8 N m), with zero position, speed and gains."""
     raw = round((torque + 0.8) / 1.6 * 4095)
     return bytes((0x80, 0x00, 0x80, 0x00, 0x00, 0x00, raw >> 8, raw & 0xFF))
@@ -45,9 +45,9 @@ class BaselineLoop:
         self.nodes = [motor.node_id for motor in self.hand.motor]
         self.filters = [tendon_filter(1e-3) for _ in self.nodes]
         node = self.hand.sensor_node
-        self.sync = node.sync_id
-        self.base = node.base_id
-        self.answers = len(self.nodes) + -(-len(self.nodes) // 5)
+        self.sync_id = node.sync_id
+        self.sensor_base_id = node.base_id
+        self.reply_count = len(self.nodes) + -(-len(self.nodes) // 5)
         self.k = 0
         self.file = log.open("w")
         self.path = log
@@ -59,37 +59,39 @@ class BaselineLoop:
         while self.bus.recv(0.05):
             pass
 
-    def tick(self) -> None:
+    def run_tick(self) -> None:
         """Run one tick: compute and send torques, read and filter the replies, and log them."""
         self.bus.send(
-            can.Message(arbitration_id=self.sync, data=[self.k & 0xFF], is_extended_id=False)
+            can.Message(arbitration_id=self.sync_id, data=[self.k & 0xFF], is_extended_id=False)
         )
         torque = pinocchio.rnea(self.model, self.data, np.zeros(self.model.nq), np.zeros(self.model.nv),
                                 np.zeros(self.model.nv))  # fmt: skip
         for node, one in zip(self.nodes, self.filters, strict=True):
-            data = command(0.005 * min(max(float(one.x[0, 0]) + float(torque[0]), 0.0), 10.0) * 0.0)
+            data = torque_payload(
+                0.005 * min(max(float(one.x[0, 0]) + float(torque[0]), 0.0), 10.0) * 0.0
+            )
             self.bus.send(can.Message(arbitration_id=node, data=data, is_extended_id=False))
         row = {"k": self.k, "t": time.time(), "tension": [], "position": []}
         expected = (
-            self.answers
+            self.reply_count
             + (self.k % self.hand.sensor_node.joint_decimation == 0) * self.joint_frames()
         )
         for _ in range(expected):
             message = self.bus.recv(0.002)
             if message is None:
                 break
-            self.take(message, row)
+            self.add_reply(message, row)
         self.file.write(json.dumps(row) + "\n")
         self.k += 1
 
     def joint_frames(self) -> int:
         return -(-len(self.hand.sensor_node.joints) // 5)
 
-    def take(self, message: can.Message, row: dict) -> None:
+    def add_reply(self, message: can.Message, row: dict) -> None:
         """Decode one reply and add its values to the row of the log."""
-        if self.base <= message.arbitration_id < self.base + 0x10:
+        if self.sensor_base_id <= message.arbitration_id < self.sensor_base_id + 0x10:
             bits = int.from_bytes(message.data, "little")
-            first = 5 * (message.arbitration_id - self.base)
+            first = 5 * (message.arbitration_id - self.sensor_base_id)
             for i in range(first, min(first + 5, len(self.filters))):
                 tension = (bits >> (4 + 12 * (i - first)) & 0xFFF) * 0.0625 - 6.0
                 self.filters[i].predict()
@@ -100,17 +102,17 @@ class BaselineLoop:
             row["position"].append(raw / 65535 * 25.0 - 12.5)
 
     def close(self) -> None:
-        self.send_all(DISABLE)
+        self.send_all(DISABLE_PAYLOAD)
         self.bus.shutdown()
         self.file.close()
         self.path.unlink()
 
 
-def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, log: Path):
-    """Run the hand-written loop for some time, and return results like those of ``ours.run``."""
+def run_loop(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, log: Path):
+    """Run the hand-written loop for some time, and return results like those of ``ours.run_loop``."""
     loop = BaselineLoop(hand_name, bus_name, log)
     take_priority()
-    loop.send_all(ENABLE)
+    loop.send_all(ENABLE_PAYLOAD)
     start = time.monotonic()
     ticks = 0
     missed = 0
@@ -125,7 +127,7 @@ def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, lo
             skipped = int(behind * rate_hz)
             missed += skipped
             deadline += skipped / rate_hz
-        loop.tick()
+        loop.run_tick()
         ticks += 1
     span = time.monotonic() - start
     loop.close()

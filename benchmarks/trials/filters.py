@@ -5,16 +5,16 @@ from scipy.linalg import solve_discrete_are
 
 from trials.lockstep import Array
 
-WEIGHTS = np.concatenate((np.arange(0.05, 0.5, 0.05), np.arange(0.5, 1.01, 0.1)))
+AVERAGE_WEIGHTS = np.concatenate((np.arange(0.05, 0.5, 0.05), np.arange(0.5, 1.01, 0.1)))
 """Weights of the newest sample in the average. The best weight is chosen afterwards, from the true errors."""
-RATES = np.array([30.0, 100.0, 300.0, 1000.0, 3000.0])
+TENSION_RATE_NOISES = np.array([30.0, 100.0, 300.0, 1000.0, 3000.0])
 """Square roots of the spectral density of the noise of the tension rate [N/s^1.5].
 
 The best one is chosen afterwards.
 """
 
 
-def averaged(raw: Array, weight: float) -> Array:
+def exponential_average(raw: Array, weight: float) -> Array:
     """Return the exponential average of the samples (ticks, N) [N]. Missing samples are skipped."""
     smooth = np.empty_like(raw)
     last = np.nan_to_num(raw[0])
@@ -24,7 +24,7 @@ def averaged(raw: Array, weight: float) -> Array:
     return smooth
 
 
-def cell_alone(raw: Array, period: float, noise: float, rate: float) -> Array:
+def cell_only_estimate(raw: Array, period: float, noise: float, rate: float) -> Array:
     """Run a Kalman filter of tension and tension rate, whose only measurement is the load cell.
 
     The result is the tension that the filter predicts for the present, (ticks, N) [N].

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-Work = Callable[[Any], Any]
+JobFunction = Callable[[Any], Any]
 
 
 @dataclass(frozen=True)
-class Plan:
+class JobPlan:
     """Options for running jobs.
 
     Attributes:
@@ -30,21 +30,21 @@ class Plan:
     workers: int = 0
 
 
-def collect(work: Work, jobs: list[Any], plan: Plan) -> dict[Any, Any]:
+def collect_results(work: JobFunction, jobs: list[Any], plan: JobPlan) -> dict[Any, Any]:
     """Return the results by job: the stored results, and the results that can be computed within the time limit.
 
     Args:
         work: top-level function that computes one job. Its result consists of JSON values.
         jobs: arguments of each job, as tuples.
-        plan: see ``RunPlan``.
+        plan: see ``JobPlan``.
     """
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))
-    done = {job: stored for job in jobs if (stored := _stored(work, job, plan)) is not None}
+    done = {job: stored for job in jobs if (stored := _stored_result(work, job, plan)) is not None}
     missing = [job for job in jobs if job not in done]
     until = time.monotonic() + 60.0 * plan.minutes
-    for job, results in _run(work, missing, plan.workers or os.cpu_count() or 1, until):
+    for job, results in _run_jobs(work, missing, plan.workers or os.cpu_count() or 1, until):
         done[job] = _through_json(results)
-        _keep(work, job, done[job], plan)
+        _store_result(work, job, done[job], plan)
         print(f"{len(done)}/{len(jobs)} {work.__name__} {job}", file=sys.stderr, flush=True)
     if len(done) < len(jobs):
         print(
@@ -54,7 +54,7 @@ def collect(work: Work, jobs: list[Any], plan: Plan) -> dict[Any, Any]:
     return {job: done[job] for job in jobs if job in done}
 
 
-def _run(work: Work, jobs: list[Any], workers: int, until: float) -> Any:
+def _run_jobs(work: JobFunction, jobs: list[Any], workers: int, until: float) -> Any:
     """Yield each job with its result, in order of completion. No job starts after the time limit."""
     if workers == 1 or len(jobs) < 2:
         for job in jobs:
@@ -76,19 +76,19 @@ def _run(work: Work, jobs: list[Any], workers: int, until: float) -> Any:
                 yield waiting.pop(future), future.result()
 
 
-def _result_path(work: Work, job: Any, keep: Path) -> Path:
+def _result_path(work: JobFunction, job: Any, keep: Path) -> Path:
     """Return the path of the file in which the result of a job is stored."""
     digest = hashlib.sha256(repr(job).encode()).hexdigest()[:16]
     return keep / f"{work.__module__.rpartition('.')[2]}-{work.__name__}-{digest}.json"
 
 
-def _stored(work: Work, job: Any, plan: Plan) -> Any:
+def _stored_result(work: JobFunction, job: Any, plan: JobPlan) -> Any:
     if plan.keep is None or not (path := _result_path(work, job, plan.keep)).exists():
         return None
     return json.loads(path.read_text("utf-8"))["result"]
 
 
-def _keep(work: Work, job: Any, result: Any, plan: Plan) -> None:
+def _store_result(work: JobFunction, job: Any, result: Any, plan: JobPlan) -> None:
     if plan.keep is None:
         return
     plan.keep.mkdir(parents=True, exist_ok=True)
@@ -102,7 +102,7 @@ def _through_json(result: Any) -> Any:
     return json.loads(json.dumps(result))
 
 
-def add_options(parser: Any) -> None:
+def add_job_options(parser: Any) -> None:
     """Add the options of a benchmark that runs many jobs."""
     parser.add_argument(
         "--keep", type=Path, help="folder of results: an interrupted benchmark continues"
@@ -118,6 +118,6 @@ def add_options(parser: Any) -> None:
     )
 
 
-def plan_of(args: Any) -> Plan:
+def job_plan_of(args: Any) -> JobPlan:
     """Return the plan that the command-line options describe."""
-    return Plan(args.keep, args.minutes, args.jobs)
+    return JobPlan(args.keep, args.minutes, args.jobs)

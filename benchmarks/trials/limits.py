@@ -15,20 +15,22 @@ from scipy.linalg import expm, solve_discrete_are
 
 from handctl.core.model import HandModel
 
-MOTOR_N_M = 10e-3
-MOTOR_S = 0.05
-JOINT_N_M = 5e-3
-JOINT_S = 0.02
-OFFSET_M = 0.2e-3
-OFFSET_S = 60.0
+MOTOR_NOISE_N_M = 10e-3
+MOTOR_NOISE_S = 0.05
+JOINT_NOISE_N_M = 5e-3
+JOINT_NOISE_S = 0.02
+STRETCH_OFFSET_M = 0.2e-3
+STRETCH_OFFSET_S = 60.0
 CONTACT_N_M_PER_RAD = 40.0
 """Stiffness of the held object at all joints of a digit [N m/rad]. Source of all constants: MODEL, section 5."""
 CELL_DRIFT_VARIANCE_N2_PER_S = 1.0 / 100.0
 """Drift of the load cells, a random walk of 1 N in 100 s. No filter can observe this drift while a tendon is taut."""
-SCALE = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 1.0, 1e-5])
+STATE_SCALE = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 1.0, 1e-5])
 
 
-def limit(model: HandModel, i: int, is_held: bool, encoder: bool = True) -> tuple[float, float]:
+def reference_sigma(
+    model: HandModel, i: int, is_held: bool, encoder: bool = True
+) -> tuple[float, float]:
     """Return the standard deviations of the tension of tendon i at the last sample and at present [N].
 
     The estimate of the controller is for the present, one period after the sample. The benchmark
@@ -58,23 +60,24 @@ def limit(model: HandModel, i: int, is_held: bool, encoder: bool = True) -> tupl
     A[3, 2] -= spring / load
     A[3, 3] -= space.load_damping[i] / load
     A[3, 5] = 1.0 / load
-    A[4, 4] = -1.0 / MOTOR_S
-    A[5, 5] = -1.0 / JOINT_S
-    A[6, 6] = -1.0 / OFFSET_S
-    sigma = (MOTOR_N_M / space.spool[i], JOINT_N_M / arm, OFFSET_M)
+    A[4, 4] = -1.0 / MOTOR_NOISE_S
+    A[5, 5] = -1.0 / JOINT_NOISE_S
+    A[6, 6] = -1.0 / STRETCH_OFFSET_S
+    sigma = (MOTOR_NOISE_N_M / space.spool[i], JOINT_NOISE_N_M / arm, STRETCH_OFFSET_M)
     noise = [0.0] * 4 + [
-        2.0 * s**2 / t for s, t in zip(sigma, (MOTOR_S, JOINT_S, OFFSET_S), strict=True)
+        2.0 * s**2 / t
+        for s, t in zip(sigma, (MOTOR_NOISE_S, JOINT_NOISE_S, STRETCH_OFFSET_S), strict=True)
     ]
-    A = A * SCALE / SCALE[:, None]
-    Q = np.diag(noise) / np.outer(SCALE, SCALE)
+    A = A * STATE_SCALE / STATE_SCALE[:, None]
+    Q = np.diag(noise) / np.outer(STATE_SCALE, STATE_SCALE)
     loan = expm(np.block([[-A, Q], [np.zeros((7, 7)), A.T]]) * model.period)
     F = loan[7:, 7:].T
-    H = np.vstack((np.eye(7)[0], tension)) * SCALE
+    H = np.vstack((np.eye(7)[0], tension)) * STATE_SCALE
     R = np.diag([(space.encoder_step[i] / np.sqrt(6.0)) ** 2, space.tension_noise[i] ** 2])
     rows = [0, 1] if encoder else [1]
     spread = np.sqrt(np.diag(R)[rows])
     P = solve_discrete_are(F.T, (H[rows] / spread[:, None]).T, F @ loan[:7, 7:], np.eye(len(rows)))
     seen = H[rows] / spread[:, None]
-    row = tension * SCALE
+    row = tension * STATE_SCALE
     gain = P @ seen.T @ np.linalg.inv(seen @ P @ seen.T + np.eye(len(rows)))
     return float(np.sqrt(row @ (P - gain @ seen @ P) @ row)), float(np.sqrt(row @ P @ row))

@@ -14,7 +14,7 @@ from handctl.programs.program import ProgramProgress, motion_to
 
 
 @dataclass(frozen=True)
-class Step:
+class ScriptStep:
     """One step of a script, for all digits.
 
     Attributes:
@@ -35,10 +35,10 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Script:
+class ScriptProgram:
     """Program that takes up the slack of the tendons and then runs its steps."""
 
-    steps: tuple[Step, ...]
+    steps: tuple[ScriptStep, ...]
 
     def initial(self, model: HandModel) -> ProgramProgress:
         """Return the initial progress, see ``Program``."""
@@ -71,13 +71,14 @@ class Script:
             return replace(progress, finished=True), ()
         step = self.steps[progress.step + 1]
         goals = tuple(
-            _goal(model, d, step, progress.goals[d], estimate, t) for d in range(len(model.digits))
+            _digit_goal(model, d, step, progress.goals[d], estimate, t)
+            for d in range(len(model.digits))
         )
         return replace(progress, step=progress.step + 1, since=t, phase=step.name, goals=goals), ()
 
 
-def _goal(
-    model: HandModel, d: int, step: Step, old: DigitGoal, estimate: Estimate, t: float
+def _digit_goal(
+    model: HandModel, d: int, step: ScriptStep, old: DigitGoal, estimate: Estimate, t: float
 ) -> DigitGoal:
     if step.angle_deg is not None:
         return motion_to(model.digits[d], estimate, math.radians(step.angle_deg), step.move_s, t)

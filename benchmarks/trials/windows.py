@@ -16,11 +16,11 @@ SLACK_S = 0.05
 TURNING_RAD_S = 0.2
 """Speed of the spool below which its direction is not counted [rad/s]."""
 KNEE_N = 200.0
-REGIMES = ("free", "reversal", "impact", "hold", "beyond 200 N", "slack")
-Mask = NDArray[np.bool_]
+REGIME_NAMES = ("free", "reversal", "impact", "hold", "beyond 200 N", "slack")
+MaskArray = NDArray[np.bool_]
 
 
-def windows(record: TrialRecord) -> dict[str, Mask]:
+def regime_masks(record: TrialRecord) -> dict[str, MaskArray]:
     """Return a mask (ticks, N) for each regime. For a tendon, each tick belongs to at most one regime."""
     tension = record.tension()
     t = record.times
@@ -28,7 +28,7 @@ def windows(record: TrialRecord) -> dict[str, Mask]:
     ready = ~np.isin(record.phase, ("start", "tighten", "live"))[:, None]
     taut = tension > TAUT_N
     since = _since_rise(touched, t)
-    turning = _near(_reversals(record), t, REVERSAL_S) & ~touched
+    turning = _near_mask(_reversal_mask(record), t, REVERSAL_S) & ~touched
     hold = ready & taut & touched & (since > SETTLED_S)
     return {
         "free": ready & taut & ~touched & ~turning,
@@ -36,11 +36,11 @@ def windows(record: TrialRecord) -> dict[str, Mask]:
         "impact": ready & taut & touched & (since <= IMPACT_S),
         "hold": hold & (tension <= KNEE_N),
         "beyond 200 N": hold & (tension > KNEE_N),
-        "slack": ready & ~_near(taut, t, SLACK_S),
+        "slack": ready & ~_near_mask(taut, t, SLACK_S),
     }
 
 
-def _since_rise(on: Mask, t: Array) -> Array:
+def _since_rise(on: MaskArray, t: Array) -> Array:
     """Return the time since each signal last became true, after it was false for ``SETTLED_S`` (ticks, N) [s]."""
     since = np.full(on.shape, np.inf)
     for i in range(on.shape[1]):
@@ -55,7 +55,7 @@ def _since_rise(on: Mask, t: Array) -> Array:
     return since
 
 
-def _reversals(record: TrialRecord) -> Mask:
+def _reversal_mask(record: TrialRecord) -> MaskArray:
     """Return a mask (ticks, N) of the ticks in which the spool reverses."""
     period = record.t_ns[1] - record.t_ns[0]
     angle = [
@@ -71,7 +71,7 @@ def _reversals(record: TrialRecord) -> Mask:
     return turned
 
 
-def _near(on: Mask, t: Array, distance: float) -> Mask:
+def _near_mask(on: MaskArray, t: Array, distance: float) -> MaskArray:
     """Return a mask (ticks, N) of the ticks within a time [s] of a true signal."""
     reach = round(distance / (t[1] - t[0]))
     kernel = np.ones(2 * reach + 1)

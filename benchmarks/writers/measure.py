@@ -12,8 +12,8 @@ import synthetic
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from benchmarks.writers.others import OTHERS, Message
-from benchmarks.writers.sustained import as_in_the_loop, sustained
+from benchmarks.writers.others import LIBRARY_WRITERS, LogMessage
+from benchmarks.writers.sustained import measure_sustained, packed_tick
 from handctl.log.read.reader import RunLog
 from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record
 from handctl.log.write.recorder import Recorder
@@ -22,9 +22,9 @@ from handctl.log.write.writer import LogWriter
 RATE_HZ = 1000
 
 
-def main(about: str) -> None:
+def main(description: str) -> None:
     """Measure all libraries and print the results."""
-    parser = argparse.ArgumentParser(description=about.splitlines()[0])
+    parser = argparse.ArgumentParser(description=description.splitlines()[0])
     parser.add_argument(
         "--quick",
         action="store_true",
@@ -33,19 +33,21 @@ def main(about: str) -> None:
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="h-") as folder:
-        result = measure(Path(folder), 0.2 if args.quick else 2.0, 2.0 if args.quick else 30.0)
-    print(json.dumps(result, indent=2)) if args.json else show(result)
+        result = measure_all_writers(
+            Path(folder), 0.2 if args.quick else 2.0, 2.0 if args.quick else 30.0
+        )
+    print(json.dumps(result, indent=2)) if args.json else print_results(result)
 
 
-def measure(folder: Path, seconds: float, sustained_s: float) -> dict[str, Any]:
+def measure_all_writers(folder: Path, seconds: float, sustained_s: float) -> dict[str, Any]:
     """Measure the cost of all log writers, and continuous writing with handctl."""
     run = synthetic.synthetic_header("jamia11", RATE_HZ)
-    ticks = [as_in_the_loop(*tick) for tick in synthetic.SyntheticTicks(run, seconds)]
-    writers = {"handctl": ours(folder / "ours.mcap", run, ticks)}
-    messages = decoded(folder / "ours.mcap")
-    for name, make in OTHERS.items():
+    ticks = [packed_tick(*tick) for tick in synthetic.SyntheticTicks(run, seconds)]
+    writers = {"handctl": measure_handctl(folder / "ours.mcap", run, ticks)}
+    messages = decode_messages(folder / "ours.mcap")
+    for name, make in LIBRARY_WRITERS.items():
         try:
-            writers[name] = other(folder / f"{name}.mcap", make, messages, len(ticks))
+            writers[name] = measure_library(folder / f"{name}.mcap", make, messages, len(ticks))
         except ImportError as error:
             writers[name] = {"skipped": f"{error.name} is not installed: make bench installs it"}
     return {
@@ -55,23 +57,23 @@ def measure(folder: Path, seconds: float, sustained_s: float) -> dict[str, Any]:
         "messages": len(messages),
         "frames": sum(len(tick_in.frames) + len(out.frames) for tick_in, out in ticks),
         "writers": writers,
-        "sustained": sustained(folder / "sustained.mcap", sustained_s),
+        "sustained": measure_sustained(folder / "sustained.mcap", sustained_s),
     }
 
 
-def _spent(work: Callable[[], object]) -> float:
+def _cpu_s(work: Callable[[], object]) -> float:
     """Return the processor time of a function [s]."""
     start = time.process_time()
     work()
     return time.process_time() - start
 
 
-def ours(path: Path, run: Any, ticks: list[Any]) -> dict[str, float]:
+def measure_handctl(path: Path, run: Any, ticks: list[Any]) -> dict[str, float]:
     """Measure handctl: packing and passing on records in the loop, and the log writer in the same process."""
     records: list[bytes] = []
-    packing = _spent(lambda: records.extend(pack_tick_record(*tick) for tick in ticks))
+    packing = _cpu_s(lambda: records.extend(pack_tick_record(*tick) for tick in ticks))
     recorder = Recorder.start(path.with_suffix(".pipe.mcap"), run)
-    handing = _spent(lambda: [(recorder.record(record), recorder.events()) for record in records])
+    handing = _cpu_s(lambda: [(recorder.record(record), recorder.events()) for record in records])
     recorder.close("finished")
     writer = LogWriter(path, run, print, 1)
 
@@ -80,22 +82,24 @@ def ours(path: Path, run: Any, ticks: list[Any]) -> dict[str, float]:
             writer.add(record[RECORD_FRAMING_STRUCT.size :])
         writer.finish("finished", 0)
 
-    writing = _spent(write)
+    writing = _cpu_s(write)
 
     def read() -> None:
         with RunLog(path) as log:
             assert sum(1 for _ in log.ticks()) == len(log.field("tension")) == len(ticks)
 
-    return _row(
+    return _cost_row(
         packing + handing,
         packing + handing + writing,
         path.stat().st_size,
-        _spent(read),
+        _cpu_s(read),
         len(ticks),
     )
 
 
-def other(path: Path, make: Any, messages: list[Message], ticks: int) -> dict[str, float]:
+def measure_library(
+    path: Path, make: Any, messages: list[LogMessage], ticks: int
+) -> dict[str, float]:
     """Measure another library, which writes in the loop and then reads all messages."""
     writer = make(path)
 
@@ -104,20 +108,20 @@ def other(path: Path, make: Any, messages: list[Message], ticks: int) -> dict[st
             writer.write(one)
         writer.close()
 
-    spent = _spent(write)
+    spent = _cpu_s(write)
     count = 0
 
     def read() -> None:
         nonlocal count
         count = sum(1 for _ in writer.read())
 
-    reading = _spent(read)
+    reading = _cpu_s(read)
     assert count == len(messages), f"{path}: {count} of {len(messages)} messages came back"
     files = path.rglob("*") if path.is_dir() else [path]
-    return _row(spent, spent, sum(file.stat().st_size for file in files), reading, ticks)
+    return _cost_row(spent, spent, sum(file.stat().st_size for file in files), reading, ticks)
 
 
-def _row(loop: float, total: float, size: int, reading: float, ticks: int) -> dict[str, float]:
+def _cost_row(loop: float, total: float, size: int, reading: float, ticks: int) -> dict[str, float]:
     return {
         "loop_us_per_tick": 1e6 * loop / ticks,
         "total_us_per_tick": 1e6 * total / ticks,
@@ -126,29 +130,29 @@ def _row(loop: float, total: float, size: int, reading: float, ticks: int) -> di
     }
 
 
-def decoded(path: Path) -> list[Message]:
+def decode_messages(path: Path) -> list[LogMessage]:
     """Return every message of a log with its content as plain values."""
     messages = []
     factory = DecoderFactory()
     with path.open("rb") as file:
         for schema, channel, one in make_reader(file).iter_messages(log_time_order=False):
             decode = factory.decoder_for(channel.message_encoding, schema)
-            content = _plain(decode(one.data))
+            content = _plain_value(decode(one.data))
             messages.append(
-                Message(channel.topic, schema.name, schema.data.decode(), one.log_time, content)
+                LogMessage(channel.topic, schema.name, schema.data.decode(), one.log_time, content)
             )
     return messages
 
 
-def _plain(value: Any) -> Any:
+def _plain_value(value: Any) -> Any:
     if hasattr(value, "__slots__") and not isinstance(value, (str, bytes, list, tuple)):
-        return {name: _plain(getattr(value, name)) for name in value.__slots__}
+        return {name: _plain_value(getattr(value, name)) for name in value.__slots__}
     if isinstance(value, bytes):
         return list(value)
-    return [_plain(one) for one in value] if isinstance(value, (list, tuple)) else value
+    return [_plain_value(one) for one in value] if isinstance(value, (list, tuple)) else value
 
 
-def show(result: dict[str, Any]) -> None:
+def print_results(result: dict[str, Any]) -> None:
     """Print the result as text."""
     print(
         f"{result['ticks']} ticks of {result['hand']} at {result['rate_hz']} Hz: {result['messages']} messages"

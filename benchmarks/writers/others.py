@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 
-class Message(NamedTuple):
+class LogMessage(NamedTuple):
     """One message: topic, type, definition of the type, time [ns], and content as plain values."""
 
     topic: str
@@ -19,24 +19,24 @@ class Message(NamedTuple):
     content: dict[str, Any]
 
 
-class Writer(NamedTuple):
+class LibraryWriter(NamedTuple):
     """A log writer: functions that write one message, close the file, and read all messages."""
 
-    write: Callable[[Message], None]
+    write: Callable[[LogMessage], None]
     close: Callable[[], None]
     read: Callable[[], Iterator[Any]]
 
 
-def mcap_ros2(path: Path) -> Writer:
+def mcap_ros2_writer(path: Path) -> LibraryWriter:
     """Return a writer of mcap-ros2-support with its default settings."""
     from mcap_ros2.reader import read_ros2_messages
-    from mcap_ros2.writer import Writer as Ros2Writer
+    from mcap_ros2.writer import LibraryWriter as Ros2Writer
 
     file = path.open("wb")
     writer = Ros2Writer(file)
     schemas = {}
 
-    def write(one: Message) -> None:
+    def write(one: LogMessage) -> None:
         if one.kind not in schemas:
             schemas[one.kind] = writer.register_msgdef(one.kind, one.schema)
         writer.write_message(one.topic, schemas[one.kind], one.content, one.t_ns, one.t_ns)
@@ -45,17 +45,19 @@ def mcap_ros2(path: Path) -> Writer:
         writer.finish()
         file.close()
 
-    return Writer(write, close, lambda: (one.ros_msg for one in read_ros2_messages(str(path))))
+    return LibraryWriter(
+        write, close, lambda: (one.ros_msg for one in read_ros2_messages(str(path)))
+    )
 
 
-def rosbags(path: Path) -> Writer:
+def rosbags_writer(path: Path) -> LibraryWriter:
     """Return a writer of rosbags.
 
     It writes a folder with MCAP storage, and takes each message as an object of its type.
     """
     from rosbags.highlevel import AnyReader
+    from rosbags.rosbag2 import LibraryWriter as BagWriter
     from rosbags.rosbag2 import StoragePlugin
-    from rosbags.rosbag2 import Writer as BagWriter
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.EMPTY)
@@ -63,14 +65,14 @@ def rosbags(path: Path) -> Writer:
     bag = BagWriter(path, version=9, storage_plugin=StoragePlugin.MCAP)
     bag.open()
 
-    def write(one: Message) -> None:
+    def write(one: LogMessage) -> None:
         if one.topic not in connections:
             types = get_types_from_msg(one.schema, one.kind)
             store.register(
                 {name: kind for name, kind in types.items() if name not in store.fielddefs}
             )
             connections[one.topic] = bag.add_connection(one.topic, one.kind, typestore=store)
-        data = store.serialize_cdr(_object(store, one.kind, one.content), one.kind)
+        data = store.serialize_cdr(_typed_object(store, one.kind, one.content), one.kind)
         bag.write(connections[one.topic], one.t_ns, bytes(data))
 
     def read() -> Iterator[Any]:
@@ -78,10 +80,10 @@ def rosbags(path: Path) -> Writer:
             for connection, _, raw in reader.messages():
                 yield reader.deserialize(raw, connection.msgtype)
 
-    return Writer(write, bag.close, read)
+    return LibraryWriter(write, bag.close, read)
 
 
-def _object(store: Any, kind: str, content: dict[str, Any]) -> Any:
+def _typed_object(store: Any, kind: str, content: dict[str, Any]) -> Any:
     """Convert plain values to an object of a type in the type store."""
     import numpy as np
 
@@ -89,11 +91,11 @@ def _object(store: Any, kind: str, content: dict[str, Any]) -> Any:
     for name, (node, inner) in store.fielddefs[kind][1]:
         value = content[name]
         if node.name == "NAME":
-            fields[name] = _object(store, inner, value)
+            fields[name] = _typed_object(store, inner, value)
         elif node.name == "BASE":
             fields[name] = value
         elif inner[0][0].name == "NAME":
-            fields[name] = [_object(store, inner[0][1], one) for one in value]
+            fields[name] = [_typed_object(store, inner[0][1], one) for one in value]
         else:
             word = inner[0][1][0]
             fields[name] = (
@@ -102,17 +104,17 @@ def _object(store: Any, kind: str, content: dict[str, Any]) -> Any:
     return store.types[kind](**fields)
 
 
-def json_mcap(path: Path) -> Writer:
+def json_mcap_writer(path: Path) -> LibraryWriter:
     """Return a writer of JSON in MCAP, with json.dumps and the package mcap."""
     from mcap.reader import make_reader
-    from mcap.writer import Writer as McapWriter
+    from mcap.writer import LibraryWriter as McapWriter
 
     file = path.open("wb")
     writer = McapWriter(file)
     channels = {}
     writer.start("", "benchmark")
 
-    def write(one: Message) -> None:
+    def write(one: LogMessage) -> None:
         if one.topic not in channels:
             schema = writer.register_schema(one.kind, "jsonschema", b'{"type": "object"}')
             channels[one.topic] = writer.register_channel(one.topic, "json", schema)
@@ -129,22 +131,22 @@ def json_mcap(path: Path) -> Writer:
             for _, _, one in make_reader(opened).iter_messages(log_time_order=False):
                 yield json.loads(one.data)
 
-    return Writer(write, close, read)
+    return LibraryWriter(write, close, read)
 
 
-def foxglove(path: Path) -> Writer:
+def foxglove_writer(path: Path) -> LibraryWriter:
     """Return a writer of the Foxglove SDK.
 
     It uses the channels of the SDK for dictionaries, which are written as JSON.
     """
-    import foxglove as sdk
+    import foxglove_writer as sdk
     from mcap.reader import make_reader
 
     context = sdk.Context()
     channels = {}
     file = sdk.open_mcap(path, context=context)
 
-    def write(one: Message) -> None:
+    def write(one: LogMessage) -> None:
         if one.topic not in channels:
             channels[one.topic] = sdk.Channel(one.topic, schema={"type": "object"}, context=context)
         channels[one.topic].log(one.content, log_time=one.t_ns)
@@ -154,12 +156,12 @@ def foxglove(path: Path) -> Writer:
             for _, _, one in make_reader(opened).iter_messages(log_time_order=False):
                 yield json.loads(one.data)
 
-    return Writer(write, file.close, read)
+    return LibraryWriter(write, file.close, read)
 
 
-OTHERS = {
-    "mcap-ros2-support": mcap_ros2,
-    "rosbags": rosbags,
-    "JSON": json_mcap,
-    "foxglove-sdk": foxglove,
+LIBRARY_WRITERS = {
+    "mcap-ros2-support": mcap_ros2_writer,
+    "rosbags": rosbags_writer,
+    "JSON": json_mcap_writer,
+    "foxglove-sdk": foxglove_writer,
 }

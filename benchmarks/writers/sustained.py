@@ -27,16 +27,16 @@ from handctl.runtime.clocks.priority import restore_priority, take_priority
 from handctl.runtime.clocks.real import RealClock
 from handctl.runtime.loop import ControlLoop, LoopStats
 
-HAND = "jamia11"
+HAND_NAME = "jamia11"
 RATE_HZ = 1000
-CYCLE_S = 0.5
+PREPARED_RUN_S = 0.5
 PERIOD_NS = 10**9 // RATE_HZ
-MARKS = {"p50": 50.0, "p99": 99.0, "p99_9": 99.9, "max": 100.0}
+LATENESS_PERCENTILES = {"p50": 50.0, "p99": 99.0, "p99_9": 99.9, "max": 100.0}
 
-Tick = tuple[TickIn, TickOut]
+TickPair = tuple[TickIn, TickOut]
 
 
-def sustained(path: Path, seconds: float) -> dict[str, Any]:
+def measure_sustained(path: Path, seconds: float) -> dict[str, Any]:
     """Run the loop with the recorder. Run it before and after without the recorder, each for half the time.
 
     Args:
@@ -47,23 +47,29 @@ def sustained(path: Path, seconds: float) -> dict[str, Any]:
         content of the log, dropped ticks, fraction of one core for the recorder, lateness of the loop [us].
     """
     ticks = [
-        as_in_the_loop(*tick)
-        for tick in synthetic.SyntheticTicks(synthetic.synthetic_header(HAND, RATE_HZ), CYCLE_S)
+        packed_tick(*tick)
+        for tick in synthetic.SyntheticTicks(
+            synthetic.synthetic_header(HAND_NAME, RATE_HZ), PREPARED_RUN_S
+        )
     ]
-    recorder = Recorder.start(path, synthetic.synthetic_header(HAND, RATE_HZ, deterministic=False))
+    recorder = Recorder.start(
+        path, synthetic.synthetic_header(HAND_NAME, RATE_HZ, deterministic=False)
+    )
     with _on_separate_cores(recorder._child.pid) as granted:
-        before = _loop(seconds / 2, granted, ticks, lambda entry, out: None, list)
+        before = _run_loop(seconds / 2, granted, ticks, lambda entry, out: None, list)
         spent = _processor_s(recorder._child.pid)
         start = time.perf_counter()
-        logged = _loop(seconds, granted, ticks, _into(recorder), lambda: list(recorder.events()))
+        logged = _run_loop(
+            seconds, granted, ticks, _record_function(recorder), lambda: list(recorder.events())
+        )
         fraction = (_processor_s(recorder._child.pid) - spent) / (time.perf_counter() - start)
-        after = _loop(seconds / 2, granted, ticks, lambda entry, out: None, list)
+        after = _run_loop(seconds / 2, granted, ticks, lambda entry, out: None, list)
     summary = recorder.close("finished")
     with RunLog(path) as log:
         frames = sum(len(tick.tick_in.frames) + len(tick.frames) for tick in log.ticks())
         result = {"ticks": logged.ticks, "ticks_in_log": len(log), "frames_in_log": frames}
     numbers = {name: int(str(summary[name])) for name in ("dropped", "lost", "bytes")}
-    late = {"without_us": _marks(before, after), "with_us": _marks(logged)}
+    late = {"without_us": _lateness_figures(before, after), "with_us": _lateness_figures(logged)}
     return {
         "seconds": seconds,
         "real_time": granted,
@@ -74,7 +80,7 @@ def sustained(path: Path, seconds: float) -> dict[str, Any]:
     }
 
 
-def as_in_the_loop(tick_in: TickIn, out: TickOut) -> Tick:
+def packed_tick(tick_in: TickIn, out: TickOut) -> TickPair:
     """Convert frames to records and telemetry to one array, as in the loop of the controller."""
     places = {}
     at = 0
@@ -102,10 +108,10 @@ def _on_separate_cores(recorder: int) -> Iterator[bool]:
             os.sched_setaffinity(0, cores)
 
 
-class _Ready:
+class _PreparedBus:
     """A bus that delivers the frames of a synthetic run."""
 
-    def __init__(self, ticks: list[Tick]) -> None:
+    def __init__(self, ticks: list[TickPair]) -> None:
         self._ticks = ticks
         self._at = 0
 
@@ -124,7 +130,7 @@ class _Ready:
 
 
 @dataclass
-class _ReadyTick:
+class _PreparedTick:
     """A tick whose result is known.
 
     Attributes:
@@ -144,29 +150,37 @@ class _ReadyTick:
         return self.state, self.out
 
 
-def _loop(
+def _run_loop(
     seconds: float,
     spin: bool,
-    ticks: list[Tick],
+    ticks: list[TickPair],
     record: Callable[[TickIn, TickOut], None],
     events: Callable[[], list[IoEvent]],
 ) -> LoopStats:
     """Run the controller's loop for a time with prepared ticks, and return its statistics."""
     last = int(seconds * RATE_HZ)
 
-    def begin(state: int, entry: TickIn) -> _ReadyTick:
+    def begin(state: int, entry: TickIn) -> _PreparedTick:
         out = ticks[state % len(ticks)][1]
-        return _ReadyTick(state + 1, out._replace(mode=Mode.DONE) if entry.k >= last else out)
+        return _PreparedTick(state + 1, out._replace(mode=Mode.DONE) if entry.k >= last else out)
 
     clock = RealClock(PERIOD_NS, spin=spin)
     loop = ControlLoop(
-        clock, PERIOD_NS, [_Ready(ticks)], begin, (), tuple, events, record, lambda entry, out: None
+        clock,
+        PERIOD_NS,
+        [_PreparedBus(ticks)],
+        begin,
+        (),
+        tuple,
+        events,
+        record,
+        lambda entry, out: None,
     )
     loop.run(0)
     return loop.stats
 
 
-def _into(recorder: Recorder) -> Callable[[TickIn, TickOut], None]:
+def _record_function(recorder: Recorder) -> Callable[[TickIn, TickOut], None]:
     """Return a function that packs a tick and passes it to the recorder."""
 
     def record(entry: TickIn, out: TickOut) -> None:
@@ -181,10 +195,10 @@ def _processor_s(pid: int) -> float:
     return float(sum(one.cpu_times().user + one.cpu_times().system for one in family))
 
 
-def _marks(*parts: LoopStats) -> dict[str, float]:
+def _lateness_figures(*parts: LoopStats) -> dict[str, float]:
     """Return percentiles of the lateness [us] and the fraction of missed deadlines."""
     us = np.concatenate([np.array(part.late_ns) for part in parts]) / 1e3
     missed = sum(part.missed for part in parts) / sum(part.ticks + part.missed for part in parts)
-    return {name: float(np.percentile(us, mark)) for name, mark in MARKS.items()} | {
+    return {name: float(np.percentile(us, mark)) for name, mark in LATENESS_PERCENTILES.items()} | {
         "missed_share": missed
     }

@@ -7,7 +7,7 @@ import os
 
 import pytest
 
-from benchmarks.seeds import demo
+from benchmarks.seeds import run_demo
 from handctl.campaign.scenarios import ALL_PROTOCOLS
 from handctl.hand.load import packaged_hands
 
@@ -33,5 +33,5 @@ tests/runtime/test_lockstep_again.py runs CiA 402 drives twice.
 def test_the_demo_meets_its_requirements_with_every_seed(
     hand: str, protocol: str, seed: int
 ) -> None:
-    figures = demo(hand, protocol, seed)
+    figures = run_demo(hand, protocol, seed)
     assert not figures["why"], figures

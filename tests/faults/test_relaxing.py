@@ -156,7 +156,7 @@ def test_relaxing_after_a_doubtful_load_cell_begins_at_the_tension_of_a_moving_d
 ) -> None:
     """Regression: relaxing began at the last command of an unstable loop, 160 N. A slack tendon then reached 317 N."""
     hand = hand_with_protocol("jamia", "odrive")
-    with homed_run(hand, 400.0, seed, task=hidden.task()) as simulation:
+    with homed_run(hand, 400.0, seed, task=hidden.rising_hold_task()) as simulation:
         free_ticks = 0
         out = simulation.tick()
         while not hidden.is_at_stage("free", out, free_ticks := free_ticks + (out.phase == "free")):

@@ -7,8 +7,8 @@ import pytest
 from handctl.hand.load import load_hand
 from tests.runtime.processes import (
     end_process,
-    time_scale_options,
     start_hand,
+    time_scale_options,
     write_homed_calibration,
 )
 

@@ -19,7 +19,7 @@ from handctl.cli.main import main
 from handctl.core.types import Mode
 from handctl.log.read.reader import RunLog
 from tests.lerobot.conftest import SCALE
-from tests.runtime.processes import LOCAL_BUS, HOMED_OPTIONS
+from tests.runtime.processes import HOMED_OPTIONS, LOCAL_BUS
 
 FOLDER = Path(__file__).parents[2] / "lerobot_robot_handctl"
 MISSING = "needs lerobot and lerobot_robot_handctl in an environment of its own, see lerobot_robot_handctl/README.md"

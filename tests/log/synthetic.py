@@ -1,4 +1,4 @@
-"""SyntheticTicks run: plausible motion of a hand, for tests of the log and trials of the viewer.
+"""Synthetic run: plausible motion of a hand, for tests of the log and trials of the viewer.
 
 Command: `python tests/log/synthetic.py OUT.mcap [--hand jamia|jamia11] [--seconds 10] [--rate 500]`.
 

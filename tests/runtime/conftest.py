@@ -11,8 +11,8 @@ from tests.runtime.processes import (
     SCALE,
     SHORT_TASK,
     end_process,
-    time_scale_options,
     start_hand,
+    time_scale_options,
     write_homed_calibration,
 )
 

@@ -35,8 +35,8 @@ from tests.runtime.processes import (
     LOCAL_BUS,
     LONG_TASK,
     end_process,
-    time_scale_options,
     start_hand,
+    time_scale_options,
     write_homed_calibration,
 )
 

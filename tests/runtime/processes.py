@@ -125,7 +125,7 @@ def socket_names() -> list[str]:
 
 
 def write_homed_calibration(path: Path, description: Hand) -> None:
-    """Write the calibration of a hand that starts with the options ``HOMED_OPTIONS``. All its tares and offsets are zero."""
+    """Write the calibration of a hand that starts with ``HOMED_OPTIONS``. All its tares and offsets are zero."""
     zero = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     calibration = Calibration(
         hand=description.name,

@@ -32,9 +32,9 @@ from handctl.runtime.paths import mailbox_path, run_dir
 from tests.runtime.processes import (
     LOCAL_BUS,
     end_process,
-    run_handctl,
     modes_of_complete_log,
     process_result,
+    run_handctl,
     start_handctl,
     wait_for_phase,
 )

@@ -7,13 +7,13 @@ import os
 
 import pytest
 
-from benchmarks.streaming import CLIENTS, Homed, measure_clients
+from benchmarks.streaming import CLIENT_BEHAVIOURS, CommissionedHand, measure_clients
 from handctl.hand.load import load_hand
-from tests.runtime.processes import LOCAL_BUS, HOMED_OPTIONS, write_homed_calibration
+from tests.runtime.processes import HOMED_OPTIONS, LOCAL_BUS, write_homed_calibration
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 SCALE = 0.6
-SAMPLE = list(CLIENTS) if NIGHTLY else ["flooding", "killed"]
+SAMPLE = list(CLIENT_BEHAVIOURS) if NIGHTLY else ["flooding", "killed"]
 HELD = "I11a"
 """Fault of a stream that sends no target for 100 ms. Its action is that the hand holds."""
 RELAXED = "I11b"
@@ -26,7 +26,7 @@ FAULTS = {
 
 
 @pytest.fixture
-def homed(place) -> Homed:
+def homed(place) -> CommissionedHand:
     """Return the calibration and the simulator options of a commissioned hand."""
     write_homed_calibration(place / "c.toml", load_hand("jamia"))
     return place / "c.toml", HOMED_OPTIONS

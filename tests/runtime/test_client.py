@@ -9,15 +9,15 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-
 import run_handctl as library
+
 from handctl import BusError, ConfigError, DriveError, PowerError
 from handctl.client import HandClient
 from handctl.runtime.mailbox import StatusWatcher, is_running
 from tests.runtime.processes import (
     LOCAL_BUS,
-    run_handctl,
     modes_of_complete_log,
+    run_handctl,
     start_handctl,
     wait_for_phase,
 )

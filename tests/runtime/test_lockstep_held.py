@@ -17,7 +17,7 @@ from handctl.runtime.hold_limit import MAX_HOLD_S
 from handctl.session.plan import RunPlan, default_rate
 from handctl.session.run import make_controller, run_lockstep
 from handctl.session.simulate import SimulatorSettings
-from tests.runtime.processes import TASK_HEAD, MOVE_PHASE
+from tests.runtime.processes import MOVE_PHASE, TASK_HEAD
 
 
 @pytest.mark.timeout(120)

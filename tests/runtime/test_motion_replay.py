@@ -19,8 +19,8 @@ from tests.replay.runs import CYLINDER_SCENE
 from tests.runtime.processes import (
     LOCAL_BUS,
     end_process,
-    run_handctl,
     process_result,
+    run_handctl,
     start_hand,
     start_handctl,
     wait_for_phase,

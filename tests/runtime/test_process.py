@@ -17,9 +17,9 @@ from handctl.runtime.mailbox import StatusWatcher
 from tests.runtime.processes import (
     LOCAL_BUS,
     end_process,
-    run_handctl,
     modes_of_complete_log,
     process_result,
+    run_handctl,
     socket_names,
     start_hand,
     start_handctl,

@@ -9,15 +9,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 import run_handctl as library
+
 from handctl import ConfigError, DriveError
 from handctl.runtime.mailbox import MAX_WATCHERS, WATCH_REQUEST, Mailbox, StatusWatcher
 from tests.runtime.processes import (
     LOCAL_BUS,
     READY_TIMEOUT_S,
-    run_handctl,
     modes_of_complete_log,
+    run_handctl,
     start_handctl,
 )
 

@@ -4,7 +4,7 @@ import pytest
 
 from handctl.errors import ConfigError
 from handctl.session.plan import RunChoice, make_plan
-from tests.runtime.processes import LOCAL_BUS, run_handctl, time_scale_options, start_hand
+from tests.runtime.processes import LOCAL_BUS, run_handctl, start_hand, time_scale_options
 
 
 @pytest.fixture

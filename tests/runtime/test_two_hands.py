@@ -5,9 +5,9 @@ import pytest
 from handctl.hand.load import load_hand
 from handctl.runtime.mailbox import StatusWatcher
 from tests.runtime.processes import (
-    run_handctl,
     modes_of_complete_log,
     process_result,
+    run_handctl,
     start_hand,
     start_handctl,
     wait_for_phase,

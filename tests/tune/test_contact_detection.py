@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.identify import draw_gains, draw_plant, excite_and_fit, truth
+from benchmarks.identify import draw_gains, draw_plant, excite_and_fit, true_parameters
 from handctl.core.gains.gains import Gains
 from handctl.hand.load import load_hand
 from handctl.tune.identify.contact_detection import (
@@ -66,7 +66,7 @@ def test_springs_of_fingers_that_touch_each_other_are_not_kept(
     for one in found.values():
         assert one.contact or one.blocked
         assert not set(one.names) & set(SWEEP_PARAMETERS)
-    real = truth(
+    real = true_parameters(
         load_hand(hand), next(iter(found)), draw_plant(0) | dict.fromkeys(draw_plant(0), 1.0)
     )
     for one in found.values():  # others stay correct

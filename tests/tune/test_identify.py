@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from benchmarks.identify import TOLERANCES, measure_digit, summary
+from benchmarks.identify import PARAMETER_TOLERANCES, measure_digit, summarise_results
 from handctl.cli.tuning.tune_files import load_tuned_hand
 from handctl.core.identified import (
     PARAMETER_UNITS,
@@ -33,7 +33,7 @@ from handctl.tune.identify.fit_motor import (
 )
 from handctl.tune.identify.identifiability import _reason_not_identified
 
-SPRUNG = TOLERANCES.keys() - {"moment_arm", "pretension"}
+SPRUNG = PARAMETER_TOLERANCES.keys() - {"moment_arm", "pretension"}
 """Parameters that are identified for digits with return springs."""
 SEEDS = 100
 COVERED = 90
@@ -93,7 +93,7 @@ def test_springs_behind_several_tendons_are_found_by_the_joint_encoders(tmp_path
 @pytest.mark.timeout(7200)
 def test_intervals_cover_the_parameters_of_a_hundred_hands(tmp_path: Path) -> None:
     digits = load_hand("jamia").digit_names
-    figures = summary(
+    figures = summarise_results(
         [measure_digit(seed, digits[seed % 4], tmp_path) for seed in range(1, SEEDS + 1)]
     )
     assert figures["failed"] == []

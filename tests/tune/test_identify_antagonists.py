@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks.identify import TOLERANCES, measure_digit, summary
+from benchmarks.identify import PARAMETER_TOLERANCES, measure_digit, summarise_results
 from handctl.core.identified import IdentifiedParameters, identified_hand
 from handctl.core.types import Mode
 from handctl.errors import DriveError
@@ -58,7 +58,7 @@ def test_a_digit_returned_by_its_tendons_is_identified(
     identified = [one for one in row["parameters"] if one["identified"]]
     for name in OF_EVERY_PAIR:
         assert {one["tendon"] for one in identified if one["name"] == name} == set(tendons)
-    expected = TOLERANCES.keys() - {"spring_stiffness"} - unseen
+    expected = PARAMETER_TOLERANCES.keys() - {"spring_stiffness"} - unseen
     assert {one["name"] for one in row["parameters"]} == expected
     assert [one for one in identified if abs(one["error"]) > 2.0 * one["half_width"]] == []
 
@@ -69,7 +69,7 @@ def test_a_digit_returned_by_its_tendons_is_identified(
 def test_intervals_cover_the_parameters_of_twenty_hands(tmp_path: Path, hand: str) -> None:
     digits = load_hand(hand).digit_names
     rows = [measure_digit(seed, digits[seed % len(digits)], tmp_path, hand) for seed in SEEDS]
-    figures = summary(rows)
+    figures = summarise_results(rows)
     assert figures["failed"] == []
     assert figures["refused"] == []
     found = {name: row for name, row in figures["parameters"].items() if row["identified"]}

@@ -69,7 +69,7 @@ def _row(model: type[BaseModel], name: str, key: str) -> tuple[str, str, str]:
     """Return the valid values, the necessity and the meaning of a key.
 
     Raises:
-        KeyError: the key has neither a description in its model nor an entry in MEANINGS.
+        KeyError: the key has neither a description in its model nor an entry in KEY_MEANINGS.
     """
     field = model.model_fields[name]
     required = "yes" if field.is_required() and key not in OPTIONAL_KEYS else "no"
