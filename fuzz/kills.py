@@ -26,11 +26,11 @@ def main() -> int:
     runs: list[KillVerdict] = []
     for batch in disturb_in_batches(args.times, args.seed, args.time_scale):
         for run in batch:
-            if not (run.safe and run.complete):
+            if not (run.torque_ended_in_time and run.has_complete_log):
                 print(run, flush=True)
         runs += batch
         print(kill_summary(runs), flush=True)
-    return 0 if all(run.safe and run.complete for run in runs) else 1
+    return 0 if all(run.torque_ended_in_time and run.has_complete_log for run in runs) else 1
 
 
 if __name__ == "__main__":

@@ -68,21 +68,21 @@ class DisturbedRun(NamedTuple):
     """Record of one run of a controller that was disturbed by a signal.
 
     Attributes:
-        how: signal that was sent to the controller.
-        before_ns: time of the simulator before the signal [ns].
-        after_ns: time of the simulator after the signal [ns].
+        sent_signal: signal that was sent to the controller.
+        before_signal_ns: time of the simulator before the signal [ns].
+        after_signal_ns: time of the simulator after the signal [ns].
         slipped_ns: time after the signal in which the simulator with its drives did not run [ns].
-        on_bus: tick counts of the SYNC frames that were on the bus.
-        in_log: tick counts of the SYNC frames that are in the log.
+        bus_sync_counts: tick counts of the SYNC frames that were on the bus.
+        log_sync_counts: tick counts of the SYNC frames that are in the log.
         warning: text about a damaged or incomplete log file, empty for none.
     """
 
-    how: signal.Signals
-    before_ns: int
-    after_ns: int
+    sent_signal: signal.Signals
+    before_signal_ns: int
+    after_signal_ns: int
     slipped_ns: int
-    on_bus: bytes
-    in_log: bytes
+    bus_sync_counts: bytes
+    log_sync_counts: bytes
     warning: str
 
 
@@ -91,33 +91,33 @@ class KillVerdict(NamedTuple):
 
     Attributes:
         run: record of the run.
-        pulled: whether a tendon was under tension at the signal.
-        driven: whether a motor made torque at the signal.
-        off_ms: time from before the signal until no motor made torque [ms].
-        late_ms: time from after the signal until no motor made torque [ms].
-        tension: largest tension after the fingers have had time to open [N].
+        was_taut: whether a tendon was under tension at the signal.
+        was_driven: whether a motor made torque at the signal.
+        max_torque_off_ms: time from before the signal until no motor made torque [ms].
+        min_torque_off_ms: time from after the signal until no motor made torque [ms].
+        tension_left_N: largest tension after the fingers have had time to open [N].
     """
 
     run: DisturbedRun
-    pulled: bool
-    driven: bool
-    off_ms: float
-    late_ms: float
-    tension: float
+    was_taut: bool
+    was_driven: bool
+    max_torque_off_ms: float
+    min_torque_off_ms: float
+    tension_left_N: float
 
     @property
-    def safe(self) -> bool:
+    def torque_ended_in_time(self) -> bool:
         """Return True if no motor made torque after the watchdog time of the drives."""
-        return self.late_ms <= WATCHDOG_MS + DECAY_MS
+        return self.min_torque_off_ms <= WATCHDOG_MS + DECAY_MS
 
     @property
-    def complete(self) -> bool:
+    def has_complete_log(self) -> bool:
         """Return True if the log contains every tick on the bus.
 
         The last tick may be missing if its SYNC was just sent.
         """
-        on_bus = self.run.on_bus
-        in_log = self.run.in_log
+        on_bus = self.run.bus_sync_counts
+        in_log = self.run.log_sync_counts
         return (
             not self.run.warning
             and len(on_bus) - len(in_log) in (0, 1)
@@ -131,7 +131,7 @@ class KillTestHand:
     def __init__(self, folder: Path, scale: float) -> None:
         """Start the simulator with a time scale. Its truth file and the logs are written to a folder."""
         self.folder = folder
-        self.scale = scale
+        self.time_scale = scale
         hand = load_hand("jamia")
         task = folder / "long.toml"
         calibration = folder / "c.toml"
@@ -161,7 +161,7 @@ class KillTestHand:
         reply_path.unlink()
         return int(answer["t_ns"]), int(answer["slip_ns"])
 
-    def start(self, log: Path) -> int:
+    def start_controller(self, log: Path) -> int:
         """Fork a controller and return its process number."""
         child = os.fork()
         if child:
@@ -175,18 +175,18 @@ class KillTestHand:
         finally:
             os._exit(code)
 
-    def disturb(self, number: int, how: signal.Signals, delay_s: float) -> DisturbedRun:
+    def disturb_controller(self, number: int, how: signal.Signals, delay_s: float) -> DisturbedRun:
         """Start a controller, send it a signal ``delay_s`` after its first SYNC, and return the record of its run."""
         log = self.folder / f"{number}.mcap"
         with SyncListener() as listener:
-            child = self.start(log)
+            child = self.start_controller(log)
             try:
                 listener.wait_for_sync(child)
-                listener.wait(delay_s / self.scale)
+                listener.listen(delay_s / self.time_scale)
                 before_ns, slip_ns = self.now_ns()
                 os.kill(child, how)
                 after_ns, _ = self.now_ns()
-                listener.wait((WATCHDOG_MS * 1e-3 + RELEASE_S) / self.scale)
+                listener.listen((WATCHDOG_MS * 1e-3 + RELEASE_S) / self.time_scale)
                 slipped_ns = self.now_ns()[1] - slip_ns
                 if how == signal.SIGSTOP:
                     os.kill(child, signal.SIGCONT)
@@ -195,14 +195,14 @@ class KillTestHand:
                 with suppress(ProcessLookupError, ChildProcessError):
                     os.kill(child, signal.SIGKILL)
                     os.waitpid(child, 0)
-            listener.wait(0.0)
+            listener.listen(0.0)
         warning, logged = read_syncs(log)
         log.unlink()
         return DisturbedRun(
             how, before_ns, after_ns, slipped_ns, bytes(listener.syncs), logged, warning
         )
 
-    def judged(self, runs: list[DisturbedRun]) -> list[KillVerdict]:
+    def kill_verdicts(self, runs: list[DisturbedRun]) -> list[KillVerdict]:
         """Compare the runs with the truth file of the simulator. The simulator must have ended."""
         truth = read_truth(self.truth)
         return [verdict_of_kill(truth, run) for run in runs]
@@ -229,17 +229,17 @@ class SyncListener:
     def __exit__(self, *_: object) -> None:
         self.link.close()
 
-    def wait(self, seconds: float) -> None:
+    def listen(self, seconds: float) -> None:
         """Wait for a time [s] and read the bus meanwhile, because a full socket would lose frames."""
         until = time.monotonic() + seconds
         while True:
-            self._take()
+            self._read_bus()
             left = until - time.monotonic()
             if left <= 0.0:
                 return
             time.sleep(min(left, 0.02))
 
-    def _take(self) -> None:
+    def _read_bus(self) -> None:
         with suppress(BlockingIOError):
             while data := self.link.recv(1 << 18):
                 self._partial += data
@@ -255,7 +255,7 @@ class SyncListener:
         while not self.syncs:
             assert os.waitpid(child, os.WNOHANG) == (0, 0), "the controller ended before the signal"
             assert time.monotonic() < until, "the controller sent no SYNC"
-            self.wait(0.004)
+            self.listen(0.004)
 
 
 def wait_for_end(child: int, listener: SyncListener) -> None:
@@ -265,7 +265,7 @@ def wait_for_end(child: int, listener: SyncListener) -> None:
         if time.monotonic() > until:
             os.kill(child, signal.SIGTERM)
             until += PROCESS_TIMEOUT_S
-        listener.wait(0.02)
+        listener.listen(0.02)
 
 
 def read_syncs(path: Path) -> tuple[str, bytes]:
@@ -289,17 +289,21 @@ def verdict_of_kill(truth: TruthRecord, run: DisturbedRun) -> KillVerdict:
     tension = truth.values[
         :, [i for i, name in enumerate(truth.columns) if name.startswith("tension/")]
     ]
-    begin = np.searchsorted(truth.t_ns, run.before_ns)
-    over = np.searchsorted(truth.t_ns, run.after_ns + run.slipped_ns + int(RELEASE_S * 1e9))
+    begin = np.searchsorted(truth.t_ns, run.before_signal_ns)
+    over = np.searchsorted(truth.t_ns, run.after_signal_ns + run.slipped_ns + int(RELEASE_S * 1e9))
     driven = np.flatnonzero(np.abs(torque[begin:over]).max(axis=1) > MIN_TORQUE_N_M)
-    last_ns = int(truth.t_ns[begin + driven[-1]]) - run.slipped_ns if len(driven) else run.before_ns
+    last_ns = (
+        int(truth.t_ns[begin + driven[-1]]) - run.slipped_ns
+        if len(driven)
+        else run.before_signal_ns
+    )
     return KillVerdict(
         run,
-        pulled=bool(tension[begin].max() > MIN_TAUT_N),
-        driven=bool(np.abs(torque[begin]).max() > MIN_TORQUE_N_M),
-        off_ms=(last_ns - run.before_ns) * 1e-6,
-        late_ms=(last_ns - run.after_ns) * 1e-6,
-        tension=float(tension[min(over, len(tension) - 1)].max()),
+        was_taut=bool(tension[begin].max() > MIN_TAUT_N),
+        was_driven=bool(np.abs(torque[begin]).max() > MIN_TORQUE_N_M),
+        max_torque_off_ms=(last_ns - run.before_signal_ns) * 1e-6,
+        min_torque_off_ms=(last_ns - run.after_signal_ns) * 1e-6,
+        tension_left_N=float(tension[min(over, len(tension) - 1)].max()),
     )
 
 
@@ -311,10 +315,10 @@ def disturb_controllers(folder: Path, times: int, seed: int, scale: float) -> li
     try:
         for number in range(times):
             how = signal.SIGKILL if number % 2 == 0 else signal.SIGSTOP
-            runs.append(place.disturb(number, how, chance.uniform(0.0, MAX_DELAY_S)))
+            runs.append(place.disturb_controller(number, how, chance.uniform(0.0, MAX_DELAY_S)))
     finally:
         end_process(place.simulator)
-    return place.judged(runs)
+    return place.kill_verdicts(runs)
 
 
 CONTROLLERS_PER_SIMULATOR = 25
@@ -333,12 +337,12 @@ def disturb_in_batches(times: int, seed: int, scale: float) -> Iterator[list[Kil
 
 def kill_summary(runs: list[KillVerdict]) -> str:
     """Summarise disturbed runs in one line of text."""
-    safe = sum(run.safe for run in runs)
-    complete = sum(run.complete for run in runs)
-    pulled = sum(run.pulled for run in runs)
-    driven = sum(run.driven for run in runs)
-    latest = max(run.off_ms for run in runs)
-    tension = max(run.tension for run in runs)
+    safe = sum(run.torque_ended_in_time for run in runs)
+    complete = sum(run.has_complete_log for run in runs)
+    pulled = sum(run.was_taut for run in runs)
+    driven = sum(run.was_driven for run in runs)
+    latest = max(run.max_torque_off_ms for run in runs)
+    tension = max(run.tension_left_N for run in runs)
     return (
         f"{len(runs)} controllers: {safe} times without torque in time, at most {latest:.1f} ms after the signal; "
         f"{complete} logs complete; {driven} disturbed under torque, {pulled} with a taut tendon; "

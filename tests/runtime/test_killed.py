@@ -26,14 +26,16 @@ def test_drives_remove_torque_and_logs_end_with_the_last_tick(slower):
     # this one, which has all tests.
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         runs = pool.apply(all_batches, (TIMES, 20261121, SCALE * slower))
-    assert [run for run in runs if not run.safe] == [], "torque is left after the drives' watchdog"
-    assert [run for run in runs if not run.complete] == [], (
+    assert [run for run in runs if not run.torque_ended_in_time] == [], (
+        "torque is left after the drives' watchdog"
+    )
+    assert [run for run in runs if not run.has_complete_log] == [], (
         "a log lacks the last ticks that were on the bus"
     )
-    assert max(run.tension for run in runs) < 5.0, kill_summary(runs)
-    assert sum(run.driven for run in runs) >= TIMES // 2, (
+    assert max(run.tension_left_N for run in runs) < 5.0, kill_summary(runs)
+    assert sum(run.was_driven for run in runs) >= TIMES // 2, (
         "most runs are disturbed while a motor makes torque"
     )
-    assert sum(run.pulled for run in runs) >= TIMES // 5, (
+    assert sum(run.was_taut for run in runs) >= TIMES // 5, (
         "some runs are disturbed while a tendon is taut"
     )

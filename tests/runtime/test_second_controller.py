@@ -39,14 +39,14 @@ def test_a_second_controller_is_refused_and_the_first_goes_on(place, scale):
             while not listener.syncs:
                 assert first.poll() is None, first.communicate()
                 assert time.monotonic() < until
-                listener.wait(0.01)
+                listener.listen(0.01)
             second = run_handctl("run", *WORDS, "--log", "second.mcap", *scale)
             assert second.returncode == 1
             assert "another controller runs here" in second.stderr
             assert second.stderr.count("\n") == 1
-            listener.wait(0.0)
+            listener.listen(0.0)
             before = len(listener.syncs)
-            listener.wait(0.5)
+            listener.listen(0.5)
             assert first.poll() is None
             assert len(listener.syncs) > before, "the first controller still sends"
         first.terminate()
