@@ -139,9 +139,9 @@ def combine_rounds(rows: list[dict]) -> dict:
 def measure_round(medium: str, floor: str, motors: int, ticks: int):
     """Yield the name and the times of one alternative after another."""
     sys.path.insert(0, str(BENCHMARKS_FOLDER))
-    from exchange.clients import CLIENT_BY_PACKAGE
-    from exchange.media import MOTORS_BY_MEDIUM, motors_on
-    from exchange.ways import EXCHANGE_BY_NAME
+    from exchange.package_clients import CLIENT_BY_PACKAGE
+    from exchange.simulated_motors import MOTORS_BY_MEDIUM, motors_on
+    from exchange.torque_exchanges import EXCHANGE_BY_NAME
 
     warnings.simplefilter("ignore")  # The clients print warnings.
     if floor:

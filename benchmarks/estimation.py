@@ -19,19 +19,19 @@ from functools import cache
 
 import numpy as np
 from trials import estimation_page, page
-from trials.filters import (
+from trials.alternative_filters import (
     AVERAGE_WEIGHTS,
     TENSION_RATE_NOISES,
     cell_only_estimate,
     exponential_average,
 )
 from trials.hands import CLEAR_SUFFIX, hand_by_name
-from trials.jobs import JobPlan, add_job_options, collect_results, job_plan_of
-from trials.limits import CELL_DRIFT_VARIANCE_N2_PER_S, reference_sigma
+from trials.job_runner import JobPlan, add_job_options, collect_results, job_plan_of
+from trials.reference_filter import CELL_DRIFT_VARIANCE_N2_PER_S, reference_sigma
 from trials.lockstep import RATES_HZ, LockstepTrial, TrialRecord, run_trial
 from trials.plants import FURTHER_PLANT_FACTORS, PHASES_TO_CONTACT, PLANT_FACTORS
-from trials.script import ScriptProgram, ScriptStep
-from trials.windows import REGIME_NAMES, regime_masks
+from trials.script_program import ScriptProgram, ScriptStep
+from trials.regimes import REGIME_NAMES, regime_masks
 
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel

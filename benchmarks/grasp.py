@@ -11,9 +11,9 @@ import json
 from typing import Any
 
 import numpy as np
-from grasps import contact, page, payload, slip, success, tip
+from grasps import contact, page, payload, slip, success, tip_force
 from grasps.objects import GRASP_CASES
-from trials.jobs import JobPlan, add_job_options, collect_results, job_plan_of
+from trials.job_runner import JobPlan, add_job_options, collect_results, job_plan_of
 
 MEASURED_HANDS = ("jamia", "jamia11")
 QUICK_OBJECTS = (1,)
@@ -98,7 +98,7 @@ def measure_grasps(args: argparse.Namespace, plan: JobPlan) -> dict[str, Any]:
         result["slip"] = list(collect_results(slip.measure_slip, slips, plan).values())
     if "tip" in parts:
         found = collect_results(
-            tip.measure_tip_force, [(hand, seed) for seed in seeds for hand in hands], plan
+            tip_force.measure_tip_force, [(hand, seed) for seed in seeds for hand in hands], plan
         )
         result["tip"] = [row for rows in found.values() for row in rows]
     if "contact" in parts:

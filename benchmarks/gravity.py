@@ -14,7 +14,7 @@ import math
 import numpy as np
 from trials import page, tracking
 from trials.hands import FINGERTIP_LOAD, SIDE_SUFFIX
-from trials.jobs import JobPlan, add_job_options, collect_results, job_plan_of
+from trials.job_runner import JobPlan, add_job_options, collect_results, job_plan_of
 from trials.laws import GRAVITY_LAWS
 from trials.lockstep import RATES_HZ, LockstepTrial, run_trial
 

@@ -23,7 +23,7 @@ else:
     sys.path[:] = [place for place in sys.path if Path(place or ".").resolve() != BENCHMARKS_FOLDER]
     sys.path[:0] = [str(BENCHMARKS_FOLDER.parent), str(BENCHMARKS_FOLDER.parent / "tests" / "log")]
 
-    from benchmarks.writers.measure import main
+    from benchmarks.writers.measure_writers import main
 
     if __name__ == "__main__":
         main(__doc__)

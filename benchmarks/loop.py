@@ -20,6 +20,8 @@ LATENESS_HZ = 500.0
 MAX_MISSED = 0.01
 RATE_STEP = 0.85
 """Ratio of the next rate to a rate that was too high, in the search for the highest rate."""
+LOOP_MODULES = {"ours": "loops.handctl_loop", "usual": "loops.handwritten_loop"}
+"""Module of each loop, by the key of its results."""
 
 
 def main() -> None:
@@ -121,7 +123,7 @@ def measure_in_this_process(which: str, hand: str, bus: str, seconds: str, rate:
     elif which == "bare_spin":
         outcome = bare_spin(float(seconds), float(rate))
     else:
-        run = __import__(f"loops.{which}", fromlist=["run_loop"]).run_loop
+        run = __import__(LOOP_MODULES[which], fromlist=["run_loop"]).run_loop
         try:
             outcome = run(hand, bus, float(seconds), float(rate) or None, log)
         except RuntimeError:  # At this rate the drives cannot even be set up.
@@ -190,7 +192,7 @@ def bare_sleep(seconds: float, rate_hz: float) -> tuple[float, float, list[int]]
 @contextmanager
 def simulated_drives(hand: str):
     """Start simulated drives on a bus and return its name."""
-    command = [sys.executable, str(Path(__file__).parent / "loops" / "peer.py"), hand, "b"]
+    command = [sys.executable, str(Path(__file__).parent / "loops" / "simulated_drives.py"), hand, "b"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
         assert process.stdout

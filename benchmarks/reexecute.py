@@ -11,7 +11,7 @@ import json
 import time
 from pathlib import Path
 
-from who import cpu_time_fractions
+from cpu_profile import cpu_time_fractions
 
 from handctl.controller.tick import Controller
 from handctl.log.read.reader import RunLog

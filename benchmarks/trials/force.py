@@ -15,7 +15,7 @@ from handctl.document import validate_content
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
 from trials import plants
-from trials.jobs import JobPlan, collect_results
+from trials.job_runner import JobPlan, collect_results
 from trials.laws import force_scale, on_raw_tension
 from trials.lockstep import RATES_HZ, LockstepTrial, TrialRecord, run_trial, unchanged_controller
 from trials.plants import PHASES_TO_CONTACT

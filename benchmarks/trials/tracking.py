@@ -28,11 +28,11 @@ from handctl.tune.loops.linear import LoopKind
 from handctl.tune.search.ensemble import draw_ensemble
 from trials import force, force_page, page, tracking_page
 from trials.hands import CLEAR_SUFFIX, hand_by_name
-from trials.jobs import JobPlan, add_job_options, collect_results, job_plan_of
+from trials.job_runner import JobPlan, add_job_options, collect_results, job_plan_of
 from trials.laws import ABLATION_LAWS
 from trials.lockstep import RATES_HZ, LockstepTrial, TrialRecord, run_trial
 from trials.plants import PLANT_FACTORS
-from trials.script import ScriptProgram, ScriptStep
+from trials.script_program import ScriptProgram, ScriptStep
 
 MEASURED_HANDS = ("jamia", "jamia11")
 MOTION_TIMES_S = {"slow": 1.5, "medium": 0.5, "fast": 0.15}

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.writers.sustained import measure_sustained
+from benchmarks.writers.sustained_recording import measure_sustained
 
 pytestmark = [pytest.mark.realtime, pytest.mark.alone]
 SECONDS = 30.0 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 1.0

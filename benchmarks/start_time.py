@@ -1,6 +1,6 @@
 """Start of a run: time from the command to the first frame on the bus, and the time of the help of a verb.
 
-``python benchmarks/start.py [--repeats N] [--json]``. The bus is a local bus without other
+``python benchmarks/start_time.py [--repeats N] [--json]``. The bus is a local bus without other
 participants. The kernels and the byte code of Python are compiled before the first measurement.
 Between the starts, the benchmark measures the start of Python with numpy, as a reference for the
 same machine. Compare only ratios to this reference. The CPU time depends less on other programs

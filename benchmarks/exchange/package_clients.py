@@ -13,7 +13,7 @@ import struct
 from types import SimpleNamespace
 
 import can
-from exchange.ways import feedback_frame
+from exchange.torque_exchanges import feedback_frame
 
 
 class DamiaoClient:

@@ -1,6 +1,6 @@
 """CPU time of the simulated drives, sensors, codec, tendons and rotors in lockstep, without MuJoCo's ``mj_step``.
 
-``python benchmarks/behind.py [--quick] [--json]``. The whole stack runs, because the controller
+``python benchmarks/simulator_cpu.py [--quick] [--json]``. The whole stack runs, because the controller
 evicts the code and data of the simulator from the caches of the processor. The benchmark measures
 the CPU time of ``LockstepHand.exchange`` in each tick, and subtracts the CPU time of ``mj_step`` alone for
 the same motion. All runs are bit-identical, so the benchmark uses the shortest time of each tick.
@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 
 from lockstep import SETUP_BY_SCENE, record_rollout, repeat_rollout, sum_of_shortest
-from stack import RATE_BY_HAND_HZ, LockstepStack
+from lockstep_stack import RATE_BY_HAND_HZ, LockstepStack
 
 from handctl.campaign.stage import hand_with_protocol
 from handctl.drives.motor_description import GUARDED_PROTOCOLS

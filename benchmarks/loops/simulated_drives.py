@@ -1,6 +1,6 @@
 """Simulated drives and load cells at rest, without a plant and with cached replies.
 
-``python benchmarks/loops/peer.py HAND NAME`` serves ``local:NAME`` and prints a line when it is
+``python benchmarks/loops/simulated_drives.py HAND NAME`` serves ``local:NAME`` and prints a line when it is
 ready.
 """
 

@@ -4,7 +4,7 @@ Each fault is injected into the first finger of a hand in lockstep. The stage is
 at 24 N, the rise of the tension, or a hold at 90 N. If the controller does not react within 2 s,
 the benchmark stops the run, as an operator would.
 
-    python benchmarks/hidden.py --hand jamia --protocol mit --seeds 20
+    python benchmarks/hidden_faults.py --hand jamia --protocol mit --seeds 20
 """
 
 import argparse

@@ -12,8 +12,8 @@ import synthetic
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from benchmarks.writers.others import LIBRARY_WRITERS, LogMessage
-from benchmarks.writers.sustained import measure_sustained, packed_tick
+from benchmarks.writers.library_writers import LIBRARY_WRITERS, LogMessage
+from benchmarks.writers.sustained_recording import measure_sustained, packed_tick
 from handctl.log.read.reader import RunLog
 from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record
 from handctl.log.write.recorder import Recorder
