@@ -27,11 +27,11 @@ from trials.alternative_filters import (
 )
 from trials.hands import CLEAR_SUFFIX, hand_by_name
 from trials.job_runner import JobPlan, add_job_options, collect_results, job_plan_of
-from trials.reference_filter import CELL_DRIFT_VARIANCE_N2_PER_S, reference_sigma
 from trials.lockstep import RATES_HZ, LockstepTrial, TrialRecord, run_trial
 from trials.plants import FURTHER_PLANT_FACTORS, PHASES_TO_CONTACT, PLANT_FACTORS
-from trials.script_program import ScriptProgram, ScriptStep
+from trials.reference_filter import CELL_DRIFT_VARIANCE_N2_PER_S, reference_sigma
 from trials.regimes import REGIME_NAMES, regime_masks
+from trials.script_program import ScriptProgram, ScriptStep
 
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel

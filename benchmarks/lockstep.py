@@ -14,8 +14,8 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
-from lockstep_stack import RATE_BY_HAND_HZ, FreeMotionSetup, GraspSetup, LockstepStack
 from cpu_profile import cpu_time_fractions
+from lockstep_stack import RATE_BY_HAND_HZ, FreeMotionSetup, GraspSetup, LockstepStack
 
 SIMULATED_S = 4.0
 QUICK_SIMULATED_S = 1.2

@@ -192,7 +192,12 @@ def bare_sleep(seconds: float, rate_hz: float) -> tuple[float, float, list[int]]
 @contextmanager
 def simulated_drives(hand: str):
     """Start simulated drives on a bus and return its name."""
-    command = [sys.executable, str(Path(__file__).parent / "loops" / "simulated_drives.py"), hand, "b"]
+    command = [
+        sys.executable,
+        str(Path(__file__).parent / "loops" / "simulated_drives.py"),
+        hand,
+        "b",
+    ]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
         assert process.stdout

@@ -3,7 +3,7 @@
 import argparse
 import sys
 
-from tests.runtime.kills import KillVerdict, disturb_in_batches, kill_summary
+from tests.runtime.killed_controllers import KillVerdict, disturb_in_batches, kill_summary
 
 
 def main() -> int:

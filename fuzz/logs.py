@@ -22,7 +22,7 @@ from handctl.log.read.recover import recover_log
 from handctl.log.topics.chain import CHAIN_TOPIC as CHAIN_TOPIC
 from handctl.log.topics.clock_pairs import CLOCK_PAIRS_TOPIC as CLOCK_TOPIC
 from handctl.log.topics.topic_set import TICK_TOPIC, VALUES_TOPIC
-from tests.log import synthetic
+from tests.log import synthetic_run
 
 FuzzTarget = Callable[[bytes], bool]
 MAX_EDITS = 4
@@ -60,8 +60,8 @@ def read_all(path: Path) -> None:
 def small_log(folder: Path, seconds: float = 0.3) -> Path:
     """Write a small but complete log with a few ticks."""
     path = folder / "small.mcap"
-    synthetic.write_synthetic_run(
-        path, synthetic.synthetic_header(rate_hz=10, attachments={}), seconds
+    synthetic_run.write_synthetic_run(
+        path, synthetic_run.synthetic_header(rate_hz=10, attachments={}), seconds
     )
     return path
 

@@ -109,7 +109,7 @@ class BaselineLoop:
 
 
 def run_loop(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, log: Path):
-    """Run the hand-written loop for some time, and return results like those of ``ours.run_loop``."""
+    """Run the hand-written loop for some time, and return results like those of ``handctl_loop.run_loop``."""
     loop = BaselineLoop(hand_name, bus_name, log)
     take_priority()
     loop.send_all(ENABLE_PAYLOAD)

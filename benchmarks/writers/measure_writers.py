@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import synthetic
+import synthetic_run
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
@@ -41,8 +41,8 @@ def main(description: str) -> None:
 
 def measure_all_writers(folder: Path, seconds: float, sustained_s: float) -> dict[str, Any]:
     """Measure the cost of all log writers, and continuous writing with handctl."""
-    run = synthetic.synthetic_header("jamia11", RATE_HZ)
-    ticks = [packed_tick(*tick) for tick in synthetic.SyntheticTicks(run, seconds)]
+    run = synthetic_run.synthetic_header("jamia11", RATE_HZ)
+    ticks = [packed_tick(*tick) for tick in synthetic_run.SyntheticTicks(run, seconds)]
     writers = {"handctl": measure_handctl(folder / "ours.mcap", run, ticks)}
     messages = decode_messages(folder / "ours.mcap")
     for name, make in LIBRARY_WRITERS.items():

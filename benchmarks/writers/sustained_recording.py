@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import psutil
-import synthetic
+import synthetic_run
 
 from handctl.core.types import TELEMETRY_FIELDS, IoEvent, Mode, PackedTelemetry, TickIn, TickOut
 from handctl.drives.frame import Frame
@@ -48,12 +48,12 @@ def measure_sustained(path: Path, seconds: float) -> dict[str, Any]:
     """
     ticks = [
         packed_tick(*tick)
-        for tick in synthetic.SyntheticTicks(
-            synthetic.synthetic_header(HAND_NAME, RATE_HZ), PREPARED_RUN_S
+        for tick in synthetic_run.SyntheticTicks(
+            synthetic_run.synthetic_header(HAND_NAME, RATE_HZ), PREPARED_RUN_S
         )
     ]
     recorder = Recorder.start(
-        path, synthetic.synthetic_header(HAND_NAME, RATE_HZ, deterministic=False)
+        path, synthetic_run.synthetic_header(HAND_NAME, RATE_HZ, deterministic=False)
     )
     with _on_separate_cores(recorder._child.pid) as granted:
         before = _run_loop(seconds / 2, granted, ticks, lambda entry, out: None, list)

@@ -7,7 +7,7 @@ import mujoco
 import pytest
 
 from handctl.cli.main import main
-from tests.cli.refused import refused
+from tests.cli.command_refusals import refusal_line
 from tests.drives.protocol_bench import hand_file, on_two_buses
 
 
@@ -46,15 +46,19 @@ def test_links_are_a_model_that_mujoco_reads(form, name, place, capsys):
     assert main(["config", "export", form, "--hand", "t42"]) == 0
     assert capsys.readouterr().out == f"{name}: 2 digits, 4 joints\n"
     assert mujoco.MjModel.from_xml_path(str(place / name)).njnt == 4
-    assert "not allowed with" in refused(capsys, "config", "export", form, "--dbc", "--hand", "t42")
+    assert "not allowed with" in refusal_line(
+        capsys, "config", "export", form, "--dbc", "--hand", "t42"
+    )
 
 
 def test_export_overwrites_no_file_and_refuses_foreign_options(place, capsys):
     (place / "jamia.dbc").write_text("mine")
-    assert "is there already" in refused(capsys, "config", "export", "--dbc", "--hand", "jamia")
+    assert "is there already" in refusal_line(
+        capsys, "config", "export", "--dbc", "--hand", "jamia"
+    )
     assert (place / "jamia.dbc").read_text() == "mine"
-    assert "--dbc" in refused(capsys, "config", "export", "--hand", "jamia")
+    assert "--dbc" in refusal_line(capsys, "config", "export", "--hand", "jamia")
     for words in (("show", "--dbc"), ("list", "--dbc"), ("check", "--output", "x.dbc")):
-        assert f"config {words[0]}: unknown option '{words[1]}'" in refused(
+        assert f"config {words[0]}: unknown option '{words[1]}'" in refusal_line(
             capsys, "config", *words
         )

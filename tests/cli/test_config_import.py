@@ -26,7 +26,7 @@ from handctl.hand.load import (
     packaged_hands,
 )
 from handctl.hand.tree import HandTree
-from tests.cli.refused import refused, refused_lines
+from tests.cli.command_refusals import refusal_line, refusal_lines
 from tests.conftest import NIGHTLY
 
 TRIPOD = Path(__file__).with_name("tripod.urdf")
@@ -189,7 +189,7 @@ def test_each_missing_value_is_refused_until_it_is_given(
 ) -> None:
     text = import_description("--urdf", TRIPOD, *ANSWERS)
     capsys.readouterr()
-    lines = refused_lines(capsys, "config", "check", "--hand", "mine.toml")
+    lines = refusal_lines(capsys, "config", "check", "--hand", "mine.toml")
     keys = [re.search(r'([a-z]\w+): "TODO"; expected', line) for line in lines]
     assert all(keys)
     assert sorted(key[1] for key in keys if key) == sorted(MEASURED), "one line for each value"
@@ -199,7 +199,7 @@ def test_each_missing_value_is_refused_until_it_is_given(
         Path("mine.toml").write_text(full.replace(f"{key} = {value}\n", f'{key} = "TODO"\n'))
         assert all(
             f"{key}: " in line
-            for line in refused_lines(capsys, "config", "check", "--hand", "mine.toml")
+            for line in refusal_lines(capsys, "config", "check", "--hand", "mine.toml")
         )
     Path("mine.toml").write_text(full)
     assert main(["config", "check", "--hand", "mine.toml"]) == 0
@@ -210,7 +210,7 @@ def test_no_run_begins_with_a_missing_value(
 ) -> None:
     import_description("--urdf", TRIPOD)
     capsys.readouterr()
-    assert '"TODO"; expected' in refused(capsys, "demo", "--lockstep", "--hand", "mine.toml")
+    assert '"TODO"; expected' in refusal_line(capsys, "demo", "--lockstep", "--hand", "mine.toml")
 
 
 def test_values_that_a_description_lacks_are_asked_for(
@@ -282,7 +282,7 @@ def test_a_bad_description_is_one_line(
     place: Path, capsys: pytest.CaptureFixture[str], form: str, text: str, said: str
 ) -> None:
     Path("bad.xml").write_text(text)
-    line = refused(capsys, "config", "init", "--yes", form, "bad.xml", "--output", "mine.toml")
+    line = refusal_line(capsys, "config", "init", "--yes", form, "bad.xml", "--output", "mine.toml")
     assert "bad.xml: " in line
     assert said in line
     assert not Path("mine.toml").exists()
@@ -307,14 +307,14 @@ def test_a_bad_description_is_one_line(
 def test_bad_options_are_refused(
     place: Path, capsys: pytest.CaptureFixture[str], words: list[str], said: str
 ) -> None:
-    assert said in refused(capsys, "config", "init", "--yes", *words, "--output", "mine.toml")
+    assert said in refusal_line(capsys, "config", "init", "--yes", *words, "--output", "mine.toml")
 
 
 def test_without_mujoco_the_extra_is_named(
     place: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(__import__("sys").modules, "mujoco", None)
-    line = refused(
+    line = refusal_line(
         capsys, "config", "init", "--yes", "--urdf", str(TRIPOD), "--output", "mine.toml"
     )
     assert "needs mujoco: pip install 'handctl[sim]'" in line

@@ -9,7 +9,7 @@ import pytest
 from handctl.cli.main import main
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from handctl.hand.load import load_hand
-from tests.cli.refused import refused
+from tests.cli.command_refusals import refusal_line
 
 WORDS = [
     (fingers, opposed, links, tendons)
@@ -80,7 +80,7 @@ def test_questions_are_asked_until_they_are_answered(
 def test_questions_without_a_terminal_are_refused(
     place: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    line = refused(capsys, "config", "init", "--output", "mine.toml")
+    line = refusal_line(capsys, "config", "init", "--output", "mine.toml")
     assert line.endswith(
         "config init: nobody can answer the questions: no terminal; expected --yes, and options\n"
     )
@@ -99,7 +99,7 @@ def test_questions_without_a_terminal_are_refused(
 def test_invalid_answers_are_refused(
     place: Path, capsys: pytest.CaptureFixture[str], words: list[str], said: str
 ) -> None:
-    assert said in refused(capsys, "config", "init", "--yes", *words, "--output", "mine.toml")
+    assert said in refusal_line(capsys, "config", "init", "--yes", *words, "--output", "mine.toml")
     assert not (place / "mine.toml").exists()
 
 
@@ -107,5 +107,5 @@ def test_existing_file_is_not_overwritten_by_config_init(
     place: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (place / "mine.toml").write_text("mine")
-    refused(capsys, "config", "init", "--yes", "--output", "mine.toml")
+    refusal_line(capsys, "config", "init", "--yes", "--output", "mine.toml")
     assert (place / "mine.toml").read_text() == "mine"

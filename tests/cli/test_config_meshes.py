@@ -22,7 +22,7 @@ from handctl.hand.load import (
 )
 from handctl.log.attached_meshes import MAX_BYTES
 from handctl.session.plan import RunChoice, make_plan
-from tests.cli.refused import refused, refused_lines
+from tests.cli.command_refusals import refusal_line, refusal_lines
 from tests.cli.test_config_import import TRIPOD
 from tests.hand.mesh_files import (
     assert_same_places,
@@ -99,7 +99,7 @@ def test_each_mistake_is_one_line_that_names_the_key(
     text = own.read_text()
     own.write_text(text.replace(old, new, 1))
     assert own.read_text() != text
-    lines = refused_lines(capsys, "config", "check", "--hand", "mine/hand.toml")
+    lines = refusal_lines(capsys, "config", "check", "--hand", "mine/hand.toml")
     assert line in lines[0]
     # A wrong scale of the links is two mistakes, because both links of the fingers have it.
     assert len(lines) == (2 if new == "link_mesh_scale = 1" else 1), lines
@@ -110,7 +110,7 @@ def test_a_mesh_that_is_no_mesh_is_refused_and_a_run_begins_without_it(
 ) -> None:
     (own.parent / "t42" / "outer.stl").write_text("solid outer\n" * 20)
     right = 'link_mesh[1]: "t42/outer.stl": an STL in text form; expected a binary STL, which MuJoCo reads as well'
-    assert refused(capsys, "config", "check", "--hand", str(own)).endswith(
+    assert refusal_line(capsys, "config", "check", "--hand", str(own)).endswith(
         f"default.digit.{right}\n"
     )
     messages: list[str] = []

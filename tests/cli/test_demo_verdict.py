@@ -7,7 +7,7 @@ import pytest
 from handctl.cli.main import main
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.load import hand_content
-from tests.cli.refused import refused
+from tests.cli.command_refusals import refusal_line
 from tests.runtime.processes import run_handctl, time_scale_options
 
 GRASP = """schema = 1
@@ -116,7 +116,7 @@ def test_a_joint_that_no_tendon_crosses_is_one_line(place, capsys, verb):
     content = jamia()
     del content["tendon"][0]["moment_arm_m"]["index_j3"]
     (place / "hand.toml").write_text(toml_text(content))
-    line = refused(
+    line = refusal_line(
         capsys, verb, "check" if verb == "config" else "--lockstep", "--hand", "hand.toml"
     )
     assert "digit[index]: no tendon crosses index_j3" in line

@@ -23,7 +23,7 @@ from handctl.printing import (
     escaped_streams,
     one_line_message,
 )
-from tests.cli.refused import refused, refused_lines
+from tests.cli.command_refusals import refusal_line, refusal_lines
 
 ESCAPES = "\x1b[2J\x1b]0;mine\x07\x9b31m\r\u202e\u2028\x7f"
 TASKS = PACKAGED_HANDS_FOLDER.parents[1] / "tasks"
@@ -158,7 +158,7 @@ READS = {
 @pytest.mark.parametrize("what", READS)
 def test_texts_of_files_are_escaped_and_shortened(place, capsys, what, content):
     (place / "odd.toml").write_text(FILES[content])
-    lines = refused_lines(capsys, *READS[what])
+    lines = refusal_lines(capsys, *READS[what])
     assert len(lines) == 1 or what == "hand"  # a hand file may give several lines
     for line in lines:
         assert line[:-1].isprintable()
@@ -199,7 +199,7 @@ WIDE = {
 @pytest.mark.parametrize("what", READS)
 def test_very_long_number_in_a_file_is_refused(place, capsys, what, number):
     (place / "odd.toml").write_text(f"schema = 1\nname = {WIDE[number]}\n")
-    line = refused(capsys, *READS[what])
+    line = refusal_line(capsys, *READS[what])
     assert "odd.toml" in line
     assert len(line) < LONGEST_MESSAGE
 
@@ -216,7 +216,7 @@ def test_the_largest_numbers_of_toml_are_read():
     "verb", ["run", "demo", "report", "fault", "tune", "identify", "scan", "sim"]
 )
 def test_double_dash_is_no_option_value(capsys, verb, option):
-    assert f"--{option}" in refused(capsys, verb, f"--{option}=--")
+    assert f"--{option}" in refusal_line(capsys, verb, f"--{option}=--")
 
 
 @pytest.mark.parametrize("name", [".", "", "/", ".."])
@@ -235,7 +235,7 @@ def test_double_dash_is_no_option_value(capsys, verb, option):
 )
 def test_a_log_whose_name_is_a_folder(place, capsys, verb, name):
     (place / "gains.toml").write_text("schema = 1\n")
-    refused(capsys, *verb, name)
+    refusal_line(capsys, *verb, name)
 
 
 @pytest.mark.parametrize("number", ["9" * 50, "9" * 5000, "-1", "0.5", "1e99", "\x1b[2J"])
@@ -252,7 +252,7 @@ def test_invalid_node_number_is_refused(capsys, drive, number):
 def test_a_pipe_without_a_reader_is_not_waited_for(place, capsys):
     os.mkfifo(place / "pipe")
     golden = PACKAGED_HANDS_FOLDER.parents[3] / "logs" / "golden" / "jamia-fault.mcap"
-    assert "nobody reads" in refused(capsys, "report", str(golden), "--output", "pipe")
+    assert "nobody reads" in refusal_line(capsys, "report", str(golden), "--output", "pipe")
 
 
 def test_json_of_foreign_words_is_utf8_that_others_read(capsys):
@@ -306,7 +306,7 @@ def test_a_refusal_of_the_simulator_is_reported_without_its_class(place, capsys)
         ("demo", "--lockstep", "--scene", "odd.toml"),
         ("demo", "--lockstep", "--scene", ESCAPES),
     ):
-        line = refused(capsys, *words)
+        line = refusal_line(capsys, *words)
         assert "firmware_sim" not in line
         assert ":Rig" not in line
         assert line[:-1].isprintable()

@@ -13,7 +13,7 @@ from handctl.cli.main import VERB_GROUPS, VERB_HELP, main, verb_parser
 from handctl.cli.parsing.parser import VerbParser
 from handctl.cli.parsing.renamed import RENAMED_OPTIONS
 from handctl.core.gains.bounds import gain_bounds
-from tests.cli.refused import refused
+from tests.cli.command_refusals import refusal_line
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "reference" / "command-line.md"
 ONE_NAME = {
@@ -87,7 +87,7 @@ def test_every_verb_has_verbose_and_quiet_and_one_name_for_one_thing(words):
     ],
 )
 def test_a_misspelt_word_is_answered_with_the_nearest_one(capsys, words, suggestion):
-    assert suggestion in refused(capsys, *words.split())
+    assert suggestion in refusal_line(capsys, *words.split())
 
 
 ROWS = [
@@ -101,7 +101,7 @@ ROWS = [
 def test_an_old_spelling_is_refused_and_names_the_new_one(capsys, verb, old, new):
     assert new in leaves()[verb]._option_string_actions
     for words in ([old, "x"], [f"{old}=x"]):
-        line = refused(capsys, *verb.split(), *words)
+        line = refusal_line(capsys, *verb.split(), *words)
         assert line == f"handctl: {verb}: {old} has been renamed; expected {new}\n"
 
 
@@ -156,7 +156,7 @@ def test_verbose_names_the_files_behind_a_run(place, capsys):
 
 
 def test_verbose_and_quiet_exclude_each_other(capsys):
-    assert "not allowed with" in refused(capsys, "-v", "demo", "-q")
+    assert "not allowed with" in refusal_line(capsys, "-v", "demo", "-q")
 
 
 def test_quiet_leaves_the_findings_that_need_a_repair(capsys, monkeypatch):

@@ -15,7 +15,7 @@ from handctl.hand.load import load_hand
 from handctl.programs.default_task import default_scene
 from handctl.report.truth import read_truth
 from handctl.session.plan import default_rate
-from tests.cli.refused import refused
+from tests.cli.command_refusals import refusal_line
 from tests.conftest import NIGHTLY
 
 LINKS = ("40", "60", "90", "120", "24,16", "40,30", "70,50", "18,12,10", "50,30,20", "55,40,25")
@@ -128,5 +128,5 @@ def test_config_check_warns_of_a_hand_that_cannot_grasp(
 def test_a_palm_too_small_for_an_object_is_refused(
     place: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    line = refused(capsys, "config", "init", "--yes", "--palm", "14", "--output", "mine.toml")
+    line = refusal_line(capsys, "config", "init", "--yes", "--palm", "14", "--output", "mine.toml")
     assert "--palm: 14; expected at least" in line

@@ -7,7 +7,7 @@ import pytest
 
 from handctl.cli.main import main
 from handctl.hand.load import PACKAGED_HANDS_FOLDER
-from tests.cli.refused import refused
+from tests.cli.command_refusals import refusal_line
 
 BUS = ("--bus", "local:nobody")
 
@@ -51,13 +51,13 @@ READS = {
 def test_unreadable_file_is_refused_in_one_line(place, capsys, what, make):
     make(place / "odd")
     (place / "odd.toml").symlink_to("odd")
-    assert "odd" in refused(capsys, *READS[what])
+    assert "odd" in refusal_line(capsys, *READS[what])
 
 
 def test_a_truth_that_is_a_pipe_is_not_waited_for(place, capsys):
     a_pipe(place / "truth")
     golden = PACKAGED_HANDS_FOLDER.parents[3] / "logs" / "golden" / "jamia-fault.mcap"
-    assert "not a file" in refused(capsys, "report", str(golden), "--truth", "truth")
+    assert "not a file" in refusal_line(capsys, "report", str(golden), "--truth", "truth")
 
 
 def test_a_truth_file_of_another_run_is_refused(place, capsys):
@@ -65,7 +65,7 @@ def test_a_truth_file_of_another_run_is_refused(place, capsys):
     header = {"columns": ["q/index_j1"]}
     row = (10**13).to_bytes(8, "little") + bytes(8)
     (place / "run.truth").write_bytes(json.dumps(header).encode() + b"\n" + row)
-    assert "at another time" in refused(
+    assert "at another time" in refusal_line(
         capsys, "report", str(golden), "--truth", "run.truth", "--output", "x.html"
     )
     assert not (place / "x.html").exists()
@@ -76,12 +76,12 @@ def test_a_truth_file_of_another_run_is_refused(place, capsys):
 def test_impossible_file_name_is_refused(place, capsys, what, name):
     (place / "odd").write_text("")
     a_loop(place / "loop")
-    refused(capsys, *(word.replace("odd", name) for word in READS[what]))
+    refusal_line(capsys, *(word.replace("odd", name) for word in READS[what]))
 
 
 def test_a_name_with_nul_is_refused(capsys):
     for words in READS.values():
-        assert "NUL" in refused(capsys, *(word.replace("odd", "o\0d") for word in words))
+        assert "NUL" in refusal_line(capsys, *(word.replace("odd", "o\0d") for word in words))
 
 
 NUMBERS = [
@@ -111,7 +111,7 @@ NUMBERS = [
 
 @pytest.mark.parametrize("words", NUMBERS, ids=" ".join)
 def test_invalid_number_is_refused(capsys, words):
-    assert words[-1].partition("=")[0] in refused(capsys, *words)
+    assert words[-1].partition("=")[0] in refusal_line(capsys, *words)
 
 
 def test_campaign_of_rows_without_scenarios_is_refused(capsys):
@@ -131,7 +131,7 @@ def test_campaign_of_rows_without_scenarios_is_refused(capsys):
         "--row",
         "N09",
     )
-    assert "'N09'" in refused(capsys, *words)
+    assert "'N09'" in refusal_line(capsys, *words)
 
 
 def test_very_long_drive_option_is_refused(capsys):
@@ -146,7 +146,7 @@ def test_very_long_drive_option_is_refused(capsys):
         "0.1",
         "--dry-run",
     )
-    assert "--option" in refused(
+    assert "--option" in refusal_line(
         capsys, "conformance", *words, "--option", "gear_ratio=" + "9" * 5000
     )
 
@@ -155,11 +155,11 @@ def test_very_long_drive_option_is_refused(capsys):
 @pytest.mark.parametrize("option", ["--bitrate", "--data-bitrate"])
 @pytest.mark.parametrize("verb", [("bus", "doctor"), ("scan",)], ids=" ".join)
 def test_impossible_bit_rate_is_refused(capsys, verb, option, rate):
-    assert "expected 10000 to 8000000" in refused(capsys, *verb, *BUS, f"{option}={rate}")
+    assert "expected 10000 to 8000000" in refusal_line(capsys, *verb, *BUS, f"{option}={rate}")
 
 
 def test_an_unknown_perturbation_is_refused_before_the_run(capsys):
-    refused(capsys, "identify", "--lockstep", "--digits", "thumb", "--perturb", "luck=2")
+    refusal_line(capsys, "identify", "--lockstep", "--digits", "thumb", "--perturb", "luck=2")
 
 
 @pytest.mark.parametrize("verb", [("identify",), ("tune", "verify", "new.toml")], ids=" ".join)
@@ -168,7 +168,7 @@ def test_an_unknown_perturbation_is_refused_before_the_run(capsys):
 )
 def test_perturbation_without_a_simulated_hand_is_refused(place, capsys, verb, words):
     (place / "new.toml").write_text("schema = 1\n")
-    assert "--perturb" in refused(capsys, *verb, *words, "--dry-run")
+    assert "--perturb" in refusal_line(capsys, *verb, *words, "--dry-run")
 
 
 BUSES = ["x", ":x", "local:", "local:../x", "local:a/b", "local:.x", "socketcan:", ""]
@@ -198,9 +198,9 @@ def test_invalid_bus_is_refused_before_the_run(place, capsys, bus):
         ("fault", "list"),
         fault,
     ):
-        refused(capsys, *words, "--bus", bus)
+        refusal_line(capsys, *words, "--bus", bus)
     for words in (("scan",), ("sim",), ("conformance", *drive)):
-        refused(capsys, *words, "--dry-run", "--bus", bus)
+        refusal_line(capsys, *words, "--dry-run", "--bus", bus)
     assert list(place.iterdir()) == []
 
 
@@ -227,7 +227,7 @@ def test_buses_are_named_alike_in_every_verb(capsys):
         out, err = capsys.readouterr()
         assert "local:nobody" in out + err
         assert "main=local:nobody" not in out + err
-        refused(capsys, *words, "--bus", "no name=local:nobody")
+        refusal_line(capsys, *words, "--bus", "no name=local:nobody")
 
 
 def test_deleted_working_folder_is_one_line(place, monkeypatch, capsys):
@@ -235,4 +235,4 @@ def test_deleted_working_folder_is_one_line(place, monkeypatch, capsys):
     monkeypatch.chdir("gone")
     (place / "gone").rmdir()
     for words in (("demo", "--lockstep"), ("doctor",), ("config", "show")):
-        assert "folder" in refused(capsys, *words) or words[0] == "demo"
+        assert "folder" in refusal_line(capsys, *words) or words[0] == "demo"

@@ -14,7 +14,7 @@ from handctl.campaign.scenarios import ALL_PROTOCOLS
 from handctl.cli.main import main
 from handctl.cli.runs.other_protocol import hand_in_protocol
 from handctl.hand.load import load_hand, packaged_hands
-from tests.cli.refused import refused
+from tests.cli.command_refusals import refusal_line
 
 BUS = ("--bus", "local:does-not-exist")
 
@@ -46,7 +46,7 @@ def test_a_simulator_leaves_the_file_that_its_controller_needs(
         assert load_hand("jamia-odrive.toml").motor[0].protocol == "odrive"
     assert [one[one.index("--hand") + 1] for one in started] == ["jamia-odrive.toml"] * 2
     Path("jamia-odrive.toml").write_text("mine")
-    line = refused(capsys, *words)
+    line = refusal_line(capsys, *words)
     assert line.endswith(
         ": jamia-odrive.toml exists and describes another hand; expected a folder without it\n"
     )
@@ -54,6 +54,6 @@ def test_a_simulator_leaves_the_file_that_its_controller_needs(
 
 
 def test_an_unknown_protocol_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    assert "argument --protocol: invalid choice: 'none'" in refused(
+    assert "argument --protocol: invalid choice: 'none'" in refusal_line(
         capsys, "demo", "--lockstep", "--protocol", "none"
     )

@@ -20,7 +20,7 @@ from handctl.cli.console.motion_confirmation import age_text
 from handctl.cli.main import main
 from handctl.hand.load import load_hand
 from handctl.runtime.buses.open import real_buses
-from tests.cli.refused import refused
+from tests.cli.command_refusals import refusal_line
 from tests.runtime.processes import write_homed_calibration
 
 REAL = ("socketcan:can0", "pcan:PCAN_USBBUS1", "slcan:/dev/ttyACM0")
@@ -68,7 +68,7 @@ def test_only_real_interfaces_count_as_real_buses():
 def test_no_hand_is_the_default_on_a_real_bus(words, capsys):
     for bus in REAL:
         for more in ((), ("--yes",), ("--dry-run",)):
-            err = refused(capsys, *words, "--bus", bus, *more)
+            err = refusal_line(capsys, *words, "--bus", bus, *more)
             assert f"--hand: no hand is given, and {bus} may have" in err
     assert main([*words, "--bus", "local:nobody", "--dry-run"]) == 0, (
         "a simulated bus has a default hand"
@@ -77,7 +77,7 @@ def test_no_hand_is_the_default_on_a_real_bus(words, capsys):
 
 def test_without_a_terminal_a_hand_moves_only_with_yes(words, capsys):
     said = "jamia on socketcan:can0 is armed and moves index, middle, ring, thumb; expected --yes"
-    assert said in refused(capsys, *words, *HAND, "--bus", "socketcan:can0")
+    assert said in refusal_line(capsys, *words, *HAND, "--bus", "socketcan:can0")
     assert main([*words, *HAND, "--bus", "socketcan:can0", "--dry-run"]) == 0, (
         "no motion in a dry run"
     )

@@ -10,7 +10,7 @@ import pytest
 from handctl.cli.main import VERB_HELP, main
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.load import hand_content, hand_from_content, load_hand, packaged_hands
-from tests.cli.refused import refused
+from tests.cli.command_refusals import refusal_line
 
 BUS = ("--bus", "local:does-not-exist")
 GRASP = ("--task", "grasp.toml")
@@ -68,7 +68,7 @@ def test_a_wrong_hand_file_is_refused(place, capsys, spoil, verb):
     spoil(content)
     (place / "hand.toml").write_text(toml_text(content))
     words = {"config": ("check",), "demo": (), "sim": BUS}.get(verb) or (*BUS, *RUNS.get(verb, ()))
-    line = refused(capsys, verb, *(() if verb == "demo" else words), "--hand", "hand.toml")
+    line = refusal_line(capsys, verb, *(() if verb == "demo" else words), "--hand", "hand.toml")
     for word in HAND_FILES[spoil]:
         assert word in line
     assert "expected" in line
@@ -81,13 +81,13 @@ def test_missing_hand_file_is_refused(capsys, verb):
         if verb not in RUNS
         else (*BUS, *RUNS[verb])
     )
-    assert "one of jamia" in refused(capsys, verb, *words, "--hand", "jama")
+    assert "one of jamia" in refusal_line(capsys, verb, *words, "--hand", "jama")
 
 
 @pytest.mark.parametrize("verb", RUNS)
 @pytest.mark.parametrize("rate", ["0", "-500", "nan", "inf", "5", "600", "5000"])
 def test_rate_above_bus_or_drive_limit_is_refused(capsys, verb, rate):
-    line = refused(capsys, verb, *BUS, *RUNS[verb], f"--rate={rate}")
+    line = refusal_line(capsys, verb, *BUS, *RUNS[verb], f"--rate={rate}")
     assert line.startswith("handctl: --rate: ")
     assert "at most 500" in line or "at least 40" in line
 
@@ -103,7 +103,7 @@ def test_rate_above_bus_or_drive_limit_is_refused(capsys, verb, rate):
     ],
 )
 def test_a_time_scale_out_of_range_is_refused(capsys, verb, words):
-    assert "--time-scale" in refused(capsys, verb, *BUS, *RUNS[verb], *words)
+    assert "--time-scale" in refusal_line(capsys, verb, *BUS, *RUNS[verb], *words)
 
 
 @pytest.mark.parametrize("verb", RUNS)
@@ -113,7 +113,7 @@ def test_a_time_scale_out_of_range_is_refused(capsys, verb, words):
 def test_bad_gains_are_refused(place, capsys, verb, text):
     if text is not None:
         (place / "gains.toml").write_text(text)
-    assert "gains.toml" in refused(capsys, verb, *BUS, *RUNS[verb], "--gains", "gains.toml")
+    assert "gains.toml" in refusal_line(capsys, verb, *BUS, *RUNS[verb], "--gains", "gains.toml")
 
 
 HEAD = 'schema = 1\nname = "t"\n[[phase]]\n'
@@ -138,7 +138,7 @@ TASKS = {
 def test_a_bad_task_is_refused(place, capsys, verb, text, named):
     (place / "task.toml").write_text(text)
     words = {"run": BUS, "demo": (), "config": ("check",)}[verb]
-    line = refused(capsys, verb, *words, "--task", "task.toml")
+    line = refusal_line(capsys, verb, *words, "--task", "task.toml")
     assert "task.toml" in line
     assert named in line
 
@@ -150,14 +150,14 @@ UNDATED = 'schema = 1\nhand = "jamia"\nidentity = "0"\nmade = "yesterday"\ntendo
 @pytest.mark.parametrize("text", ["", "schema = 1\nhand = 3\n", UNDATED, "\x00"])
 def test_unusable_calibration_is_refused(place, capsys, verb, text):
     (place / "c.toml").write_text(text)
-    assert "c.toml" in refused(capsys, verb, *BUS, *RUNS[verb], "--calibration", "c.toml")
+    assert "c.toml" in refusal_line(capsys, verb, *BUS, *RUNS[verb], "--calibration", "c.toml")
 
 
 @pytest.mark.parametrize("verb", RUNS)
 @pytest.mark.parametrize("log", ["no-folder/run.mcap", "there.mcap", "."])
 def test_existing_log_is_not_overwritten(place, capsys, verb, log):
     (place / "there.mcap").write_bytes(b"of another run")
-    assert "--log" in refused(capsys, verb, *BUS, *RUNS[verb], "--log", log)
+    assert "--log" in refusal_line(capsys, verb, *BUS, *RUNS[verb], "--log", log)
     assert (place / "there.mcap").read_bytes() == b"of another run"
 
 
@@ -184,14 +184,14 @@ BAD_BUSES = [
 def test_bus_names_of_another_hand_are_refused(place, capsys, verb, buses):
     (place / "two.toml").write_text(toml_text(two_buses()))
     words = [word for bus in buses for word in ("--bus", bus)]
-    line = refused(capsys, verb, "--hand", "two.toml", *words, *RUNS[verb])
+    line = refusal_line(capsys, verb, "--hand", "two.toml", *words, *RUNS[verb])
     assert "thumb=SPEC" in line
 
 
 @pytest.mark.parametrize("verb", RUNS)
 @pytest.mark.parametrize("bus", ["other=local:a", "main="])
 def test_unknown_bus_name_is_refused_for_one_bus(capsys, verb, bus):
-    assert "main=SPEC" in refused(capsys, verb, "--bus", bus, *RUNS[verb])
+    assert "main=SPEC" in refusal_line(capsys, verb, "--bus", bus, *RUNS[verb])
 
 
 def test_buses_may_be_given_in_any_order(place, capsys):
@@ -215,7 +215,7 @@ JOGS = [
 
 @pytest.mark.parametrize("words", JOGS, ids=" ".join)
 def test_a_bad_jog_is_refused(capsys, words):
-    refused(capsys, "jog", *words, *BUS)
+    refusal_line(capsys, "jog", *words, *BUS)
 
 
 @pytest.mark.parametrize(
@@ -268,13 +268,13 @@ ARGUMENTS = {
 @pytest.mark.parametrize("verb", ARGUMENTS)
 def test_unknown_words_of_a_verb_are_refused(capsys, verb):
     assert verb in VERB_HELP
-    line = refused(capsys, verb, *ARGUMENTS[verb])
+    line = refusal_line(capsys, verb, *ARGUMENTS[verb])
     assert line.startswith(f"handctl: {verb}")
     assert "expected" in line or "choose from" in line
 
 
 def test_unknown_verb_is_refused(capsys):
-    assert refused(capsys, "rum") == (
+    assert refusal_line(capsys, "rum") == (
         "handctl: the command line: unknown verb 'rum', did you mean run?; expected one that handctl --help lists\n"
     )
 

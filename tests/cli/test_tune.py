@@ -24,7 +24,7 @@ from handctl.programs.calibration import Calibration, TendonCalibration, load_ca
 from handctl.session.calibration import write_calibration
 from handctl.tune.scoring import GainScore
 from handctl.tune.search.search import SearchResult, SearchTrial
-from tests.cli.refused import refused
+from tests.cli.command_refusals import refusal_line
 
 GOLDEN = str(Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap")
 A = Namespace(candidate="new.toml", hand="jamia")
@@ -137,7 +137,7 @@ def test_springs_too_weak_to_stretch_against_are_refused_in_one_line(place, caps
         .replace("spring_preload_rad = [", "spring_preload_rad = [0.01, 0.01, 0.01]#[", 1)
     )
     (place / "weak.toml").write_text(text)
-    said = refused(capsys, "identify", "--lockstep", "--hand", "weak.toml", "--dry-run")
+    said = refusal_line(capsys, "identify", "--lockstep", "--hand", "weak.toml", "--dry-run")
     assert "digit[index].spring_preload_rad: the springs open the joints with" in said
 
 
@@ -187,7 +187,7 @@ def test_a_dry_run_writes_nothing_and_answers_in_json(place, capsys, words):
     "words", [(), ("--from-log", GOLDEN, "--lockstep"), ("--lockstep", "--bus", "local:nobody")]
 )
 def test_an_identification_refuses_two_sources(capsys, words):
-    assert "expected one of them" in refused(capsys, "identify", *words)
+    assert "expected one of them" in refusal_line(capsys, "identify", *words)
 
 
 def test_a_calibration_in_lockstep_does_not_replace_the_real_one(place, capsys, monkeypatch):
@@ -302,7 +302,7 @@ def test_a_fit_of_a_blocked_digit_is_not_written(place, capsys, monkeypatch, oth
 @pytest.mark.parametrize("kind", ["design", "search"])
 def test_gains_and_picture_are_two_files(place, capsys, kind, words):
     """A command refuses the same name for both, because the picture would overwrite the gains."""
-    assert "the name of the picture" in refused(capsys, "tune", kind, "--plants", "1", *words)
+    assert "the name of the picture" in refusal_line(capsys, "tune", kind, "--plants", "1", *words)
     assert not list(place.iterdir())
 
 
@@ -324,7 +324,7 @@ def test_tuning_overwrites_no_other_file_of_the_hand(place, capsys, name, option
         option,
         name,
     )
-    assert "expected another name" in refused(capsys, *words)
+    assert "expected another name" in refusal_line(capsys, *words)
     assert (place / "mine.study").read_text() == "mine"
 
 
@@ -336,7 +336,7 @@ def test_a_log_of_a_simulated_hand_is_not_used_for_the_real_hand(place, capsys):
         LogWriter(real, replace(log.header, deterministic=False), lambda *what: None, 1).finish(
             "finished", 0
         )
-    assert "is of a simulated hand" in refused(
+    assert "is of a simulated hand" in refusal_line(
         capsys, "identify", "--from-log", str(real), "--from-log", GOLDEN
     )
 
@@ -367,7 +367,7 @@ def test_repeated_options_are_collected():
     ],
 )
 def test_options_that_do_not_fit_together_are_refused(place, capsys, words, line):
-    assert line in refused(capsys, *words)
+    assert line in refusal_line(capsys, *words)
 
 
 PERTURBING = [
@@ -400,7 +400,7 @@ PERTURBING = [
 )
 def test_a_wrong_perturbation_is_one_line_in_every_verb(place, capsys, verb, words, said):
     (place / "new.toml").write_text("schema = 1\n")
-    assert said in refused(capsys, *verb, "--perturb", *words)
+    assert said in refusal_line(capsys, *verb, "--perturb", *words)
     assert [path.name for path in place.iterdir()] == ["new.toml"]
 
 

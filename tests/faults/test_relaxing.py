@@ -159,7 +159,9 @@ def test_relaxing_after_a_doubtful_load_cell_begins_at_the_tension_of_a_moving_d
     with homed_run(hand, 400.0, seed, task=hidden_faults.rising_hold_task()) as simulation:
         free_ticks = 0
         out = simulation.tick()
-        while not hidden_faults.is_at_stage("free", out, free_ticks := free_ticks + (out.phase == "free")):
+        while not hidden_faults.is_at_stage(
+            "free", out, free_ticks := free_ticks + (out.phase == "free")
+        ):
             out = simulation.tick()
         simulation.peer.inject(fault)
         assert simulation.until(lambda out: out.mode == Mode.RELAX, 2.0)

@@ -3,7 +3,7 @@
 import itertools
 from pathlib import Path
 
-import synthetic
+import synthetic_run
 
 from handctl.log.read.reader import RunLog
 from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record
@@ -15,10 +15,10 @@ from handctl.log.write.writer import LogWriter
 def _written(
     path: Path, clocks: list[tuple[int, int]], seconds: float, deterministic: bool
 ) -> Path:
-    run = synthetic.synthetic_header(rate_hz=10, deterministic=deterministic)
+    run = synthetic_run.synthetic_header(rate_hz=10, deterministic=deterministic)
     left = iter(clocks)
     writer = LogWriter(path, run, lambda *what: None, 1, lambda: next(left))
-    for tick in synthetic.SyntheticTicks(run, seconds):
+    for tick in synthetic_run.SyntheticTicks(run, seconds):
         writer.add(pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :])
     writer.finish("finished", 0)
     return path

@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 
 import pytest
-from headers import with_metadata, with_run_metadata
+from changed_headers import with_metadata, with_run_metadata
 
 from handctl.cli.main import main
 from handctl.errors import LogError

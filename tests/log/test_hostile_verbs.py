@@ -6,8 +6,8 @@ import sys
 from pathlib import Path
 
 import pytest
-import synthetic
-from hostile import hostile_files
+import synthetic_run
+from hostile_logs import hostile_files
 
 from handctl.cli.main import main
 from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record
@@ -84,9 +84,9 @@ def test_names_from_a_log_cannot_control_the_terminal_or_write_files(
         "gains": {evil: evil},
         "attachments": {f"../{evil}": b"x"},
     }
-    run = synthetic.synthetic_header(rate_hz=50, **more)
+    run = synthetic_run.synthetic_header(rate_hz=50, **more)
     writer = LogWriter(inner / "run.mcap", run, lambda *what: None, 1)
-    for tick in synthetic.SyntheticTicks(run, 0.5):
+    for tick in synthetic_run.SyntheticTicks(run, 0.5):
         writer.add(pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :])
     writer.finish(evil, 0)
     for words in (

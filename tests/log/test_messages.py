@@ -3,10 +3,15 @@
 import struct
 from pathlib import Path
 
-import lively
 import numpy as np
 import pytest
-from oracle import Ros2SupportSerialiser, RosbagsSerialiser, messages_by_topic, other_serialisers
+import varied_run
+from other_log_readers import (
+    Ros2SupportSerialiser,
+    RosbagsSerialiser,
+    messages_by_topic,
+    other_serialisers,
+)
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from handctl.log.message_types import MESSAGE_DEFINITIONS, schema_name, schema_text
@@ -38,9 +43,9 @@ STATES = {30: b"one state", 136: bytes(range(256)) * 100}
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("lively") / "run.mcap"
-    run = lively.varied_header(deterministic=False)
+    run = varied_run.varied_header(deterministic=False)
     recorder = Recorder.start(path, run)
-    for tick_in, out in lively.varied_ticks(run):
+    for tick_in, out in varied_run.varied_ticks(run):
         assert recorder.record(pack_tick_record(tick_in, out))
         if tick_in.k in STATES:
             assert recorder.record(pack_snapshot(tick_in, STATES[tick_in.k]))
@@ -166,9 +171,9 @@ def test_message_equals_the_reference_encoding(
 
 
 def test_joint_states_carry_the_telemetry_by_name(log: Path) -> None:
-    run, logged = lively.varied_header(), messages_by_topic(log)["/joint_states"]
+    run, logged = varied_run.varied_header(), messages_by_topic(log)["/joint_states"]
     oracle = RosbagsSerialiser(logged[0].kind, logged[0].schema)
-    for (tick_in, out), message in zip(lively.varied_ticks(run), logged, strict=True):
+    for (tick_in, out), message in zip(varied_run.varied_ticks(run), logged, strict=True):
         state = oracle.decode(message.data)
         assert state.name == list(run.joints)
         np.testing.assert_array_equal(state.position, out.telemetry.q)
@@ -186,7 +191,7 @@ def test_frames_of_all_buses_stay_in_order(log: Path) -> None:
             ours = [oracle.decode(message.data) for message in messages]
             sent = [
                 frame
-                for tick in lively.varied_ticks(lively.varied_header())
+                for tick in varied_run.varied_ticks(varied_run.varied_header())
                 for frame in choose(*tick)
                 if bool(frame.flags & 4) == long
             ]
@@ -195,7 +200,9 @@ def test_frames_of_all_buses_stay_in_order(log: Path) -> None:
                 assert message.id == frame.can_id & 0x1FFF_FFFF
                 assert message.is_extended == bool(frame.can_id >> 31)
                 assert message.is_error == bool(frame.can_id >> 29 & 1)
-                assert message.header.frame_id == (*lively.BUS_NAMES, "unknown")[min(frame.bus, 2)]
+                assert (
+                    message.header.frame_id == (*varied_run.BUS_NAMES, "unknown")[min(frame.bus, 2)]
+                )
                 length = message.len if long else message.dlc
                 assert bytes(message.data[:length]) == frame.data
                 assert long or message.is_rtr == bool(frame.can_id >> 30 & 1)
@@ -205,7 +212,7 @@ def test_received_frames_have_their_time_and_sent_frames_that_of_their_tick(log:
     topics = messages_by_topic(log)
     times = [
         frame.t_ns
-        for tick_in, _ in lively.varied_ticks(lively.varied_header())
+        for tick_in, _ in varied_run.varied_ticks(varied_run.varied_header())
         for frame in tick_in.frames
         if not frame.flags
     ]
@@ -213,7 +220,7 @@ def test_received_frames_have_their_time_and_sent_frames_that_of_their_tick(log:
     oracle = RosbagsSerialiser(topics["/can/tx"][0].kind, topics["/can/tx"][0].schema)
     starts = {
         tick_in.k: tick_in.t_ns + tick_in.late_ns
-        for tick_in, _ in lively.varied_ticks(lively.varied_header())
+        for tick_in, _ in varied_run.varied_ticks(varied_run.varied_header())
     }
     for message in topics["/can/tx"]:
         stamp = oracle.decode(message.data).header.stamp

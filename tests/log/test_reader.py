@@ -11,11 +11,11 @@ import sys
 import time
 from pathlib import Path
 
-import lively
 import numpy as np
 import pytest
-import synthetic
-from hostile import hostile_files
+import synthetic_run
+import varied_run
+from hostile_logs import hostile_files
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.writer import Writer
@@ -32,9 +32,9 @@ from handctl.printing import printable_text
 @pytest.fixture(scope="module")
 def lively_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("lively") / "run.mcap"
-    run = lively.varied_header(deterministic=False)
+    run = varied_run.varied_header(deterministic=False)
     recorder = Recorder.start(path, run)
-    for tick in lively.varied_ticks(run):
+    for tick in varied_run.varied_ticks(run):
         assert recorder.record(pack_tick_record(*tick))
         time.sleep(0.003)
     recorder.close("finished")
@@ -44,7 +44,9 @@ def lively_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_ticks_come_back_exactly(lively_log: Path) -> None:
     with RunLog(lively_log) as log:
         ticks = list(log.ticks())
-    for (tick_in, out), one in zip(lively.varied_ticks(lively.varied_header()), ticks, strict=True):
+    for (tick_in, out), one in zip(
+        varied_run.varied_ticks(varied_run.varied_header()), ticks, strict=True
+    ):
         expected = TickRecord(
             tick_in, out.frames, out.mode, out.phase, out.action, out.events, out.state_hash
         )
@@ -57,7 +59,7 @@ def test_every_field_comes_back_bit_for_bit(
 ) -> None:
     if not cached:
         monkeypatch.setattr("handctl.log.read.reader._CACHE_BYTES", 0)
-    recorded = [out.telemetry for _, out in lively.varied_ticks(lively.varied_header())]
+    recorded = [out.telemetry for _, out in varied_run.varied_ticks(varied_run.varied_header())]
     with RunLog(lively_log) as log:
         for name in TELEMETRY_FIELDS:
             expected = np.array([getattr(telemetry, name) for telemetry in recorded])
@@ -72,7 +74,7 @@ def test_a_log_without_the_latest_fields_is_read(
 
     The field is then NaN.
     """
-    recorded = [out.telemetry for _, out in lively.varied_ticks(lively.varied_header())]
+    recorded = [out.telemetry for _, out in varied_run.varied_ticks(varied_run.varied_header())]
     monkeypatch.setitem(TELEMETRY_AXES, "coming", "joint")
     for module in ("batch", "read.reader"):
         monkeypatch.setattr(f"handctl.log.{module}.TELEMETRY_FIELDS", (*TELEMETRY_FIELDS, "coming"))
@@ -86,7 +88,7 @@ def test_a_log_without_the_latest_fields_is_read(
 
 
 def test_reader_returns_times_gaps_events_and_phases_as_written(lively_log: Path) -> None:
-    ticks = list(lively.varied_ticks(lively.varied_header()))
+    ticks = list(varied_run.varied_ticks(varied_run.varied_header()))
     with RunLog(lively_log) as log:
         assert log.k.tolist() == [tick_in.k for tick_in, _ in ticks]
         assert log.late_ns.tolist() == [tick_in.late_ns for tick_in, _ in ticks]
@@ -103,7 +105,7 @@ def test_reader_returns_times_gaps_events_and_phases_as_written(lively_log: Path
 
 
 def test_the_header_comes_back(lively_log: Path) -> None:
-    run = lively.varied_header(deterministic=False)
+    run = varied_run.varied_header(deterministic=False)
     with RunLog(lively_log) as log:
         for name in (
             "hand_toml",
@@ -238,7 +240,7 @@ def test_a_log_of_another_version_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "a.mcap"
-    synthetic.write_synthetic_run(path, synthetic.synthetic_header(rate_hz=50), 0.1)
+    synthetic_run.write_synthetic_run(path, synthetic_run.synthetic_header(rate_hz=50), 0.1)
     monkeypatch.setattr("handctl.log.read.reader.LOG_SCHEMA_VERSION", 2)
     with pytest.raises(LogError, match="version 1"):
         RunLog(path)

@@ -12,9 +12,9 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 
-import lively
 import pytest
-import synthetic
+import synthetic_run
+import varied_run
 
 from handctl.core.types import IoEvent, TickIn
 from handctl.errors import LogError
@@ -30,7 +30,7 @@ from handctl.log.write.writer import LogWriter
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 KILLS, TOGETHER = 100 if NIGHTLY else 8, 4
 RECORDER_KILLS = 100 if NIGHTLY else 1
-FEEDER = Path(__file__).with_name("feeder.py")
+FEEDER = Path(__file__).with_name("recorder_feeder.py")
 
 
 @pytest.fixture
@@ -45,7 +45,7 @@ def start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[
     def one(
         name: str = "run.mcap", deterministic: bool = False, floor_bytes: int = 1, **more: object
     ) -> Recorder:
-        run = synthetic.synthetic_header(rate_hz=1000, deterministic=deterministic, **more)
+        run = synthetic_run.synthetic_header(rate_hz=1000, deterministic=deterministic, **more)
         started.append(Recorder.start(tmp_path / name, run, floor_bytes))
         return started[-1]
 
@@ -57,8 +57,8 @@ def start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[
 
 
 def _records(number: int) -> list[bytes]:
-    run = synthetic.synthetic_header(rate_hz=1000)
-    return [pack_tick_record(*tick) for tick in synthetic.SyntheticTicks(run, number / 1000)]
+    run = synthetic_run.synthetic_header(rate_hz=1000)
+    return [pack_tick_record(*tick) for tick in synthetic_run.SyntheticTicks(run, number / 1000)]
 
 
 def _until(condition: Callable[[], bool], timeout_s: float = 10.0) -> bool:
@@ -222,7 +222,7 @@ def test_records_longer_than_an_atomic_write_stay_whole(
     start: Callable[..., Recorder], tmp_path: Path
 ) -> None:
     recorder, chance, taken = start(), random.Random(3), []
-    ticks = list(synthetic.SyntheticTicks(synthetic.synthetic_header(rate_hz=1000), 1.0))
+    ticks = list(synthetic_run.SyntheticTicks(synthetic_run.synthetic_header(rate_hz=1000), 1.0))
     for k, (tick_in, out) in enumerate(ticks):
         if k % 250 == 100:
             os.kill(recorder._child.pid, signal.SIGSTOP)
@@ -240,8 +240,8 @@ def test_records_longer_than_an_atomic_write_stay_whole(
 
 def test_telemetry_of_another_shape_is_announced(start: Callable[..., Recorder]) -> None:
     recorder = start()
-    other = synthetic.synthetic_header("jamia11", rate_hz=1000)
-    for tick in synthetic.SyntheticTicks(other, 0.01):
+    other = synthetic_run.synthetic_header("jamia11", rate_hz=1000)
+    for tick in synthetic_run.SyntheticTicks(other, 0.01):
         recorder.record(pack_tick_record(*tick))
     events: list[IoEvent] = []
     assert _until(lambda: bool(events.extend(recorder.events())) or bool(events))
@@ -372,7 +372,7 @@ def test_a_full_disk_has_reserved_space_for_the_end(tiny_disk: Path) -> None:
     events: list[tuple[str, int]] = []
     writer = LogWriter(
         tiny_disk / "run.mcap",
-        synthetic.synthetic_header(),
+        synthetic_run.synthetic_header(),
         lambda *what: events.append(what),
         700_000,
     )
@@ -392,7 +392,11 @@ def test_a_full_disk_has_reserved_space_for_the_end(tiny_disk: Path) -> None:
 def test_the_syncing_process_does_not_hold_the_reserved_space(tiny_disk: Path) -> None:
     syncer = DiskSyncer()
     writer = LogWriter(
-        tiny_disk / "run.mcap", synthetic.synthetic_header(), lambda *what: None, 1, to_disk=syncer
+        tiny_disk / "run.mcap",
+        synthetic_run.synthetic_header(),
+        lambda *what: None,
+        1,
+        to_disk=syncer,
     )
     for record in _records(100):
         writer.add(record[RECORD_FRAMING_STRUCT.size :])
@@ -410,7 +414,7 @@ def test_the_syncing_process_does_not_hold_the_reserved_space(tiny_disk: Path) -
 def test_recording_a_tick_is_fast(start: Callable[..., Recorder]) -> None:
     recorder = start()
     tick_in, out = next(
-        iter(synthetic.SyntheticTicks(synthetic.synthetic_header(rate_hz=1000), 0.01))
+        iter(synthetic_run.SyntheticTicks(synthetic_run.synthetic_header(rate_hz=1000), 0.01))
     )
     spent = []
     for k in range(300):
@@ -427,11 +431,11 @@ def test_the_recorder_needs_no_compiler(tmp_path: Path) -> None:
 
     Regression: the recorder imported numba, llvmlite and scipy to check a single text.
     """
-    run = lively.varied_header()
+    run = varied_run.varied_header()
     path = tmp_path / "run.mcap"
     recorder = Recorder.start(path, run, 1)
     size = path.stat().st_size
-    for tick in lively.varied_ticks(run):
+    for tick in varied_run.varied_ticks(run):
         recorder.record(pack_tick_record(*tick))
     assert _until(lambda: path.stat().st_size > size)
     mapped = Path(f"/proc/{recorder._child.pid}/maps").read_text()

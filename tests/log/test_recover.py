@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import synthetic
-from oracle import read_messages
+import synthetic_run
+from other_log_readers import read_messages
 
 from handctl.errors import ConfigError, LogError
 from handctl.log.read.logfile import LogFile
@@ -28,8 +28,8 @@ def smallest_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "gains.toml": b"[motion]\nposition_error_m = 6e-4\n",
         "initial_state": bytes(range(64)),
     }
-    synthetic.write_synthetic_run(
-        path, synthetic.synthetic_header(rate_hz=4, attachments=attachments), 1.75
+    synthetic_run.write_synthetic_run(
+        path, synthetic_run.synthetic_header(rate_hz=4, attachments=attachments), 1.75
     )
     assert 60 << 10 < path.stat().st_size <= 68 << 10
     return path
@@ -183,7 +183,7 @@ def test_another_file_is_an_error(tmp_path: Path) -> None:
 
 def test_a_log_with_only_its_header_gives_nothing_but_the_names(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
-    synthetic.write_synthetic_run(path, synthetic.synthetic_header(rate_hz=50), 0.5)
+    synthetic_run.write_synthetic_run(path, synthetic_run.synthetic_header(rate_hz=50), 0.5)
     first = _scan(path).chunks[0]
     recovery, out = _recovered(path.read_bytes()[: first.end], tmp_path)
     assert (recovery.status, recovery.chunks) == (RecoveryStatus.LOSSY, 1)

@@ -7,13 +7,13 @@ from collections import Counter
 from pathlib import Path
 from xml.etree import ElementTree
 
-import lively
 import numpy as np
 import pytest
-import synthetic
+import synthetic_run
+import varied_run
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from oracle import RosbagsSerialiser, messages_by_topic, read_messages
+from other_log_readers import RosbagsSerialiser, messages_by_topic, read_messages
 from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
@@ -49,7 +49,8 @@ def _write(
 
 def _bodies(run: RunHeader) -> list[bytes]:
     return [
-        pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :] for tick in lively.varied_ticks(run)
+        pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :]
+        for tick in varied_run.varied_ticks(run)
     ]
 
 
@@ -111,7 +112,7 @@ def test_ticks_and_rows_join_by_sequence(run_log: Path) -> None:
 def test_messages_do_not_depend_on_where_chunks_end(
     tmp_path: Path, borders: frozenset[int]
 ) -> None:
-    run = lively.varied_header()
+    run = varied_run.varied_header()
     bodies = _bodies(run)
     plain, cut = (
         messages_by_topic(_write(tmp_path / name, run, bodies, at))
@@ -124,27 +125,29 @@ def test_messages_do_not_depend_on_where_chunks_end(
 
 def test_equal_lockstep_runs_give_equal_files_except_the_wall_clock(tmp_path: Path) -> None:
     runs = [
-        synthetic.synthetic_header(rate_hz=500, wall={"started": day, "pid": day})
+        synthetic_run.synthetic_header(rate_hz=500, wall={"started": day, "pid": day})
         for day in ("2026-01-01", "2026-01-02")
     ]
     paths = [tmp_path / "a.mcap", tmp_path / "b.mcap"]
     for path, run in zip(paths, runs, strict=True):
-        synthetic.write_synthetic_run(path, run, 1.0)
+        synthetic_run.write_synthetic_run(path, run, 1.0)
     assert read_messages(paths[0]) == read_messages(paths[1])
     first, second = (path.read_bytes() for path in paths)
     assert first != second
-    wall = synthetic.synthetic_header(rate_hz=500)
+    wall = synthetic_run.synthetic_header(rate_hz=500)
     same = [tmp_path / "c.mcap", tmp_path / "d.mcap"]
     for path in same:
-        synthetic.write_synthetic_run(path, wall, 1.0)
+        synthetic_run.write_synthetic_run(path, wall, 1.0)
     assert same[0].read_bytes() == same[1].read_bytes()
 
 
 def test_the_wall_offset_shifts_all_times_alike(tmp_path: Path) -> None:
-    run, offset = lively.varied_header(), 1_700_000_000_123_456_789
+    run, offset = varied_run.varied_header(), 1_700_000_000_123_456_789
     bodies = _bodies(run)
     plain = read_messages(_write(tmp_path / "a", run, bodies))
-    shifted = read_messages(_write(tmp_path / "b", lively.varied_header(offset_ns=offset), bodies))
+    shifted = read_messages(
+        _write(tmp_path / "b", varied_run.varied_header(offset_ns=offset), bodies)
+    )
     assert [one.log_time + offset for one in plain] == [one.log_time for one in shifted]
     states = [one for one in shifted if one.topic == "/joint_states"]
     oracle = RosbagsSerialiser(states[0].kind, states[0].schema)
@@ -155,9 +158,9 @@ def test_the_wall_offset_shifts_all_times_alike(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 def test_transforms_equal_the_kinematics_of_the_hand(tmp_path: Path, hand: str) -> None:
-    run, described = synthetic.synthetic_header(hand, rate_hz=50), load_hand(hand)
+    run, described = synthetic_run.synthetic_header(hand, rate_hz=50), load_hand(hand)
     digits = [DigitModel.of(described, name) for name in run.digits]
-    ticks = list(synthetic.SyntheticTicks(run, 1.0))
+    ticks = list(synthetic_run.SyntheticTicks(run, 1.0))
     topics = messages_by_topic(
         _write(
             tmp_path / "a",
@@ -185,7 +188,7 @@ def test_transforms_equal_the_kinematics_of_the_hand(tmp_path: Path, hand: str) 
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 def test_frames_have_the_parents_of_the_urdf(hand: str) -> None:
-    run = synthetic.synthetic_header(hand)
+    run = synthetic_run.synthetic_header(hand)
     joints = ElementTree.fromstring(run.attachments["hand.urdf"]).findall("joint")
     expected = {
         (
@@ -201,19 +204,19 @@ def test_frames_have_the_parents_of_the_urdf(hand: str) -> None:
 
 
 def test_frames_form_one_tree() -> None:
-    tree = link_frames(synthetic.synthetic_header().hand_toml)
+    tree = link_frames(synthetic_run.synthetic_header().hand_toml)
     frame_names = {"palm"}
     for link in tree:
         assert link.parent in frame_names
         assert link.child not in frame_names
         frame_names.add(link.child)
     assert [link.joint for link in tree if link.joint >= 0] == list(range(11))
-    assert {f"{digit}_tip" for digit in synthetic.synthetic_header().digits} <= frame_names
+    assert {f"{digit}_tip" for digit in synthetic_run.synthetic_header().digits} <= frame_names
 
 
 def test_streamed_targets_have_a_topic_and_no_line_in_rosout(tmp_path: Path) -> None:
-    run = lively.varied_header()
-    ticks = [(tick_in._replace(requests=()), out) for tick_in, out in lively.varied_ticks(run)]
+    run = varied_run.varied_header()
+    ticks = [(tick_in._replace(requests=()), out) for tick_in, out in varied_run.varied_ticks(run)]
     opening = {
         "do": "stream",
         "stream": "s",
@@ -256,8 +259,8 @@ def test_streamed_targets_have_a_topic_and_no_line_in_rosout(tmp_path: Path) -> 
 
 
 def test_the_cycle_topic_has_missed_ticks_and_lateness(tmp_path: Path) -> None:
-    run = lively.varied_header()
-    ticks = list(lively.varied_ticks(run))
+    run = varied_run.varied_header()
+    ticks = list(varied_run.varied_ticks(run))
     topics = messages_by_topic(_write(tmp_path / "a", run, _bodies(run)))["/cycle"]
     oracle = RosbagsSerialiser(topics[0].kind, topics[0].schema)
     last = None
@@ -290,12 +293,12 @@ def test_the_wrench_points_against_closing(run_log: Path) -> None:
 
 def test_telemetry_of_another_shape_becomes_nan_and_is_counted(tmp_path: Path) -> None:
     run, other = (
-        synthetic.synthetic_header("jamia", 100),
-        synthetic.synthetic_header("jamia11", 100),
+        synthetic_run.synthetic_header("jamia", 100),
+        synthetic_run.synthetic_header("jamia11", 100),
     )
     bodies = [
         pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :]
-        for tick in synthetic.SyntheticTicks(other, 0.1)
+        for tick in synthetic_run.SyntheticTicks(other, 0.1)
     ]
     log = _write(tmp_path / "a", run, bodies, events=("misshapen",))
     topics = messages_by_topic(log)["/tendon_states"]

@@ -18,7 +18,7 @@ def golden() -> Path:
 @pytest.fixture(scope="session")
 def fresh(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Record a grasp with a fault, a bus event and requests on this machine, and return the path of the log."""
-    import runs
+    import short_runs
 
     from handctl.core.types import IoEvent
 
@@ -26,8 +26,8 @@ def fresh(tmp_path_factory: pytest.TempPathFactory) -> Path:
     io_events = {300: (IoEvent("enobufs", "main", 2),)}
     requests = {250: ('{"do": "arm"}', "no request"), 450: ('{"do": "stop"}',)}
     log = folder / "fresh.mcap"
-    task, spoil = runs.short_task(folder), runs.peer_with_silent_index
-    runs.record_lockstep_run(
+    task, spoil = short_runs.short_task(folder), short_runs.peer_with_silent_index
+    short_runs.record_lockstep_run(
         log, task, rate_hz=200.0, spoil=spoil, io_events=io_events, requests=requests
     )
     return log

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import runs
+import short_runs
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -30,7 +30,7 @@ def replayed(golden: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """
     path = tmp_path_factory.mktemp("drive") / "again.mcap"
     with RunLog(golden / "jamia-grasp.mcap") as before:
-        state = runs.record_lockstep_run(
+        state = short_runs.record_lockstep_run(
             path, playback_program(before, 1 / 250, raw=False), rate_hz=250.0, seed=5
         )
     assert state.failure == ""

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import runs
+import short_runs
 from numpy.typing import NDArray
 
 from handctl.log.read.reader import RunLog
@@ -73,8 +73,8 @@ class Pair:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Record the first run, and return the folder of its log and truth."""
     made = tmp_path_factory.mktemp("pair")
-    runs.record_lockstep_run(
-        made / "first.mcap", runs.short_task(made), rate_hz=200.0, truth=made / "first.truth"
+    short_runs.record_lockstep_run(
+        made / "first.mcap", short_runs.short_task(made), rate_hz=200.0, truth=made / "first.truth"
     )
     return made
 
@@ -87,7 +87,9 @@ def pair(folder: Path, request: pytest.FixtureRequest) -> Pair:
         program = playback_program(before, 1 / RATE_HZ, made.raw)
     truth = made.repeat.with_suffix(".truth")
     assert (
-        runs.record_lockstep_run(made.repeat, program, rate_hz=RATE_HZ, seed=5, truth=truth).failure
+        short_runs.record_lockstep_run(
+            made.repeat, program, rate_hz=RATE_HZ, seed=5, truth=truth
+        ).failure
         == ""
     )
     return made

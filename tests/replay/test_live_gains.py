@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import runs
+import short_runs
 
 from handctl.core.gains.gains import Gains
 from handctl.core.identified import IdentifiedParameters
@@ -31,7 +31,9 @@ def test_a_run_whose_gains_were_set_repeats(tmp_path: Path) -> None:
         300: (REQUEST, '{"do": "gains", "set": {"motion.force": 1}}'),
         600: ('{"do": "stop"}',),
     }
-    runs.record_lockstep_run(log, runs.short_task(tmp_path), rate_hz=200.0, requests=requests)
+    short_runs.record_lockstep_run(
+        log, short_runs.short_task(tmp_path), rate_hz=200.0, requests=requests
+    )
     with RunLog(log) as record:
         messages = {
             event.event.where: event.event.text

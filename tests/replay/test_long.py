@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import runs
+import short_runs
 
 from handctl.core.types import IoEvent
 from handctl.log.read.reader import RunLog
@@ -58,15 +58,15 @@ def write(log: Path) -> None:
         MOVE.format(n=n, angle=chance.uniform(2.0, 60.0)) for n in range(int((SECONDS - 4) / 2))
     ]
     task = log.with_suffix(".task.toml")
-    task.write_text(runs.SHORT_GRASP_TASK + "".join(moves))
+    task.write_text(short_runs.SHORT_GRASP_TASK + "".join(moves))
     ticks = range(400, int(SECONDS * RATE_HZ), 1999)
     io_events = {k: (IoEvent("recorder", "dropped", 1),) for k in ticks}
     requests = {k + 7: ("no request",) for k in ticks}
 
     def spoil(peer: LockstepPeer) -> LockstepPeer:
-        return runs.PeerWithLostReplies(LossyPeer(peer), 0x12, int(DEAF_S * 1e9))
+        return short_runs.PeerWithLostReplies(LossyPeer(peer), 0x12, int(DEAF_S * 1e9))
 
-    runs.record_lockstep_run(
+    short_runs.record_lockstep_run(
         log,
         TaskProgram(load_task(task)),
         rate_hz=RATE_HZ,

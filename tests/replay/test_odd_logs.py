@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import runs
+import short_runs
 
 from handctl.cli.main import main
 from handctl.core.types import TickEvent, TickIn, TickOut
@@ -106,10 +106,10 @@ def test_a_stopped_replay_is_compared_up_to_its_end(golden: Path, tmp_path: Path
             playback_program(before, 1 / rate, raw=False),
             active_interval(before),
         )
-        runs.record_lockstep_run(
+        short_runs.record_lockstep_run(
             tmp_path / "late.mcap", program, rate_hz=rate, requests={1000: (STOP,)}
         )
-        runs.record_lockstep_run(
+        short_runs.record_lockstep_run(
             tmp_path / "early.mcap", program, rate_hz=rate, requests={400: (STOP,)}
         )
         with RunLog(tmp_path / "late.mcap") as after:

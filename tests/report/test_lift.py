@@ -9,7 +9,7 @@ import pytest
 from handctl.report.lift import MAX_SLIP_MM, judge_lift, lift_failure
 from handctl.report.summary import summarise_run
 from handctl.report.truth import TruthRecord
-from tests.report.made_up import JAMIA, InventedLog, set_truth_column, zero_truth
+from tests.report.invented_run import JAMIA, InventedLog, set_truth_column, zero_truth
 
 TICKS = 400
 SINKS, ENDS = 200, 350

@@ -9,7 +9,7 @@ from handctl.core.types import Mode
 from handctl.hand.load import load_hand
 from handctl.report.run_figure import draw_run
 from handctl.report.truth import TruthRecord
-from tests.report.made_up import InventedLog, zero_truth
+from tests.report.invented_run import InventedLog, zero_truth
 
 
 def run_of(name: str, lively: bool) -> InventedLog:

@@ -13,7 +13,7 @@ from handctl.report.summary import (
     root_mean_square,
     summarise_run,
 )
-from tests.report.made_up import JAMIA, PERIOD_NS, InventedLog, set_truth_column, zero_truth
+from tests.report.invented_run import JAMIA, PERIOD_NS, InventedLog, set_truth_column, zero_truth
 
 
 def quiet() -> InventedLog:

@@ -8,7 +8,7 @@ import pytest
 
 from handctl.errors import LogError
 from handctl.report.truth import TruthRecord, read_truth
-from tests.report.made_up import JAMIA, set_truth_column, write_truth, zero_truth
+from tests.report.invented_run import JAMIA, set_truth_column, write_truth, zero_truth
 
 
 @pytest.fixture

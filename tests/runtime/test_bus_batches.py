@@ -21,7 +21,7 @@ from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.buses.socketcan import MAX_FRAMES_PER_CALL, SocketCanBus
 from tests.runtime.bus_hub import RUN_DIR_VARIABLE, ScriptedHub, frame_record
-from tests.runtime.datagrams import datagram_bus
+from tests.runtime.datagram_bus import datagram_bus
 
 CLASSICAL, FD = struct.Struct("=IB3x8s"), struct.Struct("=IBB2x64s")
 """Layouts of classical and FD frames in the kernel. Source: Linux ``can.h``."""

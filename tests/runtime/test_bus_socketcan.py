@@ -9,7 +9,7 @@ import pytest
 
 from handctl.drives.frame import BRS, ERROR, EXTENDED, FDF, Frame
 from handctl.runtime.buses.socketcan import SocketCanBus
-from tests.runtime.datagrams import datagram_bus
+from tests.runtime.datagram_bus import datagram_bus
 
 CLASSICAL = struct.Struct("=IB3x8s")
 FD = struct.Struct("=IBB2x64s")

@@ -8,7 +8,7 @@ import os
 
 import pytest
 
-from tests.runtime.kills import disturb_in_batches, kill_summary
+from tests.runtime.killed_controllers import disturb_in_batches, kill_summary
 
 pytestmark = [pytest.mark.realtime, pytest.mark.alone]
 TIMES = 500 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 8

@@ -14,8 +14,8 @@ import pytest
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.runtime.mailbox import StatusWatcher
-from tests.replay.repeat import mean_angle_differences, tensions_held
-from tests.replay.runs import CYLINDER_SCENE
+from tests.replay.grasp_repetition import mean_angle_differences, tensions_held
+from tests.replay.short_runs import CYLINDER_SCENE
 from tests.runtime.processes import (
     LOCAL_BUS,
     end_process,

@@ -5,7 +5,7 @@ import time
 import pytest
 
 from handctl.hand.load import load_hand
-from tests.runtime.kills import SyncListener, read_syncs
+from tests.runtime.killed_controllers import SyncListener, read_syncs
 from tests.runtime.processes import (
     LOCAL_BUS,
     end_process,

@@ -23,12 +23,12 @@ def log_path(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
 
     A test with it runs once per packaged hand.
     """
-    import synthetic
+    import synthetic_run
 
     path = tmp_path_factory.mktemp("view") / f"{request.param}.mcap"
-    synthetic.write_synthetic_run(
+    synthetic_run.write_synthetic_run(
         path,
-        synthetic.synthetic_header(request.param, 100, offset_ns=1_760_000_000_123_456_789),
+        synthetic_run.synthetic_header(request.param, 100, offset_ns=1_760_000_000_123_456_789),
         SECONDS,
     )
     return path
@@ -37,10 +37,10 @@ def log_path(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
 @pytest.fixture(scope="session")
 def jamia_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Write the log of a synthetic run of the hand jamia, and return its path."""
-    import synthetic
+    import synthetic_run
 
     path = tmp_path_factory.mktemp("view") / "run.mcap"
-    synthetic.write_synthetic_run(path, synthetic.synthetic_header(rate_hz=100), SECONDS)
+    synthetic_run.write_synthetic_run(path, synthetic_run.synthetic_header(rate_hz=100), SECONDS)
     return path
 
 

@@ -65,11 +65,11 @@ def test_a_viewer_gets_all_of_a_log(
 
 def write_ten_minute_log(path: Path) -> None:
     """Write a log of ten minutes at 500 Hz, in which the same five seconds repeat."""
-    import synthetic
+    import synthetic_run
 
-    run = synthetic.synthetic_header(rate_hz=500)
+    run = synthetic_run.synthetic_header(rate_hz=500)
     writer = LogWriter(path, run, lambda *what: None, 1)
-    ticks = itertools.cycle(list(synthetic.SyntheticTicks(run, 5.0)))
+    ticks = itertools.cycle(list(synthetic_run.SyntheticTicks(run, 5.0)))
     for k, (tick_in, out) in zip(range(300_000), ticks, strict=False):
         writer.add(
             pack_tick_record(tick_in._replace(k=k, t_ns=k * run.period_ns), out)[

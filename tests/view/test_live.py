@@ -52,17 +52,17 @@ def wait_for(client: "ViewerClient", t_ns: int) -> int:
 def test_a_growing_log_arrives_in_the_viewer(
     tmp_path: Path, vulkan: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import synthetic
+    import synthetic_run
     from rerun.experimental import ViewerClient
 
     for name, value in vulkan.items():
         monkeypatch.setenv(name, value)
     path, run = (
         tmp_path / "run.mcap",
-        synthetic.synthetic_header(rate_hz=100, deterministic=False, offset_ns=10**18),
+        synthetic_run.synthetic_header(rate_hz=100, deterministic=False, offset_ns=10**18),
     )
     follower = start_live(path, "--headless", "--window-size", "800x600")
-    recorder, ticks = Recorder.start(path, run), list(synthetic.SyntheticTicks(run, 4.0))
+    recorder, ticks = Recorder.start(path, run), list(synthetic_run.SyntheticTicks(run, 4.0))
     viewers: list[psutil.Process] = []
     try:
         for tick_in, out in ticks[:200]:
@@ -87,16 +87,16 @@ def test_a_growing_log_arrives_in_the_viewer(
 def test_live_view_ends_with_its_viewer(
     tmp_path: Path, vulkan: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import synthetic
+    import synthetic_run
     from rerun.experimental import ViewerClient
 
     for name, value in vulkan.items():
         monkeypatch.setenv(name, value)
-    path, run = tmp_path / "run.mcap", synthetic.synthetic_header(rate_hz=100)
+    path, run = tmp_path / "run.mcap", synthetic_run.synthetic_header(rate_hz=100)
     recorder = Recorder.start(path, run)
     follower = start_live(path, "--headless", "--window-size", "400x300")
     try:
-        for tick_in, out in synthetic.SyntheticTicks(run, 1.0):
+        for tick_in, out in synthetic_run.SyntheticTicks(run, 1.0):
             recorder.record(pack_tick_record(tick_in, out))
         assert wait_for(ViewerClient.connect(url_of(follower)), 1) > 0, (
             "the follower is connected to its viewer"

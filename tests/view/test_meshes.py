@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import synthetic
+import synthetic_run
 from rrd_entities import Entity, of_file, run_info_of
 
 from handctl.cli.main import main
@@ -34,7 +34,7 @@ def mesh_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     header = RunHeader.of_hand(
         hand.to_toml(), 10_000_000, attachments=attachments, deterministic=True
     )
-    synthetic.write_synthetic_run(folder / "run.mcap", header, 0.5)
+    synthetic_run.write_synthetic_run(folder / "run.mcap", header, 0.5)
     for file in files.rglob("*.*"):
         file.unlink()
     return folder / "run.mcap"
@@ -101,7 +101,7 @@ def test_a_log_without_its_meshes_shows_capsules_and_says_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log, out = tmp_path / "run.mcap", tmp_path / "run.rrd"
-    synthetic.write_synthetic_run(log, synthetic.synthetic_header("t42", 100), 0.3)
+    synthetic_run.write_synthetic_run(log, synthetic_run.synthetic_header("t42", 100), 0.3)
     assert main(["view", str(log), "--save", str(out)]) == 0
     text = "capsules are drawn for palm, left_link1 and 3 more: the log does not have the meshes"
     assert f"handctl: caution: {log}: {text}\n" in capsys.readouterr().err
@@ -112,7 +112,7 @@ def test_a_log_without_its_meshes_shows_capsules_and_says_so(
 
 def test_the_page_of_a_run_draws_meshes(mesh_log: Path, tmp_path: Path) -> None:
     bare = tmp_path / "bare.mcap"
-    synthetic.write_synthetic_run(bare, synthetic.synthetic_header("jamia", 100), 0.5)
+    synthetic_run.write_synthetic_run(bare, synthetic_run.synthetic_header("jamia", 100), 0.5)
     pictures = []
     for log in (mesh_log, bare):
         page = tmp_path / f"{log.stem}.html"

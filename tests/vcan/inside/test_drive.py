@@ -13,8 +13,8 @@ from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.calibration import Calibration, TendonCalibration
 from handctl.session.calibration import write_calibration
-from tests.replay.repeat import mean_angle_differences, tensions_held
-from tests.replay.runs import CYLINDER_SCENE
+from tests.replay.grasp_repetition import mean_angle_differences, tensions_held
+from tests.replay.short_runs import CYLINDER_SCENE
 
 HANDCTL = Path(sys.executable).with_name("handctl")
 GOLDEN = Path(__file__).parents[3] / "logs" / "golden" / "jamia-grasp.mcap"

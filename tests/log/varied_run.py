@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-import synthetic
+import synthetic_run
 
 from handctl.core.types import TELEMETRY_AXES, IoEvent, Mode, Telemetry, TickEvent, TickIn, TickOut
 from handctl.drives.contract import DrivePhase
@@ -21,7 +21,7 @@ OPEN_STREAM = (
 
 def varied_header(**more: object) -> RunHeader:
     """Create a header with two buses whose names differ in length."""
-    return replace(synthetic.synthetic_header(rate_hz=100), buses=BUS_NAMES, **more)
+    return replace(synthetic_run.synthetic_header(rate_hz=100), buses=BUS_NAMES, **more)
 
 
 def varied_ticks(run: RunHeader, count: int = 120) -> Iterator[tuple[TickIn, TickOut]]:

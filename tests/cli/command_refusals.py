@@ -3,14 +3,14 @@
 from handctl.cli.main import main
 
 
-def refused(capsys, *words):
+def refusal_line(capsys, *words):
     """Return the only error line that a command prints when it refuses its input."""
-    lines = refused_lines(capsys, *words)
+    lines = refusal_lines(capsys, *words)
     assert len(lines) == 1, lines
     return lines[0]
 
 
-def refused_lines(capsys, *words):
+def refusal_lines(capsys, *words):
     """Return the error lines that a command prints when it refuses its input, one for each mistake."""
     assert main(words) == 2
     out, err = capsys.readouterr()

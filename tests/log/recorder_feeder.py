@@ -1,4 +1,4 @@
-"""Feed a recorder until this process is killed: `python feeder.py PATH`.
+"""Feed a recorder until this process is killed: `python recorder_feeder.py PATH`.
 
 It prints each tick that the pipe has accepted.
 """
@@ -9,7 +9,7 @@ import sys
 import time
 from pathlib import Path
 
-import synthetic
+import synthetic_run
 
 from handctl.log.record import pack_tick_record
 from handctl.log.write.recorder import Recorder
@@ -17,8 +17,8 @@ from handctl.log.write.recorder import Recorder
 
 def main() -> None:
     """Record endless ticks, with about a millisecond between them."""
-    run = synthetic.synthetic_header(rate_hz=1000, deterministic=False)
-    ticks = list(synthetic.SyntheticTicks(run, 0.2))
+    run = synthetic_run.synthetic_header(rate_hz=1000, deterministic=False)
+    ticks = list(synthetic_run.SyntheticTicks(run, 0.2))
     recorder = Recorder.start(Path(sys.argv[1]), run)
     for k in itertools.count():
         tick_in, out = ticks[k % len(ticks)]

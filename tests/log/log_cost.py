@@ -1,6 +1,6 @@
 """Measure the cost of a log.
 
-`python tests/log/timing.py` prints microseconds per tick on this machine, and checks no limit.
+`python tests/log/log_cost.py` prints microseconds per tick on this machine, and checks no limit.
 """
 
 import tempfile
@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import synthetic
+import synthetic_run
 
 from handctl.log.read.reader import RunLog
 from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record
@@ -26,7 +26,7 @@ def _us_per_item(number: int, work: Callable[[], object]) -> float:
     return min(spent) / number * 1e6
 
 
-def _write_log(path: Path, run: synthetic.RunHeader, bodies: list[bytes]) -> None:
+def _write_log(path: Path, run: synthetic_run.RunHeader, bodies: list[bytes]) -> None:
     path.unlink(missing_ok=True)
     writer = LogWriter(path, run, print, 1)
     for body in bodies:
@@ -37,8 +37,8 @@ def _write_log(path: Path, run: synthetic.RunHeader, bodies: list[bytes]) -> Non
 def main() -> None:
     """Measure the times to pack ticks, write a log, pass ticks through the pipe in lockstep, and read a log."""
     for hand, rate_hz in (("jamia", 500), ("jamia11", 1000)):
-        run = synthetic.synthetic_header(hand, rate_hz)
-        ticks = list(synthetic.SyntheticTicks(run, 10.0))
+        run = synthetic_run.synthetic_header(hand, rate_hz)
+        ticks = list(synthetic_run.SyntheticTicks(run, 10.0))
         number, records = len(ticks), [pack_tick_record(*tick) for tick in ticks]
         bodies = [record[RECORD_FRAMING_STRUCT.size :] for record in records]
         with tempfile.TemporaryDirectory() as folder:
@@ -62,11 +62,11 @@ def main() -> None:
             _print_read_time(path, number)
 
 
-def _frame_count(tick: tuple[synthetic.TickIn, synthetic.TickOut]) -> int:
+def _frame_count(tick: tuple[synthetic_run.TickIn, synthetic_run.TickOut]) -> int:
     return len(tick[0].frames) + len(tick[1].frames)
 
 
-def _lockstep_write_us(path: Path, run: synthetic.RunHeader, records: list[bytes]) -> float:
+def _lockstep_write_us(path: Path, run: synthetic_run.RunHeader, records: list[bytes]) -> float:
     recorder = Recorder.start(path, run)
     start = time.perf_counter()
     for record in records:

@@ -1,6 +1,6 @@
 """Synthetic run: plausible motion of a hand, for tests of the log and trials of the viewer.
 
-Command: `python tests/log/synthetic.py OUT.mcap [--hand jamia|jamia11] [--seconds 10] [--rate 500]`.
+Command: `python tests/log/synthetic_run.py OUT.mcap [--hand jamia|jamia11] [--seconds 10] [--rate 500]`.
 
 Three fingers and the thumb tighten, close, touch an object one after the other, hold it at a rising tension, release
 and open. One drive warms up, one bus error happens, one gain changes, one frame is late.

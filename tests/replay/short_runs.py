@@ -1,4 +1,4 @@
-"""Short runs in lockstep, and the golden logs. `python tests/replay/runs.py logs/golden` writes new golden logs."""
+"""Short runs in lockstep, and the golden logs. `python tests/replay/short_runs.py logs/golden` writes them anew."""
 
 import sys
 import tempfile
