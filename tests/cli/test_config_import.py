@@ -115,7 +115,7 @@ def reimport_packaged_hand(form: str, name: str) -> Hand:
 
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("name", packaged_hands())
-def test_an_exported_hand_is_imported_unchanged(place: Path, name: str, form: str) -> None:
+def test_an_exported_hand_is_imported_unchanged(work_folder: Path, name: str, form: str) -> None:
     hand, original = reimport_packaged_hand(form, name), load_hand(name)
     assert hand.digit_names == original.digit_names
     for digit, known in zip(hand.digit, original.digit, strict=True):
@@ -142,7 +142,7 @@ def test_an_exported_hand_is_imported_unchanged(place: Path, name: str, form: st
         assert main(["config", "check", "--hand", "mine.toml"]) == 0
 
 
-def test_moment_arms_and_springs_of_a_model_are_imported(place: Path) -> None:
+def test_moment_arms_and_springs_of_a_model_are_imported(work_folder: Path) -> None:
     assert main(["config", "export", "--mjcf", "--hand", "n_plus_1", "--output", "hand.xml"]) == 0
     import_description("--mjcf", "hand.xml")
     content = hand_content("mine.toml")
@@ -156,7 +156,7 @@ def test_moment_arms_and_springs_of_a_model_are_imported(place: Path) -> None:
     assert content["mount"]["gravity_m_s2"] == list(known.mount.gravity_m_s2)
 
 
-def test_links_in_any_frames_have_the_dynamics_of_pinocchio(place: Path) -> None:
+def test_links_in_any_frames_have_the_dynamics_of_pinocchio(work_folder: Path) -> None:
     Path("full.toml").write_text(
         text_with_all_values(import_description("--urdf", TRIPOD, *ANSWERS))
     )
@@ -185,7 +185,7 @@ def test_links_in_any_frames_have_the_dynamics_of_pinocchio(place: Path) -> None
 
 
 def test_each_missing_value_is_refused_until_it_is_given(
-    place: Path, capsys: pytest.CaptureFixture[str]
+    work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     text = import_description("--urdf", TRIPOD, *ANSWERS)
     capsys.readouterr()
@@ -206,7 +206,7 @@ def test_each_missing_value_is_refused_until_it_is_given(
 
 
 def test_no_run_begins_with_a_missing_value(
-    place: Path, capsys: pytest.CaptureFixture[str]
+    work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     import_description("--urdf", TRIPOD)
     capsys.readouterr()
@@ -214,7 +214,7 @@ def test_no_run_begins_with_a_missing_value(
 
 
 def test_values_that_a_description_lacks_are_asked_for(
-    place: Path, monkeypatch: pytest.MonkeyPatch
+    work_folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     answers = itertools.chain(["each", "7", "some", "8", "90"], itertools.repeat(""))
     asked: list[str] = []
@@ -279,7 +279,7 @@ BAD_DESCRIPTIONS = [
 
 @pytest.mark.parametrize(("form", "text", "said"), BAD_DESCRIPTIONS)
 def test_a_bad_description_is_one_line(
-    place: Path, capsys: pytest.CaptureFixture[str], form: str, text: str, said: str
+    work_folder: Path, capsys: pytest.CaptureFixture[str], form: str, text: str, said: str
 ) -> None:
     Path("bad.xml").write_text(text)
     line = refusal_line(capsys, "config", "init", "--yes", form, "bad.xml", "--output", "mine.toml")
@@ -305,13 +305,13 @@ def test_a_bad_description_is_one_line(
     ],
 )
 def test_bad_options_are_refused(
-    place: Path, capsys: pytest.CaptureFixture[str], words: list[str], said: str
+    work_folder: Path, capsys: pytest.CaptureFixture[str], words: list[str], said: str
 ) -> None:
     assert said in refusal_line(capsys, "config", "init", "--yes", *words, "--output", "mine.toml")
 
 
 def test_without_mujoco_the_extra_is_named(
-    place: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    work_folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(__import__("sys").modules, "mujoco", None)
     line = refusal_line(
@@ -325,7 +325,7 @@ def test_without_mujoco_the_extra_is_named(
     ("form", "name"), [("--mjcf", "t42"), ("--urdf", "jamia"), ("--mjcf", "orca_like"), ("", "")]
 )
 def test_an_imported_hand_grasps(
-    place: Path, capsys: pytest.CaptureFixture[str], form: str, name: str
+    work_folder: Path, capsys: pytest.CaptureFixture[str], form: str, name: str
 ) -> None:
     if name:
         reimport_packaged_hand(form, name)

@@ -21,7 +21,7 @@ WORDS = [
 
 @pytest.mark.parametrize(("fingers", "opposed", "links", "tendons"), WORDS)
 def test_new_hand_file_passes_config_check(
-    place: Path,
+    work_folder: Path,
     capsys: pytest.CaptureFixture[str],
     fingers: int,
     opposed: int,
@@ -46,14 +46,14 @@ def test_new_hand_file_passes_config_check(
     assert len(hand.digit) == fingers + opposed
     assert len(hand.joints) == joints * len(hand.digit)
     assert len(hand.tendon) == len(hand.digit) * (joints if tendons == "each" else 1)
-    assert json.loads((place / "hand.schema.json").read_text())["title"] == "Hand file of handctl"
-    assert (place / "mine.toml").read_text().startswith("#:schema hand.schema.json\n")
+    assert json.loads((work_folder / "hand.schema.json").read_text())["title"] == "Hand file of handctl"
+    assert (work_folder / "mine.toml").read_text().startswith("#:schema hand.schema.json\n")
 
 
 @pytest.mark.parametrize("protocol", GUARDED_PROTOCOLS)
 @pytest.mark.parametrize("tension", ["20", "300"])
 def test_a_new_hand_file_is_valid_for_every_drive_and_tension(
-    place: Path, capsys: pytest.CaptureFixture[str], protocol: str, tension: str
+    work_folder: Path, capsys: pytest.CaptureFixture[str], protocol: str, tension: str
 ) -> None:
     words = ["--protocol", protocol, "--fingers", "3", "--tension", tension, "--strength", "900"]
     assert main(["config", "init", "--yes", *words, "--output", "mine.toml"]) == 0
@@ -62,7 +62,7 @@ def test_a_new_hand_file_is_valid_for_every_drive_and_tension(
 
 
 def test_questions_are_asked_until_they_are_answered(
-    place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    work_folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     answers = iter(["gripper", "one", "1", "", "55, 35", *itertools.repeat("", 6)])
     asked: list[str] = []
@@ -78,7 +78,7 @@ def test_questions_are_asked_until_they_are_answered(
 
 
 def test_questions_without_a_terminal_are_refused(
-    place: Path, capsys: pytest.CaptureFixture[str]
+    work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     line = refusal_line(capsys, "config", "init", "--output", "mine.toml")
     assert line.endswith(
@@ -97,15 +97,15 @@ def test_questions_without_a_terminal_are_refused(
     ],
 )
 def test_invalid_answers_are_refused(
-    place: Path, capsys: pytest.CaptureFixture[str], words: list[str], said: str
+    work_folder: Path, capsys: pytest.CaptureFixture[str], words: list[str], said: str
 ) -> None:
     assert said in refusal_line(capsys, "config", "init", "--yes", *words, "--output", "mine.toml")
-    assert not (place / "mine.toml").exists()
+    assert not (work_folder / "mine.toml").exists()
 
 
 def test_existing_file_is_not_overwritten_by_config_init(
-    place: Path, capsys: pytest.CaptureFixture[str]
+    work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (place / "mine.toml").write_text("mine")
+    (work_folder / "mine.toml").write_text("mine")
     refusal_line(capsys, "config", "init", "--yes", "--output", "mine.toml")
-    assert (place / "mine.toml").read_text() == "mine"
+    assert (work_folder / "mine.toml").read_text() == "mine"

@@ -38,12 +38,12 @@ LINK_LINE = 'link_mesh = ["t42/inner.stl", "t42/outer.stl"]'
 
 
 @pytest.fixture
-def own(place: Path) -> Path:
+def own(work_folder: Path) -> Path:
     """Copy the hand t42 with its meshes to mine/hand.toml, and return the path."""
-    (place / "mine").mkdir()
-    shutil.copytree(PACKAGED_HANDS_FOLDER / "t42", place / "mine" / "t42")
-    shutil.copy(PACKAGED_HANDS_FOLDER / "t42.toml", place / "mine" / "hand.toml")
-    return place / "mine" / "hand.toml"
+    (work_folder / "mine").mkdir()
+    shutil.copytree(PACKAGED_HANDS_FOLDER / "t42", work_folder / "mine" / "t42")
+    shutil.copy(PACKAGED_HANDS_FOLDER / "t42.toml", work_folder / "mine" / "hand.toml")
+    return work_folder / "mine" / "hand.toml"
 
 
 def replace_once(path: Path, old: str, new: str) -> None:
@@ -165,11 +165,11 @@ FORMS = {"--urdf": "hand.urdf", "--mjcf": "hand.xml"}
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("name", packaged_hands())
 def test_exported_meshes_come_back_to_their_places(
-    place: Path, name: str, form: str, capsys: pytest.CaptureFixture[str]
+    work_folder: Path, name: str, form: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (place / "hand").mkdir()
-    (place / "mine").mkdir()
-    write_meshes(place / "hand")
+    (work_folder / "hand").mkdir()
+    (work_folder / "mine").mkdir()
+    write_meshes(work_folder / "hand")
     hand = meshed(name)
     Path("hand/hand.toml").write_text(hand.to_toml())
     exported = f"hand/{FORMS[form]}"
@@ -192,13 +192,13 @@ def test_exported_meshes_come_back_to_their_places(
         for file in ("m.stl", "sub/mm.obj", "sub/mm.stl")[: 3 if len(digits) > 1 else 2]
     }
     q = np.zeros(len(hand.joints))
-    expected = corners_of_hand(hand, place / "hand", q)
-    assert_same_places(corners_of_hand(again, place / "mine", q), expected)
+    expected = corners_of_hand(hand, work_folder / "hand", q)
+    assert_same_places(corners_of_hand(again, work_folder / "mine", q), expected)
 
 
-def write_ros_package(place: Path) -> Path:
+def write_ros_package(work_folder: Path) -> Path:
     """Write a ROS package with a hand and its meshes, and return the path of its URDF."""
-    folder = place / "ws" / "gripper"
+    folder = work_folder / "ws" / "gripper"
     (folder / "urdf").mkdir(parents=True)
     (folder / "meshes").mkdir()
     for size, name in enumerate(("base", "proximal"), 1):
@@ -206,11 +206,11 @@ def write_ros_package(place: Path) -> Path:
     return Path(shutil.copy(TRIPOD, folder / "urdf"))
 
 
-def test_meshes_of_a_package_are_imported(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    urdf = write_ros_package(place)
+def test_meshes_of_a_package_are_imported(work_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    urdf = write_ros_package(work_folder)
     assert main(["config", "init", "--yes", "--urdf", str(urdf), "--output", "mine.toml"]) == 0
     assert "mesh" not in capsys.readouterr().out
-    described, notes = read_hand_description(urdf, "urdf", place)
+    described, notes = read_hand_description(urdf, "urdf", work_folder)
     assert not notes
     assert described.palm_mesh
     assert described.palm_mesh.file == "ws/gripper/meshes/base.stl"
@@ -249,9 +249,9 @@ def test_meshes_of_a_package_are_imported(place: Path, capsys: pytest.CaptureFix
 
 
 def test_meshes_that_a_hand_cannot_have_are_reported(
-    place: Path, capsys: pytest.CaptureFixture[str]
+    work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    urdf = write_ros_package(place)
+    urdf = write_ros_package(work_folder)
     meshes = urdf.parents[1] / "meshes"
     (meshes / "base.stl").write_text("solid base\n" * 20)
     (meshes / "proximal.stl").unlink()
@@ -269,10 +269,10 @@ def test_meshes_that_a_hand_cannot_have_are_reported(
 
 
 def test_the_largest_visual_mesh_of_a_body_is_imported_from_a_model(
-    place: Path, capsys: pytest.CaptureFixture[str]
+    work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    write_meshes(place)
-    (place / "small.stl").write_bytes(stl(0.5 * triangles()))
+    write_meshes(work_folder)
+    (work_folder / "small.stl").write_bytes(stl(0.5 * triangles()))
     body = '<body name="{0}" pos="{1} 0 0"><joint name="{0}" axis="0 0 1" range="0 90"/>'
     body += '<inertial pos="0.02 0 0" mass="0.01" diaginertia="1e-6 1e-6 1e-6"/>'
     free = 'contype="0" conaffinity="0"'

@@ -51,9 +51,9 @@ def two_buses():
     return content
 
 
-def test_a_grasp_that_lifts_nothing_is_a_failure(place, capsys):
-    (place / "two.toml").write_text(toml_text(two_fingers()))
-    (place / "grasp.toml").write_text(GRASP)
+def test_a_grasp_that_lifts_nothing_is_a_failure(work_folder, capsys):
+    (work_folder / "two.toml").write_text(toml_text(two_fingers()))
+    (work_folder / "grasp.toml").write_text(GRASP)
     assert (
         main(
             [
@@ -80,16 +80,16 @@ def test_a_grasp_that_lifts_nothing_is_a_failure(place, capsys):
     )
 
 
-def test_a_hand_of_two_buses_needs_no_bus_named(place, capsys):
-    (place / "buses.toml").write_text(toml_text(two_buses()))
+def test_a_hand_of_two_buses_needs_no_bus_named(work_folder, capsys):
+    (work_folder / "buses.toml").write_text(toml_text(two_buses()))
     assert main(["demo", "--hand", "buses.toml", "--dry-run"]) == 0
     assert "jamia: power grasp on cylinder" in capsys.readouterr().out
 
 
 @pytest.mark.realtime
-def test_a_hand_of_two_buses_works_in_real_time(place, slower):
-    (place / "buses.toml").write_text(toml_text(two_buses()))
-    (place / "bend.toml").write_text(
+def test_a_hand_of_two_buses_works_in_real_time(work_folder, slower):
+    (work_folder / "buses.toml").write_text(toml_text(two_buses()))
+    (work_folder / "bend.toml").write_text(
         'schema = 1\nname = "bend"\n[[phase]]\nkind = "move"\nangle_deg = 20.0\n'
     )
     words = ("--hand", "buses.toml", "--task", "bend.toml", "--scene", "none", "--log", "x.mcap")
@@ -100,11 +100,11 @@ def test_a_hand_of_two_buses_works_in_real_time(place, slower):
 
 @pytest.mark.parametrize("cells", [[], ["index_tendon"]])
 def test_a_hand_without_load_cells_is_ready_and_the_faults_that_need_them_are_named(
-    place, capsys, cells
+    work_folder, capsys, cells
 ):
     content = jamia()
     content["sensor_node"]["tendons"] = cells
-    (place / "hand.toml").write_text(toml_text(content))
+    (work_folder / "hand.toml").write_text(toml_text(content))
     assert main(["config", "check", "--hand", "hand.toml"]) == 0
     line = next(line for line in capsys.readouterr().out.splitlines() if ": no load cell: " in line)
     assert "not judged: N02, N14b" in line
@@ -112,10 +112,10 @@ def test_a_hand_without_load_cells_is_ready_and_the_faults_that_need_them_are_na
 
 
 @pytest.mark.parametrize("verb", ["config", "demo"])
-def test_a_joint_that_no_tendon_crosses_is_one_line(place, capsys, verb):
+def test_a_joint_that_no_tendon_crosses_is_one_line(work_folder, capsys, verb):
     content = jamia()
     del content["tendon"][0]["moment_arm_m"]["index_j3"]
-    (place / "hand.toml").write_text(toml_text(content))
+    (work_folder / "hand.toml").write_text(toml_text(content))
     line = refusal_line(
         capsys, verb, "check" if verb == "config" else "--lockstep", "--hand", "hand.toml"
     )

@@ -188,18 +188,18 @@ ALL = list(cases())
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_unchanged_hand_file_is_accepted(place, capsys, name):
+def test_unchanged_hand_file_is_accepted(work_folder, capsys, name):
     content, option = FILES[name]
-    (place / "file.toml").write_text(text_of(content))
+    (work_folder / "file.toml").write_text(text_of(content))
     assert refusal(capsys, option, "file.toml") == ""
 
 
 @pytest.mark.parametrize(
     ("name", "path", "kind"), ALL[::STEP], ids=lambda x: str(x) if isinstance(x, str) else None
 )
-def test_every_wrong_key_is_refused(place, capsys, name, path, kind):
+def test_every_wrong_key_is_refused(work_folder, capsys, name, path, kind):
     content, option = FILES[name]
-    (place / "file.toml").write_text(text_with_mistake(content, path, kind))
+    (work_folder / "file.toml").write_text(text_with_mistake(content, path, kind))
     line = refusal(capsys, option, "file.toml")
     if kind == "twice":
         assert "file.toml" in line

@@ -156,8 +156,8 @@ READS = {
 
 @pytest.mark.parametrize("content", FILES)
 @pytest.mark.parametrize("what", READS)
-def test_texts_of_files_are_escaped_and_shortened(place, capsys, what, content):
-    (place / "odd.toml").write_text(FILES[content])
+def test_texts_of_files_are_escaped_and_shortened(work_folder, capsys, what, content):
+    (work_folder / "odd.toml").write_text(FILES[content])
     lines = refusal_lines(capsys, *READS[what])
     assert len(lines) == 1 or what == "hand"  # a hand file may give several lines
     for line in lines:
@@ -165,14 +165,14 @@ def test_texts_of_files_are_escaped_and_shortened(place, capsys, what, content):
         assert len(line) < LONGEST_MESSAGE + 20
 
 
-def test_a_name_and_a_note_are_escaped_where_all_is_well(place, capsys):
+def test_a_name_and_a_note_are_escaped_where_all_is_well(work_folder, capsys):
     task = (
         (TASKS / "grasp.toml")
         .read_text()
         .replace('name = "', f'name = "{json.dumps(ESCAPES)[1:-1]}', 1)
     )
-    (place / "odd.toml").write_text(task)
-    (place / "a\x1b[2J.toml").write_text("schema = 1\n[motion]\nforce_N = 12.0\n")
+    (work_folder / "odd.toml").write_text(task)
+    (work_folder / "a\x1b[2J.toml").write_text("schema = 1\n[motion]\nforce_N = 12.0\n")
     for words in (
         ("config", "check", "--task", "odd.toml"),
         ("gains", "show", "--gains", "a\x1b[2J.toml"),
@@ -197,8 +197,8 @@ WIDE = {
 
 @pytest.mark.parametrize("number", WIDE)
 @pytest.mark.parametrize("what", READS)
-def test_very_long_number_in_a_file_is_refused(place, capsys, what, number):
-    (place / "odd.toml").write_text(f"schema = 1\nname = {WIDE[number]}\n")
+def test_very_long_number_in_a_file_is_refused(work_folder, capsys, what, number):
+    (work_folder / "odd.toml").write_text(f"schema = 1\nname = {WIDE[number]}\n")
     line = refusal_line(capsys, *READS[what])
     assert "odd.toml" in line
     assert len(line) < LONGEST_MESSAGE
@@ -233,8 +233,8 @@ def test_double_dash_is_no_option_value(capsys, verb, option):
     ],
     ids=" ".join,
 )
-def test_a_log_whose_name_is_a_folder(place, capsys, verb, name):
-    (place / "gains.toml").write_text("schema = 1\n")
+def test_a_log_whose_name_is_a_folder(work_folder, capsys, verb, name):
+    (work_folder / "gains.toml").write_text("schema = 1\n")
     refusal_line(capsys, *verb, name)
 
 
@@ -249,8 +249,8 @@ def test_invalid_node_number_is_refused(capsys, drive, number):
     assert len(err.splitlines()[-1]) < LONGEST_MESSAGE + 60
 
 
-def test_a_pipe_without_a_reader_is_not_waited_for(place, capsys):
-    os.mkfifo(place / "pipe")
+def test_a_pipe_without_a_reader_is_not_waited_for(work_folder, capsys):
+    os.mkfifo(work_folder / "pipe")
     golden = PACKAGED_HANDS_FOLDER.parents[3] / "logs" / "golden" / "jamia-fault.mcap"
     assert "nobody reads" in refusal_line(capsys, "report", str(golden), "--output", "pipe")
 
@@ -264,8 +264,8 @@ def test_json_of_foreign_words_is_utf8_that_others_read(capsys):
     assert ESCAPES in found[f"k{ESCAPES}\\udcff"], "only surrogates are replaced"
 
 
-def test_a_note_of_bytes_that_are_no_text_is_kept_escaped(place):
-    (place / "new.toml").write_text("schema = 1\n[motion]\nforce_N = 12.0\n")
+def test_a_note_of_bytes_that_are_no_text_is_kept_escaped(work_folder):
+    (work_folder / "new.toml").write_text("schema = 1\n[motion]\nforce_N = 12.0\n")
     words = (
         sys.executable,
         "-m",
@@ -282,8 +282,8 @@ def test_a_note_of_bytes_that_are_no_text_is_kept_escaped(place):
     assert "n\\udcf6te\x1b" in done.stdout.decode().replace("\\\\", "\\").replace("\\u001b", "\x1b")
 
 
-def test_a_folder_whose_name_is_no_text(place):
-    folder = os.fsencode(place) + b"/l\xf6g"
+def test_a_folder_whose_name_is_no_text(work_folder):
+    folder = os.fsencode(work_folder) + b"/l\xf6g"
     os.mkdir(folder)
     words = (
         sys.executable,
@@ -300,8 +300,8 @@ def test_a_folder_whose_name_is_no_text(place):
     assert b"l\\udcf6g/x\\x1b.toml" in done.stderr
 
 
-def test_a_refusal_of_the_simulator_is_reported_without_its_class(place, capsys):
-    (place / "odd.toml").write_text('name = "x"\n[object]\nshape = "\\u001b[2J\\n"\n')
+def test_a_refusal_of_the_simulator_is_reported_without_its_class(work_folder, capsys):
+    (work_folder / "odd.toml").write_text('name = "x"\n[object]\nshape = "\\u001b[2J\\n"\n')
     for words in (
         ("demo", "--lockstep", "--scene", "odd.toml"),
         ("demo", "--lockstep", "--scene", ESCAPES),
@@ -325,13 +325,13 @@ FORGED = "\nFORGED"
         ("config", "check", "--gains", "g.toml"),
     ],
 )
-def test_a_line_end_in_a_file_makes_no_second_line(place, capsys, words):
+def test_a_line_end_in_a_file_makes_no_second_line(work_folder, capsys, words):
     forged = "".join(
         f"{key} = {json.dumps(key + FORGED)}\n"
         for key in ("note", "made", "version", "fit", "study")
     )
     text = f"schema = 1\n[motion]\nforce_N = 12.0\n[provenance]\nhand = 'jamia'\nlog = [{json.dumps(FORGED)}]\n{forged}"
-    (place / "g.toml").write_text(text)
+    (work_folder / "g.toml").write_text(text)
     if words in (("gains", "log"), ("gains", "show")):
         assert main(["gains", "apply", "g.toml"]) == 0
     assert main(list(words)) == 0

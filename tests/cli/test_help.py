@@ -148,7 +148,7 @@ def test_verbose_adds_details_on_standard_error_and_leaves_the_result(capsys):
         assert "exit code 0 after" in err
 
 
-def test_verbose_names_the_files_behind_a_run(place, capsys):
+def test_verbose_names_the_files_behind_a_run(work_folder, capsys):
     assert main(["demo", "--lockstep", "--dry-run", "-v"]) == 0
     err = capsys.readouterr().err
     assert "hand: jamia from jamia, identity" in err

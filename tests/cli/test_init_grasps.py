@@ -42,7 +42,7 @@ def init(*words: str) -> None:
 
 @pytest.mark.parametrize(("fingers", "links", "tendons", "seed"), CASES if NIGHTLY else SAMPLE)
 def test_new_hand_grasps_holds_and_releases(
-    place: Path,
+    work_folder: Path,
     capsys: pytest.CaptureFixture[str],
     fingers: int,
     links: str,
@@ -58,19 +58,19 @@ def test_new_hand_grasps_holds_and_releases(
     result = json.loads(out)
     assert result["table_sunk_mm"] > 50.0
     assert result["object_slid_mm"] < MAX_SLIP_MM
-    truth = read_truth(place / "run.truth")
+    truth = read_truth(work_folder / "run.truth")
     forces = [name for name in truth.columns if name.startswith("contact_force/")]
     assert forces
     # At the end no digit touches anything, because the object lies on the table.
     assert abs(truth.table(forces, truth.t_ns[-1:])).max() == 0.0
 
 
-def test_the_object_suits_the_digits(place: Path) -> None:
+def test_the_object_suits_the_digits(work_folder: Path) -> None:
     init("--links", "40,30")
     assert default_scene(load_hand("mine.toml")) == "cylinder:52"
 
 
-def test_the_object_fits_between_the_digits(place: Path) -> None:
+def test_the_object_fits_between_the_digits(work_folder: Path) -> None:
     init("--links", "70,50", "--palm", "60")
     assert default_scene(load_hand("mine.toml")) == "cylinder:43"
 
@@ -78,7 +78,7 @@ def test_the_object_fits_between_the_digits(place: Path) -> None:
 @pytest.mark.parametrize(
     ("fingers", "opposed", "links"), [(4, 1, "55,40,25"), (4, 4, "40,30"), (3, 0, "40,30")]
 )
-def test_no_bus_is_slower_than_250_hz(place: Path, fingers: int, opposed: int, links: str) -> None:
+def test_no_bus_is_slower_than_250_hz(work_folder: Path, fingers: int, opposed: int, links: str) -> None:
     init(
         "--fingers", str(fingers), "--opposed", str(opposed), "--links", links, "--tendons", "each"
     )
@@ -86,7 +86,7 @@ def test_no_bus_is_slower_than_250_hz(place: Path, fingers: int, opposed: int, l
 
 
 def test_a_rate_that_leaves_no_margin_is_a_warning(
-    place: Path, capsys: pytest.CaptureFixture[str]
+    work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     init("--fingers", "3", "--opposed", "1", "--links", "50,30,20", "--tendons", "each")
     assert main(["config", "check", "--hand", "mine.toml"]) == 0
@@ -116,7 +116,7 @@ def test_a_rate_that_leaves_no_margin_is_a_warning(
     ],
 )
 def test_config_check_warns_of_a_hand_that_cannot_grasp(
-    place: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], reason: str
+    work_folder: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], reason: str
 ) -> None:
     init(*words)
     out = capsys.readouterr().out
@@ -126,7 +126,7 @@ def test_config_check_warns_of_a_hand_that_cannot_grasp(
 
 
 def test_a_palm_too_small_for_an_object_is_refused(
-    place: Path, capsys: pytest.CaptureFixture[str]
+    work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     line = refusal_line(capsys, "config", "init", "--yes", "--palm", "14", "--output", "mine.toml")
     assert "--palm: 14; expected at least" in line

@@ -185,8 +185,8 @@ def test_the_log_is_complete_and_has_every_tick(equal_demos):
         assert len(run) == result["ticks"]
 
 
-def test_a_lockstep_run_shows_its_progress(place, capfd):
-    (place / "short.toml").write_text(SHORT_TASK)
+def test_a_lockstep_run_shows_its_progress(work_folder, capfd):
+    (work_folder / "short.toml").write_text(SHORT_TASK)
     assert main(["demo", "--lockstep", "--task", "short.toml", "--log", "run.mcap"]) == 0
     error_output = capfd.readouterr().err
     assert "1.000 s  ACTIVE    bend       tension" in error_output

@@ -48,34 +48,34 @@ READS = {
     "make", [a_pipe, a_folder, a_number_without_end, nested_without_end], ids=lambda f: f.__name__
 )
 @pytest.mark.parametrize("what", READS)
-def test_unreadable_file_is_refused_in_one_line(place, capsys, what, make):
-    make(place / "odd")
-    (place / "odd.toml").symlink_to("odd")
+def test_unreadable_file_is_refused_in_one_line(work_folder, capsys, what, make):
+    make(work_folder / "odd")
+    (work_folder / "odd.toml").symlink_to("odd")
     assert "odd" in refusal_line(capsys, *READS[what])
 
 
-def test_a_truth_that_is_a_pipe_is_not_waited_for(place, capsys):
-    a_pipe(place / "truth")
+def test_a_truth_that_is_a_pipe_is_not_waited_for(work_folder, capsys):
+    a_pipe(work_folder / "truth")
     golden = PACKAGED_HANDS_FOLDER.parents[3] / "logs" / "golden" / "jamia-fault.mcap"
     assert "not a file" in refusal_line(capsys, "report", str(golden), "--truth", "truth")
 
 
-def test_a_truth_file_of_another_run_is_refused(place, capsys):
+def test_a_truth_file_of_another_run_is_refused(work_folder, capsys):
     golden = PACKAGED_HANDS_FOLDER.parents[3] / "logs" / "golden" / "jamia-fault.mcap"
     header = {"columns": ["q/index_j1"]}
     row = (10**13).to_bytes(8, "little") + bytes(8)
-    (place / "run.truth").write_bytes(json.dumps(header).encode() + b"\n" + row)
+    (work_folder / "run.truth").write_bytes(json.dumps(header).encode() + b"\n" + row)
     assert "at another time" in refusal_line(
         capsys, "report", str(golden), "--truth", "run.truth", "--output", "x.html"
     )
-    assert not (place / "x.html").exists()
+    assert not (work_folder / "x.html").exists()
 
 
 @pytest.mark.parametrize("name", ["n" * 300, "odd/x", "loop"])
 @pytest.mark.parametrize("what", [what for what in READS if what != "scene"])
-def test_impossible_file_name_is_refused(place, capsys, what, name):
-    (place / "odd").write_text("")
-    a_loop(place / "loop")
+def test_impossible_file_name_is_refused(work_folder, capsys, what, name):
+    (work_folder / "odd").write_text("")
+    a_loop(work_folder / "loop")
     refusal_line(capsys, *(word.replace("odd", name) for word in READS[what]))
 
 
@@ -166,8 +166,8 @@ def test_an_unknown_perturbation_is_refused_before_the_run(capsys):
 @pytest.mark.parametrize(
     "words", [("--lockstep", "--perturb", "stiffness=nan"), (*BUS, "--perturb", "stiffness=2")]
 )
-def test_perturbation_without_a_simulated_hand_is_refused(place, capsys, verb, words):
-    (place / "new.toml").write_text("schema = 1\n")
+def test_perturbation_without_a_simulated_hand_is_refused(work_folder, capsys, verb, words):
+    (work_folder / "new.toml").write_text("schema = 1\n")
     assert "--perturb" in refusal_line(capsys, *verb, *words, "--dry-run")
 
 
@@ -175,7 +175,7 @@ BUSES = ["x", ":x", "local:", "local:../x", "local:a/b", "local:.x", "socketcan:
 
 
 @pytest.mark.parametrize("bus", BUSES)
-def test_invalid_bus_is_refused_before_the_run(place, capsys, bus):
+def test_invalid_bus_is_refused_before_the_run(work_folder, capsys, bus):
     drive = ("--protocol", "mit", "--node", "1", "--torque-limit-Nm", "0.1")
     for words in (
         ("run", "--task", "grasp.toml"),
@@ -201,7 +201,7 @@ def test_invalid_bus_is_refused_before_the_run(place, capsys, bus):
         refusal_line(capsys, *words, "--bus", bus)
     for words in (("scan",), ("sim",), ("conformance", *drive)):
         refusal_line(capsys, *words, "--dry-run", "--bus", bus)
-    assert list(place.iterdir()) == []
+    assert list(work_folder.iterdir()) == []
 
 
 @pytest.mark.parametrize(
@@ -230,9 +230,9 @@ def test_buses_are_named_alike_in_every_verb(capsys):
         refusal_line(capsys, *words, "--bus", "no name=local:nobody")
 
 
-def test_deleted_working_folder_is_one_line(place, monkeypatch, capsys):
-    (place / "gone").mkdir()
+def test_deleted_working_folder_is_one_line(work_folder, monkeypatch, capsys):
+    (work_folder / "gone").mkdir()
     monkeypatch.chdir("gone")
-    (place / "gone").rmdir()
+    (work_folder / "gone").rmdir()
     for words in (("demo", "--lockstep"), ("doctor",), ("config", "show")):
         assert "folder" in refusal_line(capsys, *words) or words[0] == "demo"

@@ -37,20 +37,20 @@ GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 
 
 @pytest.fixture(autouse=True)
-def files(place, monkeypatch):
+def files(work_folder, monkeypatch):
     """Create the files that commands read before they open the bus.
 
     Make standard input something other than a terminal.
     """
-    (place / "new.toml").write_text("schema = 1\n[motion]\nforce_N = 25.0\n")
+    (work_folder / "new.toml").write_text("schema = 1\n[motion]\nforce_N = 25.0\n")
     monkeypatch.setattr("sys.stdin", io.StringIO())
 
 
 @pytest.fixture(params=MOVES)
-def words(request, place):
+def words(request, work_folder):
     """Return the words of a command that moves a hand. Create the log that ``replay`` reads."""
     if request.param == "replay":
-        (place / "before.mcap").symlink_to(GOLDEN)
+        (work_folder / "before.mcap").symlink_to(GOLDEN)
     return MOVES[request.param]
 
 
@@ -118,7 +118,7 @@ def test_a_run_at_a_terminal_asks_once_for_consent(answer, code):
     assert ("not confirmed" in shown) == (code == 2)
 
 
-def test_a_program_names_hand_and_consent(place, capfd):
+def test_a_program_names_hand_and_consent(work_folder, capfd):
     with pytest.raises(
         library.ConfigError, match="no hand is given, and socketcan:can0 may have real motors"
     ):
@@ -134,21 +134,21 @@ def test_a_program_names_hand_and_consent(place, capfd):
         pass
 
 
-def test_files_in_use_are_named_in_the_first_line(place, capsys):
+def test_files_in_use_are_named_in_the_first_line(work_folder, capsys):
     hand = load_hand("jamia")
-    write_homed_calibration(place / "jamia.calibration.toml", hand)
+    write_homed_calibration(work_folder / "jamia.calibration.toml", hand)
     made = (datetime.datetime.now(datetime.UTC) - datetime.timedelta(hours=3)).isoformat()
     head = f'made = "{made}"\nhand = "jamia"\nidentity = "{hand.identity}"\n'
-    (place / "jamia.gains.toml").write_text(
+    (work_folder / "jamia.gains.toml").write_text(
         f"schema = 1\n[motion]\nforce_N = 25.0\n[provenance]\n{head}"
     )
     for words in (("run",), ("jog", "index", "--angle", "3"), ("run", "--json")):
         assert main([*words, "--bus", "local:nobody"]) == 1
         first = capsys.readouterr().err.splitlines()[0]
         assert first.startswith(
-            f"handctl: found in this folder: gains {place / 'jamia.gains.toml'}, 3 h old; "
+            f"handctl: found in this folder: gains {work_folder / 'jamia.gains.toml'}, 3 h old; "
         )
-        assert f"calibration {place / 'jamia.calibration.toml'}, " in first
+        assert f"calibration {work_folder / 'jamia.calibration.toml'}, " in first
         assert first.endswith(" s old")
     named = ("--gains", "jamia.gains.toml", "--calibration", "jamia.calibration.toml")
     assert main(["run", "--bus", "local:nobody", *named]) == 1
@@ -172,6 +172,6 @@ def test_an_age_has_one_unit(seconds, text):
     assert age_text(seconds) == text
 
 
-def test_folder_without_files_prints_nothing(place: Path, capsys):
+def test_folder_without_files_prints_nothing(work_folder: Path, capsys):
     assert main(["run", "--bus", "local:nobody"]) == 1
     assert "found in this folder" not in capsys.readouterr().err

@@ -63,10 +63,10 @@ HAND_FILES = {
 
 @pytest.mark.parametrize("verb", ["config", "demo", "sim", *RUNS])
 @pytest.mark.parametrize("spoil", HAND_FILES, ids=lambda spoil: spoil.__name__)
-def test_a_wrong_hand_file_is_refused(place, capsys, spoil, verb):
+def test_a_wrong_hand_file_is_refused(work_folder, capsys, spoil, verb):
     content = jamia()
     spoil(content)
-    (place / "hand.toml").write_text(toml_text(content))
+    (work_folder / "hand.toml").write_text(toml_text(content))
     words = {"config": ("check",), "demo": (), "sim": BUS}.get(verb) or (*BUS, *RUNS.get(verb, ()))
     line = refusal_line(capsys, verb, *(() if verb == "demo" else words), "--hand", "hand.toml")
     for word in HAND_FILES[spoil]:
@@ -110,9 +110,9 @@ def test_a_time_scale_out_of_range_is_refused(capsys, verb, words):
 @pytest.mark.parametrize(
     "text", ["schema = 1\n[motion]\nforce_N = -1\n", "[motion]\nforce = 1\n", "a = = b", None]
 )
-def test_bad_gains_are_refused(place, capsys, verb, text):
+def test_bad_gains_are_refused(work_folder, capsys, verb, text):
     if text is not None:
-        (place / "gains.toml").write_text(text)
+        (work_folder / "gains.toml").write_text(text)
     assert "gains.toml" in refusal_line(capsys, verb, *BUS, *RUNS[verb], "--gains", "gains.toml")
 
 
@@ -135,8 +135,8 @@ TASKS = {
 
 @pytest.mark.parametrize("verb", ["run", "demo", "config"])
 @pytest.mark.parametrize(("text", "named"), TASKS.items())
-def test_a_bad_task_is_refused(place, capsys, verb, text, named):
-    (place / "task.toml").write_text(text)
+def test_a_bad_task_is_refused(work_folder, capsys, verb, text, named):
+    (work_folder / "task.toml").write_text(text)
     words = {"run": BUS, "demo": (), "config": ("check",)}[verb]
     line = refusal_line(capsys, verb, *words, "--task", "task.toml")
     assert "task.toml" in line
@@ -148,17 +148,17 @@ UNDATED = 'schema = 1\nhand = "jamia"\nidentity = "0"\nmade = "yesterday"\ntendo
 
 @pytest.mark.parametrize("verb", ["run", "jog"])
 @pytest.mark.parametrize("text", ["", "schema = 1\nhand = 3\n", UNDATED, "\x00"])
-def test_unusable_calibration_is_refused(place, capsys, verb, text):
-    (place / "c.toml").write_text(text)
+def test_unusable_calibration_is_refused(work_folder, capsys, verb, text):
+    (work_folder / "c.toml").write_text(text)
     assert "c.toml" in refusal_line(capsys, verb, *BUS, *RUNS[verb], "--calibration", "c.toml")
 
 
 @pytest.mark.parametrize("verb", RUNS)
 @pytest.mark.parametrize("log", ["no-folder/run.mcap", "there.mcap", "."])
-def test_existing_log_is_not_overwritten(place, capsys, verb, log):
-    (place / "there.mcap").write_bytes(b"of another run")
+def test_existing_log_is_not_overwritten(work_folder, capsys, verb, log):
+    (work_folder / "there.mcap").write_bytes(b"of another run")
     assert "--log" in refusal_line(capsys, verb, *BUS, *RUNS[verb], "--log", log)
-    assert (place / "there.mcap").read_bytes() == b"of another run"
+    assert (work_folder / "there.mcap").read_bytes() == b"of another run"
 
 
 def two_buses():
@@ -181,8 +181,8 @@ BAD_BUSES = [
 
 @pytest.mark.parametrize("buses", BAD_BUSES, ids=" ".join)
 @pytest.mark.parametrize("verb", RUNS)
-def test_bus_names_of_another_hand_are_refused(place, capsys, verb, buses):
-    (place / "two.toml").write_text(toml_text(two_buses()))
+def test_bus_names_of_another_hand_are_refused(work_folder, capsys, verb, buses):
+    (work_folder / "two.toml").write_text(toml_text(two_buses()))
     words = [word for bus in buses for word in ("--bus", bus)]
     line = refusal_line(capsys, verb, "--hand", "two.toml", *words, *RUNS[verb])
     assert "thumb=SPEC" in line
@@ -194,8 +194,8 @@ def test_unknown_bus_name_is_refused_for_one_bus(capsys, verb, bus):
     assert "main=SPEC" in refusal_line(capsys, verb, "--bus", bus, *RUNS[verb])
 
 
-def test_buses_may_be_given_in_any_order(place, capsys):
-    (place / "two.toml").write_text(toml_text(two_buses()))
+def test_buses_may_be_given_in_any_order(work_folder, capsys):
+    (work_folder / "two.toml").write_text(toml_text(two_buses()))
     words = ("--bus", "thumb=local:t", "--bus", "main=local:m", "--dry-run", "--json")
     assert main(["run", "--hand", "two.toml", *GRASP, *words]) == 0
     assert '"local:m",\n    "local:t"' in capsys.readouterr().out
@@ -293,9 +293,9 @@ def test_an_unconfirmed_request_is_reported_as_failed(capsys, verb):
 
 
 @pytest.mark.parametrize("name", packaged_hands())
-def test_the_output_of_config_show_is_the_same_hand(place, capsys, name):
+def test_the_output_of_config_show_is_the_same_hand(work_folder, capsys, name):
     assert main(["config", "show", "--hand", name]) == 0
     text = capsys.readouterr().out
-    (place / "mine.toml").write_text(text)
+    (work_folder / "mine.toml").write_text(text)
     assert load_hand("mine.toml").content == load_hand(name).content
     assert hand_from_content(tomllib.loads(text), "shown").identity == load_hand(name).identity

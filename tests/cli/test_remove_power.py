@@ -27,13 +27,13 @@ def left_enabled(plan, controller, log):
 
 
 @pytest.mark.parametrize(("module", "verb"), [(commission, "commission"), (identify, "identify")])
-def test_the_exit_code_reports_a_motor_left_enabled(place, monkeypatch, capsys, module, verb):
+def test_the_exit_code_reports_a_motor_left_enabled(work_folder, monkeypatch, capsys, module, verb):
     monkeypatch.setattr(module, "run_live", left_enabled)
     assert main([verb, "--bus", "local:nobody", "--log", "run.mcap"]) == 71
     assert "REMOVE POWER" in capsys.readouterr().err
 
 
-def test_a_motor_left_on_by_a_bug_is_reported_after_the_traceback(place, monkeypatch, capsys):
+def test_a_motor_left_on_by_a_bug_is_reported_after_the_traceback(work_folder, monkeypatch, capsys):
     def failing(plan, controller, log):
         raise PowerError(
             "REMOVE POWER: not confirmed disabled: index_motor"

@@ -38,11 +38,11 @@ def write(path: Path, log: RunLog, ticks: Sequence[bytes]) -> str:
 )
 @pytest.mark.filterwarnings("error")
 def test_every_verb_reads_or_refuses_a_short_log(
-    ticks: slice, place: Path, capsys: pytest.CaptureFixture[str]
+    ticks: slice, work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with RunLog(GRASP) as log:
-        short = write(place / "short.mcap", log, ticks_of(log)[ticks])
-    (place / "gains.toml").write_text("[motion]\nposition_error_m = 3e-4\n")
+        short = write(work_folder / "short.mcap", log, ticks_of(log)[ticks])
+    (work_folder / "gains.toml").write_text("[motion]\nposition_error_m = 3e-4\n")
     verbs = {
         ("log", "info", short): (0,),
         ("log", "check", short): (0,),
@@ -69,13 +69,13 @@ def _later(tick: bytes, ticks: int, period_ns: int) -> bytes:
 
 @pytest.mark.parametrize("what", ["far apart", "in no order"])
 def test_an_inconsistent_clock_in_a_log_is_refused(
-    what: str, place: Path, capsys: pytest.CaptureFixture[str]
+    what: str, work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with RunLog(GRASP) as log:
         ticks, period_ns = ticks_of(log), log.header.period_ns
         far = ticks[:300] + [_later(tick, 10**11, period_ns) for tick in ticks[300:]]
         odd = write(
-            place / "odd.mcap", log, far if what == "far apart" else ticks[311:] + ticks[:311]
+            work_folder / "odd.mcap", log, far if what == "far apart" else ticks[311:] + ticks[:311]
         )
     assert main(["log", "check", odd]) == 1
     assert main(["report", odd]) == 0

@@ -77,7 +77,7 @@ def test_closed_streams_are_no_error(closed):
     assert (code, err) == (0, "")
 
 
-def test_characters_that_a_terminal_cannot_show_are_escaped(place):
+def test_characters_that_a_terminal_cannot_show_are_escaped(work_folder):
     words = (sys.executable, "-m", "handctl.cli", "log", "info", "h\u00e4nd\udcff.mcap")
     code, _, err = shell("", words, PYTHONIOENCODING="ascii")
     assert code == 2
@@ -120,7 +120,7 @@ def test_signal_ignored_through_nohup_stays_ignored():
         signal.signal(signal.SIGHUP, before)
 
 
-def test_a_run_in_lockstep_that_is_interrupted_keeps_its_log(place, monkeypatch, capsys):
+def test_a_run_in_lockstep_that_is_interrupted_keeps_its_log(work_folder, monkeypatch, capsys):
     def interrupted(entry, out):
         if entry.k == 100:
             os.kill(os.getpid(), signal.SIGINT)
@@ -167,18 +167,18 @@ def test_workers_ignore_the_ctrl_c_of_a_terminal(monkeypatch, workers):
         )
 
 
-def test_a_worker_of_the_paper_leaves_no_folder(place):
+def test_a_worker_of_the_paper_leaves_no_folder(work_folder):
     command = [sys.executable, "-m", "handctl.paper.bench.worker"]
     worker = subprocess.Popen(
-        command, env=os.environ | {"TMPDIR": str(place)}, stdin=subprocess.PIPE, stderr=-1
+        command, env=os.environ | {"TMPDIR": str(work_folder)}, stdin=subprocess.PIPE, stderr=-1
     )
-    while not list(place.glob("handctl-paper-*")):
+    while not list(work_folder.glob("handctl-paper-*")):
         assert worker.poll() is None
         time.sleep(0.02)
     worker.send_signal(signal.SIGINT)
     worker.terminate()
     assert worker.communicate()[1] == b""
-    assert list(place.iterdir()) == []
+    assert list(work_folder.iterdir()) == []
 
 
 BUGGY = """

@@ -88,15 +88,15 @@ def test_a_tendon_without_its_own_force_uses_the_common_force() -> None:
     ],
 )
 def test_a_wrong_entry_is_refused_in_one_line(
-    place: Path, capsys: pytest.CaptureFixture[str], text: str, message: str
+    work_folder: Path, capsys: pytest.CaptureFixture[str], text: str, message: str
 ) -> None:
-    (place / "new.toml").write_text("schema = 1\n" + text)
+    (work_folder / "new.toml").write_text("schema = 1\n" + text)
     assert main(["gains", "apply", "new.toml", "--hand", "jamia"]) == 2
     line = capsys.readouterr().err
     assert line.count("\n") == 1
     for part in message.split(": "):
         assert part in line
-    assert not (place / "jamia.gains.toml").exists()
+    assert not (work_folder / "jamia.gains.toml").exists()
 
 
 @pytest.mark.parametrize(
@@ -122,7 +122,7 @@ def test_a_running_controller_refuses_a_tendon_of_another_hand(jamia: HandModel)
 
 
 def test_a_hand_with_packaged_gains_shows_them(
-    place: Path, capsys: pytest.CaptureFixture[str]
+    work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["gains", "show", "--hand", "orca_like", "-q"]) == 0
     shown = capsys.readouterr().out
@@ -130,7 +130,7 @@ def test_a_hand_with_packaged_gains_shows_them(
     assert f"{'tendon.index_pip.motion_force_N':<38} {force:<10g} packaged" in shown
     assert main(["gains", "diff", "--hand", "orca_like"]) == 0
     assert "0 of" in capsys.readouterr().out
-    (place / "all.toml").write_text("schema = 1\n")
+    (work_folder / "all.toml").write_text("schema = 1\n")
     assert main(["gains", "apply", "all.toml", "--hand", "orca_like"]) == 0
     capsys.readouterr()
     assert main(["gains", "diff", "--hand", "orca_like"]) == 0
@@ -139,4 +139,4 @@ def test_a_hand_with_packaged_gains_shows_them(
         in capsys.readouterr().out
     )
     assert main(["gains", "rollback", "--to", "0", "--hand", "orca_like"]) == 0
-    assert load_gains_file(place / "orca_like.gains.toml").gains == packaged_gains("orca_like")
+    assert load_gains_file(work_folder / "orca_like.gains.toml").gains == packaged_gains("orca_like")

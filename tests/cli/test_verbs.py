@@ -91,18 +91,18 @@ DRY_RUNS = {
 
 
 @pytest.mark.parametrize("verb", DRY_RUNS)
-def test_a_dry_run_opens_and_writes_nothing(place, capsys, verb):
+def test_a_dry_run_opens_and_writes_nothing(work_folder, capsys, verb):
     words = (*verb.split(), *DRY_RUNS[verb], "--dry-run")
     assert main(words) == 0
     assert capsys.readouterr().out
     code, said = json_output(capsys, *words)
     assert code == 0
     assert said
-    assert not any(place.iterdir())
+    assert not any(work_folder.iterdir())
     assert not any(os.scandir(os.environ["HANDCTL_RUN_DIR"]))
 
 
-def test_a_dry_run_prints_the_gains(place, capsys):
+def test_a_dry_run_prints_the_gains(work_folder, capsys):
     Path("new.toml").write_text("schema = 1\n[motion]\nforce_N = 14\n")
     code, said = json_output(capsys, "tune", "verify", "new.toml", "--lockstep", "--dry-run")
     assert (code, said["gains"]) == (0, "new.toml")
@@ -140,42 +140,42 @@ def test_log_info_counts_the_ticks_of_a_complete_log(log, capsys):
     assert "3000" in capsys.readouterr().out
 
 
-def test_a_truncated_log_is_reported_and_recovered(log, place, capsys):
+def test_a_truncated_log_is_reported_and_recovered(log, work_folder, capsys):
     data = log.read_bytes()
-    (place / "cut.mcap").write_bytes(data[: len(data) * 2 // 3])
+    (work_folder / "cut.mcap").write_bytes(data[: len(data) * 2 // 3])
     code, said = json_output(capsys, "log", "info", "cut.mcap")
     assert (code, said["whole"]) == (3, False)
     assert 0 < said["ticks"] < 3000
     code, found = json_output(capsys, "log", "recover", "cut.mcap")
     assert (code, found["status"]) == (3, "lossy")
-    with RunLog(place / "cut.recovered.mcap") as whole:
+    with RunLog(work_folder / "cut.recovered.mcap") as whole:
         assert not whole.warning
         assert len(whole) == said["ticks"]
 
 
-def test_a_complete_log_is_recovered_unchanged(log, place, capsys):
+def test_a_complete_log_is_recovered_unchanged(log, work_folder, capsys):
     shutil.copy(log, "run.mcap")
     code, found = json_output(capsys, "log", "recover", "run.mcap", "--output", "new.mcap")
     assert (code, found["status"], found["lost"]) == (0, "whole", [])
-    with RunLog(log) as old, RunLog(place / "new.mcap") as new:
+    with RunLog(log) as old, RunLog(work_folder / "new.mcap") as new:
         assert np.array_equal(old.times, new.times)
 
 
-def test_a_log_cut_before_its_first_chunk_cannot_be_recovered(log, place, capsys):
-    (place / "head.mcap").write_bytes(log.read_bytes()[:64])
+def test_a_log_cut_before_its_first_chunk_cannot_be_recovered(log, work_folder, capsys):
+    (work_folder / "head.mcap").write_bytes(log.read_bytes()[:64])
     code, found = json_output(capsys, "log", "recover", "head.mcap")
     assert (code, found["status"]) == (1, "nothing")
-    assert not (place / "head.recovered.mcap").exists()
+    assert not (work_folder / "head.recovered.mcap").exists()
 
 
 @pytest.mark.parametrize("what", ["info", "recover"])
 @pytest.mark.parametrize("content", [b"", b"garbage" * 1000, None])
-def test_file_that_is_not_a_log_is_bad_input(place, capsys, what, content):
+def test_file_that_is_not_a_log_is_bad_input(work_folder, capsys, what, content):
     if content is not None:
-        (place / "x.mcap").write_bytes(content)
+        (work_folder / "x.mcap").write_bytes(content)
     assert main(["log", what, "x.mcap"]) == 2
     assert capsys.readouterr().err.count("\n") == 1
-    assert not (place / "x.recovered.mcap").exists()
+    assert not (work_folder / "x.recovered.mcap").exists()
 
 
 def test_folder_is_refused_as_log(capsys):

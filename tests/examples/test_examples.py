@@ -44,7 +44,7 @@ def serving(*words):
 
 
 @pytest.fixture(autouse=True)
-def place(tmp_path, monkeypatch):
+def work_folder(tmp_path, monkeypatch):
     """Change to an empty folder. Sockets are in another folder with a short path."""
     with tempfile.TemporaryDirectory(prefix="h-") as short:
         monkeypatch.setenv("HANDCTL_RUN_DIR", short)

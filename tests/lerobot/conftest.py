@@ -17,7 +17,7 @@ SCALE = 0.5
 
 
 @pytest.fixture
-def place(tmp_path, monkeypatch):
+def work_folder(tmp_path, monkeypatch):
     """Change to an empty folder. Sockets are in another folder with a short path."""
     with tempfile.TemporaryDirectory(prefix="h-") as short:
         monkeypatch.setenv("HANDCTL_RUN_DIR", short)
@@ -28,9 +28,9 @@ def place(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def options(place):
+def options(work_folder):
     """Start a simulated hand in slowed time, and return the options of its controller."""
     scale = time_scale_options(SCALE)
-    process = start_hand(place / "hand.truth", "--hand", "jamia", "--scene", "none", *scale)
+    process = start_hand(work_folder / "hand.truth", "--hand", "jamia", "--scene", "none", *scale)
     yield ["--calibration", "c.toml", "--log", "run.mcap", *scale]
     end_process(process)

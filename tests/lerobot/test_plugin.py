@@ -110,7 +110,7 @@ def test_keys_close_and_open_digits() -> None:
 
 @LEROBOT
 @pytest.mark.realtime
-def test_the_script_of_lerobot_teleoperates_the_hand_by_a_log(options, place) -> None:
+def test_the_script_of_lerobot_teleoperates_the_hand_by_a_log(options, work_folder) -> None:
     assert main(["-q", "demo", "--lockstep", "--log", "leader.mcap"]) == 0
     seconds = 6.0
     words = [

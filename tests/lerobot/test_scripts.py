@@ -49,7 +49,7 @@ def faults(log: RunLog) -> list[str]:
 
 
 @pytest.mark.realtime
-def test_recorded_episodes_can_be_loaded_replayed_and_run(options, place) -> None:
+def test_recorded_episodes_can_be_loaded_replayed_and_run(options, work_folder) -> None:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     assert main(["-q", "demo", "--lockstep", "--log", "leader.mcap"]) == 0
@@ -64,7 +64,7 @@ def test_recorded_episodes_can_be_loaded_replayed_and_run(options, place) -> Non
     )  # fmt: skip
     with RunLog(Path("run.mcap")) as log:
         assert not faults(log)
-    dataset = LeRobotDataset("me/hand", root=place / "data")
+    dataset = LeRobotDataset("me/hand", root=work_folder / "data")
     assert (dataset.num_episodes, dataset.fps) == (EPISODES, FPS)
     assert dataset.num_frames > 0.8 * EPISODES * EPISODE_S * FPS
     assert dataset.features["action"]["names"][0] == "index_j1.pos_rad"

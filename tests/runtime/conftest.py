@@ -18,7 +18,7 @@ from tests.runtime.processes import (
 
 
 @pytest.fixture
-def place(tmp_path, monkeypatch):
+def work_folder(tmp_path, monkeypatch):
     """Change to an otherwise empty folder with two tasks. Sockets are in another folder with a short path."""
     with tempfile.TemporaryDirectory(prefix="h-") as short:
         monkeypatch.setenv("HANDCTL_RUN_DIR", short)
@@ -44,14 +44,14 @@ def scale(request, slower):
 
 
 @pytest.fixture
-def hand(place, processes, scale):
+def hand(work_folder, processes, scale):
     """Start a simulated hand with the time scale on the bus, and return the path of its truth file."""
-    processes.append(start_hand(place / "hand.truth", "--hand", "jamia", *scale))
-    return place / "hand.truth"
+    processes.append(start_hand(work_folder / "hand.truth", "--hand", "jamia", *scale))
+    return work_folder / "hand.truth"
 
 
 @pytest.fixture
-def calibrated(place):
+def calibrated(work_folder):
     """Write the calibration of a simulated hand, and return the command-line options for a controller of this hand."""
-    write_homed_calibration(place / "c.toml", load_hand("jamia"))
+    write_homed_calibration(work_folder / "c.toml", load_hand("jamia"))
     return ("--hand", "jamia", "--bus", LOCAL_BUS, "--calibration", "c.toml")

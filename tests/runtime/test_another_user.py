@@ -322,7 +322,7 @@ class AnsweringController:
             time.sleep(0.002)
 
 
-def test_stop_ends_when_the_controller_reports_every_drive_off(place, capsys):
+def test_stop_ends_when_the_controller_reports_every_drive_off(work_folder, capsys):
     with AnsweringController() as controller:
         assert main(["stop", "--bus", LOCAL_BUS, "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {
@@ -334,7 +334,7 @@ def test_stop_ends_when_the_controller_reports_every_drive_off(place, capsys):
     assert controller.taken == ["stop"]
 
 
-def test_stop_names_a_drive_that_stays_on(place, capsys):
+def test_stop_names_a_drive_that_stays_on(work_folder, capsys):
     with AnsweringController("DISARM -> DONE: REMOVE POWER: not confirmed disabled: index_motor"):
         assert main(["stop", "--bus", LOCAL_BUS]) == 71
     assert "REMOVE POWER: not confirmed disabled: index_motor" in capsys.readouterr().err
@@ -346,20 +346,20 @@ def short_confirmation_wait(monkeypatch):
     monkeypatch.setattr("handctl.runtime.confirm.CONFIRMATION_TIMEOUT_S", 0.4)
 
 
-def test_stop_is_unconfirmed_if_the_controller_falls_silent(place, short_confirmation_wait, capsys):
+def test_stop_is_unconfirmed_if_the_controller_falls_silent(work_folder, short_confirmation_wait, capsys):
     with AnsweringController(deaf_after="RELAX"):
         assert main(["stop", "--bus", LOCAL_BUS]) == 71
     assert UNCONFIRMED in capsys.readouterr().err
 
 
-def test_clear_ends_when_the_controller_has_taken_it(place, capsys):
+def test_clear_ends_when_the_controller_has_taken_it(work_folder, capsys):
     with AnsweringController() as controller:
         assert main(["clear", "--bus", LOCAL_BUS]) == 0
     assert controller.taken == ["clear"]
     assert "has cleared its faults" in capsys.readouterr().out
 
 
-def test_a_request_is_confirmed_although_all_watcher_slots_are_taken(place):
+def test_a_request_is_confirmed_although_all_watcher_slots_are_taken(work_folder):
     others = [StatusWatcher(LOCAL_BUS) for _ in range(6)]
     with AnsweringController() as controller:
         until = time.monotonic() + 1.0
@@ -397,7 +397,7 @@ def fill_mailbox(path: Path) -> int:
 @pytest.mark.parametrize("word", ["stop", "cut", "clear"])
 @pytest.mark.parametrize("full", [False, True])
 def test_an_unread_mailbox_confirms_nothing_and_blocks_no_client(
-    place, short_confirmation_wait, word, full
+    work_folder, short_confirmation_wait, word, full
 ):
     box = Mailbox(LOCAL_BUS)
     if full:
@@ -413,7 +413,7 @@ def test_an_unread_mailbox_confirms_nothing_and_blocks_no_client(
 
 @pytest.mark.realtime
 def test_a_paused_controller_confirms_no_stop_and_a_flooded_one_stops(
-    place, hand, calibrated, scale
+    work_folder, hand, calibrated, scale
 ):
     process = start_handctl(
         "run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *scale
@@ -439,7 +439,7 @@ def test_a_paused_controller_confirms_no_stop_and_a_flooded_one_stops(
 
 
 @pytest.mark.realtime
-def test_a_flooded_mailbox_still_takes_a_stop(place, hand, calibrated, scale):
+def test_a_flooded_mailbox_still_takes_a_stop(work_folder, hand, calibrated, scale):
     process = start_handctl(
         "run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *scale
     )
@@ -466,4 +466,4 @@ def test_a_flooded_mailbox_still_takes_a_stop(place, hand, calibrated, scale):
         ended.set()
         end_process(process)
         flooding.join()
-    assert modes_of_complete_log(place / "run.mcap")[-1] == "DISARM -> DONE"
+    assert modes_of_complete_log(work_folder / "run.mcap")[-1] == "DISARM -> DONE"

@@ -63,7 +63,7 @@ async def watch(hand):
 
 
 @REALTIME
-def test_a_program_moves_a_hand_with_asyncio(place, hand, calibrated, scale):
+def test_a_program_moves_a_hand_with_asyncio(work_folder, hand, calibrated, scale):
     options = ("--calibration", "c.toml", "--log", "live.mcap", *scale)
     result, status, ticks, swing, at = asyncio.run(use_hand(*options))
     assert result["failure"] == ""
@@ -72,11 +72,11 @@ def test_a_program_moves_a_hand_with_asyncio(place, hand, calibrated, scale):
     assert set(np.diff(ticks)) == {1}, "every tick, in order"
     assert swing > 5.0
     assert at < 60.0, "hold ended the move"
-    modes_of_complete_log(place / "live.mcap")
+    modes_of_complete_log(work_folder / "live.mcap")
 
 
 @REALTIME
-def test_an_exception_in_the_block_stops_the_hand(place, hand, calibrated, scale):
+def test_an_exception_in_the_block_stops_the_hand(work_folder, hand, calibrated, scale):
     async def fail():
         async with library.connect_async(
             "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale
@@ -85,10 +85,10 @@ def test_an_exception_in_the_block_stops_the_hand(place, hand, calibrated, scale
 
     with pytest.raises(ZeroDivisionError):
         asyncio.run(fail())
-    modes_of_complete_log(place / "live.mcap")
+    modes_of_complete_log(work_folder / "live.mcap")
 
 
-def test_a_controller_that_cannot_start_is_one_error(place):
+def test_a_controller_that_cannot_start_is_one_error(work_folder):
     async def connect():
         async with library.connect_async("no-such-hand", LOCAL_BUS):
             pass

@@ -26,10 +26,10 @@ FAULTS = {
 
 
 @pytest.fixture
-def homed(place) -> CommissionedHand:
+def homed(work_folder) -> CommissionedHand:
     """Return the calibration and the simulator options of a commissioned hand."""
-    write_homed_calibration(place / "c.toml", load_hand("jamia"))
-    return place / "c.toml", HOMED_OPTIONS
+    write_homed_calibration(work_folder / "c.toml", load_hand("jamia"))
+    return work_folder / "c.toml", HOMED_OPTIONS
 
 
 @pytest.mark.realtime

@@ -32,7 +32,7 @@ with handctl.connect("jamia", "local:t", *{words}):
 
 
 @pytest.fixture
-def alone(place):
+def alone(work_folder):
     """Return a Python client of a bus that no controller serves."""
     client = HandClient("local:nobody")
     yield client
@@ -135,7 +135,7 @@ def test_a_silent_controller_is_one_line(alone):
 
 
 @pytest.mark.parametrize("bus", ["bogus", [], ""])
-def test_an_invalid_bus_starts_no_controller(place, bus):
+def test_an_invalid_bus_starts_no_controller(work_folder, bus):
     with pytest.raises(ConfigError, match="bus"):
         library.connect("jamia", bus)
 
@@ -160,7 +160,7 @@ def wait_until(true, timeout_s=60.0):
 
 
 @REALTIME
-def test_connect_reports_why_the_controller_ends(place, capfd):
+def test_connect_reports_why_the_controller_ends(work_folder, capfd):
     with pytest.raises(
         DriveError, match="the controller ended: local:nobody: no simulator serves this bus"
     ):
@@ -169,7 +169,7 @@ def test_connect_reports_why_the_controller_ends(place, capfd):
 
 
 @REALTIME
-def test_a_program_moves_holds_and_reads_the_state(place, hand, calibrated, scale):
+def test_a_program_moves_holds_and_reads_the_state(work_folder, hand, calibrated, scale):
     with library.connect(
         "jamia", f"main={LOCAL_BUS}", "--calibration", "c.toml", "--log", "live.mcap", *scale
     ) as client:
@@ -204,11 +204,11 @@ def test_a_program_moves_holds_and_reads_the_state(place, hand, calibrated, scal
         assert state["mode"] == "ACTIVE"
     assert client.child.returncode == 0
     assert client.result["log"] == "live.mcap"
-    modes_of_complete_log(place / "live.mcap")
+    modes_of_complete_log(work_folder / "live.mcap")
 
 
 @REALTIME
-def test_a_fault_is_reported_by_name(place, hand, calibrated, scale):
+def test_a_fault_is_reported_by_name(work_folder, hand, calibrated, scale):
     client = library.connect(
         "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale
     )
@@ -227,7 +227,7 @@ def test_a_fault_is_reported_by_name(place, hand, calibrated, scale):
 
 
 @REALTIME
-def test_a_fault_between_two_calls_is_reported_at_the_end(place, hand, calibrated, scale):
+def test_a_fault_between_two_calls_is_reported_at_the_end(work_folder, hand, calibrated, scale):
     client = library.connect(
         "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale
     )
@@ -243,7 +243,7 @@ def test_a_fault_between_two_calls_is_reported_at_the_end(place, hand, calibrate
 
 
 @REALTIME
-def test_a_task_of_another_program_goes_on(place, hand, calibrated, processes, monkeypatch, scale):
+def test_a_task_of_another_program_goes_on(work_folder, hand, calibrated, processes, monkeypatch, scale):
     monkeypatch.setattr("handctl.client.hand.ATTACH_TIMEOUT_S", 1.0)
     process = start_handctl(
         "run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *scale
@@ -273,7 +273,7 @@ def start_program(processes, *words):
 
 
 @REALTIME
-def test_ctrl_c_while_it_starts_leaves_no_controller(place, hand, processes, scale):
+def test_ctrl_c_while_it_starts_leaves_no_controller(work_folder, hand, processes, scale):
     program = start_program(processes, "--log", "live.mcap", *scale)
     wait_until(lambda: is_running(LOCAL_BUS))
     program.send_signal(signal.SIGINT)
@@ -285,13 +285,13 @@ def test_ctrl_c_while_it_starts_leaves_no_controller(place, hand, processes, sca
 
 
 @REALTIME
-def test_a_program_that_is_killed_leaves_no_armed_hand(place, hand, calibrated, processes, scale):
+def test_a_program_that_is_killed_leaves_no_armed_hand(work_folder, hand, calibrated, processes, scale):
     program = start_program(processes, "--calibration", "c.toml", "--log", "live.mcap", *scale)
     assert program.stdout.readline() == "live\n"
     program.kill()
     program.wait()
     wait_until(lambda: not is_running(LOCAL_BUS), 20.0)
-    assert modes_of_complete_log(place / "live.mcap")[-3:] == [
+    assert modes_of_complete_log(work_folder / "live.mcap")[-3:] == [
         "ACTIVE -> RELAX",
         "RELAX -> DISARM",
         "DISARM -> DONE",

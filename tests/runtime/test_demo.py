@@ -21,7 +21,7 @@ FAST = (
 """Command-line options of a demo that runs faster than any machine can simulate."""
 
 
-def test_the_clock_of_the_demo_pauses_on_a_slow_machine(place, processes):
+def test_the_clock_of_the_demo_pauses_on_a_slow_machine(work_folder, processes):
     processes.append(start_handctl("demo", *FAST))
     code, result, err = process_result(processes.pop())
     assert code == 0, err
@@ -30,15 +30,15 @@ def test_the_clock_of_the_demo_pauses_on_a_slow_machine(place, processes):
     assert (result["missed"], result["frames_late"], result["frames_lost"]) == (0, 0, 0)
     assert max(result["tracking_rmse_deg"].values()) < 1.0
     assert result["clock_pauses"] > 0
-    modes_of_complete_log(place / "run.mcap")
-    with RunLog(place / "run.mcap") as log:
+    modes_of_complete_log(work_folder / "run.mcap")
+    with RunLog(work_folder / "run.mcap") as log:
         assert int(log.end["clock_pauses"]) == result["clock_pauses"]
         assert float(log.end["clock_paused_ms"]) == pytest.approx(
             1e3 * result["clock_paused_s"], abs=0.1
         )
 
 
-def test_a_strict_clock_does_not_pause(place, processes):
+def test_a_strict_clock_does_not_pause(work_folder, processes):
     processes.append(start_handctl("demo", "--strict-clock", *FAST))
     code, _, err = process_result(processes.pop())
     assert code == 1, err

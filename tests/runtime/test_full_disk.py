@@ -31,15 +31,15 @@ ROOM = "96m"
 
 
 @pytest.fixture
-def place(place):
-    write_homed_calibration(place / "c.toml", load_hand("jamia"))
-    return place
+def work_folder(work_folder):
+    write_homed_calibration(work_folder / "c.toml", load_hand("jamia"))
+    return work_folder
 
 
 @pytest.fixture
-def disk(place):
+def disk(work_folder):
     """Mount a small disk, and return its folder."""
-    made = place / "disk"
+    made = work_folder / "disk"
     made.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", f"size={ROOM}", "tmpfs", str(made)]
     if subprocess.run(mount, capture_output=True, check=False).returncode:
@@ -70,8 +70,8 @@ def seconds_until(process, word, timeout_s=20.0):
     raise AssertionError(output.decode())
 
 
-def test_a_full_disk_is_reported_and_the_hand_continues_to_hold(place, disk, scale):
-    simulated = start_hand(place / "hand.truth", "--hand", "jamia", *scale)
+def test_a_full_disk_is_reported_and_the_hand_continues_to_hold(work_folder, disk, scale):
+    simulated = start_hand(work_folder / "hand.truth", "--hand", "jamia", *scale)
     words = (
         "--hand",
         "jamia",

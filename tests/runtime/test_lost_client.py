@@ -58,7 +58,7 @@ def wait_for_end(client, seconds):
     "how",
     ["suspended", *[pytest.param(how, marks=pytest.mark.nightly) for how in ("killed", "hangs")]],
 )
-def test_a_lost_client_makes_the_hand_relax(place, hand, calibrated, scale, how):
+def test_a_lost_client_makes_the_hand_relax(work_folder, hand, calibrated, scale, how):
     """Regression: the hand kept the tension of a lost client without a time limit."""
     factor = float(scale[1])
     client = library.connect(
@@ -81,7 +81,7 @@ def test_a_lost_client_makes_the_hand_relax(place, hand, calibrated, scale, how)
         client.close()
     assert re.search(r"client client-\d+-\d+ has been silent for 1\.\d+ s", said)
     assert client.result["failure"] in said
-    with RunLog(place / "live.mcap") as log:
+    with RunLog(work_folder / "live.mcap") as log:
         assert not log.warning
         assert [row.event.level for row in log.events if row.event.name == "lease"] == [
             "warn",
@@ -97,7 +97,7 @@ def test_a_lost_client_makes_the_hand_relax(place, hand, calibrated, scale, how)
 
 @REALTIME
 @pytest.mark.nightly
-def test_a_program_that_waits_keeps_its_hold(place, hand, calibrated, scale):
+def test_a_program_that_waits_keeps_its_hold(work_folder, hand, calibrated, scale):
     """A thread of the client renews its lease while the program waits.
 
     A client without a lease needs no sign of life.
@@ -132,7 +132,7 @@ def test_a_wrong_lease_is_one_line(options, line):
         library.connect("jamia", LOCAL_BUS, **options)
 
 
-def test_a_watchdog_stops_the_signs_of_life(place):
+def test_a_watchdog_stops_the_signs_of_life(work_folder):
     """A program without calls sends no more signs of life. Its next call resumes them."""
     box = Mailbox("local:beats")
     beats = Heartbeat("local:beats", "one", 0.01, 0.15)

@@ -32,14 +32,14 @@ GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 
 
 @pytest.fixture
-def place(place):
-    (place / "scene.toml").write_text(CYLINDER_SCENE.format(friction=0.5))
-    write_homed_calibration(place / "c.toml", load_hand("jamia"))
-    return place
+def work_folder(work_folder):
+    (work_folder / "scene.toml").write_text(CYLINDER_SCENE.format(friction=0.5))
+    write_homed_calibration(work_folder / "c.toml", load_hand("jamia"))
+    return work_folder
 
 
-def test_a_golden_grasp_repeats_on_the_local_bus(place, scale):
-    simulated = start_hand(place / "x.truth", "--hand", "jamia", "--scene", "scene.toml", *scale)
+def test_a_golden_grasp_repeats_on_the_local_bus(work_folder, scale):
+    simulated = start_hand(work_folder / "x.truth", "--hand", "jamia", "--scene", "scene.toml", *scale)
     try:
         words = ("--hand", "jamia", "--bus", LOCAL_BUS, "--calibration", "c.toml", *scale)
         done = run_handctl("replay", "drive", str(GOLDEN), *words, "--log", "again.mcap", "--json")
@@ -55,7 +55,7 @@ def test_a_golden_grasp_repeats_on_the_local_bus(place, scale):
     assert max(row["rms"] for row in result["joint_deg"].values()) < 1.0, (
         "as in lockstep, tests/replay/test_drive.py"
     )
-    with RunLog(GOLDEN) as before, RunLog(place / "again.mcap") as after:
+    with RunLog(GOLDEN) as before, RunLog(work_folder / "again.mcap") as after:
         apart = mean_angle_differences(before, after)
         assert np.percentile(apart, 99, axis=0).max() < 1.0
         assert apart.max() < 2.0, "a digit may leave the object one tick late"
@@ -63,8 +63,8 @@ def test_a_golden_grasp_repeats_on_the_local_bus(place, scale):
     np.testing.assert_allclose(new, old, rtol=0.05)
 
 
-def test_an_interrupted_replay_reports_its_progress(place, scale):
-    simulated = start_hand(place / "x.truth", "--hand", "jamia", "--scene", "scene.toml", *scale)
+def test_an_interrupted_replay_reports_its_progress(work_folder, scale):
+    simulated = start_hand(work_folder / "x.truth", "--hand", "jamia", "--scene", "scene.toml", *scale)
     words = (
         "--hand",
         "jamia",

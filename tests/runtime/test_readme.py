@@ -24,7 +24,7 @@ def blocks(language: str, *containing: str) -> list[str]:
 @pytest.mark.realtime
 @pytest.mark.alone
 @pytest.mark.parametrize("busy", [2])
-def test_the_program_in_the_readme_runs_beside_busy_ones(place, processes, busy):
+def test_the_program_in_the_readme_runs_beside_busy_ones(work_folder, processes, busy):
     (program,) = blocks("python", "handctl.connect")
     (commands,) = blocks("", "handctl sim", "--bus local:lab")
     (line,) = [line for line in commands.splitlines() if line.startswith("handctl sim")]
@@ -34,7 +34,7 @@ def test_the_program_in_the_readme_runs_beside_busy_ones(place, processes, busy)
         subprocess.Popen([sys.executable, "-c", LOAD], stdout=subprocess.PIPE, text=True)
         for _ in range(busy)
     )
-    (place / "example.py").write_text(program)
+    (work_folder / "example.py").write_text(program)
     ready(simulator)
     ran = subprocess.run(
         [sys.executable, "example.py"], capture_output=True, text=True, timeout=300.0
@@ -42,7 +42,7 @@ def test_the_program_in_the_readme_runs_beside_busy_ones(place, processes, busy)
     assert ran.returncode == 0, ran.stderr[-2000:]
     forces, log = ran.stdout.splitlines()
     assert len(forces.strip("[]").split(",")) == 4
-    modes_of_complete_log(place / log)
+    modes_of_complete_log(work_folder / log)
 
 
 def ready(simulator: "subprocess.Popen[str]") -> None:

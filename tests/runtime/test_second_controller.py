@@ -29,9 +29,9 @@ WORDS = (
 )
 
 
-def test_a_second_controller_is_refused_and_the_first_goes_on(place, scale):
-    write_homed_calibration(place / "c.toml", load_hand("jamia"))
-    simulated = start_hand(place / "hand.truth", "--hand", "jamia", *scale)
+def test_a_second_controller_is_refused_and_the_first_goes_on(work_folder, scale):
+    write_homed_calibration(work_folder / "c.toml", load_hand("jamia"))
+    simulated = start_hand(work_folder / "hand.truth", "--hand", "jamia", *scale)
     first = start_handctl("run", *WORDS, "--log", "first.mcap", *scale)
     try:
         with SyncListener() as listener:
@@ -54,5 +54,5 @@ def test_a_second_controller_is_refused_and_the_first_goes_on(place, scale):
     finally:
         end_process(first)
         end_process(simulated)
-    assert read_syncs(place / "first.mcap")[0] == ""
-    assert not (place / "second.mcap").exists()
+    assert read_syncs(work_folder / "first.mcap")[0] == ""
+    assert not (work_folder / "second.mcap").exists()

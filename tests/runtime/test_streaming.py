@@ -26,7 +26,7 @@ PAGE = (Path(__file__).parents[2] / "docs" / "how-to" / "python.md").read_text()
 
 
 @pytest.fixture
-def live(place, hand, calibrated, scale):
+def live(work_folder, hand, calibrated, scale):
     """Return a client that has started the controller of a simulated hand."""
     with library.connect(
         "jamia", f"main={LOCAL_BUS}", "--calibration", "c.toml", "--log", "live.mcap", *scale
@@ -35,7 +35,7 @@ def live(place, hand, calibrated, scale):
 
 
 @REALTIME
-def test_a_stream_is_followed_observed_logged_and_repeated(place, hand, calibrated, scale):
+def test_a_stream_is_followed_observed_logged_and_repeated(work_folder, hand, calibrated, scale):
     with library.connect(
         "jamia", f"main={LOCAL_BUS}", "--calibration", "c.toml", "--log", "live.mcap", *scale
     ) as client:
@@ -69,7 +69,7 @@ def test_a_stream_is_followed_observed_logged_and_repeated(place, hand, calibrat
         with pytest.raises(DriveError, match="this stream is closed"):
             stream.send([1.0])
     assert client.result["failure"] == ""
-    modes_of_complete_log(place / "live.mcap")
+    modes_of_complete_log(work_folder / "live.mcap")
     again = run_handctl("replay", "execute", "live.mcap")
     assert again.returncode == 0
     assert " 0 differ" in again.stdout
@@ -118,7 +118,7 @@ def test_only_one_of_several_clients_commands_the_hand(live):
     assert live.wait_for(phase="live").phase == "live"
 
 
-def test_every_watcher_gets_its_lines(place):
+def test_every_watcher_gets_its_lines(work_folder):
     """Each watcher gets status lines. Regression: a fifth watcher took the place of the first."""
     box = Mailbox("local:many")
     watchers = [StatusWatcher("local:many") for _ in range(MAX_WATCHERS + 3)]
@@ -137,7 +137,7 @@ def test_every_watcher_gets_its_lines(place):
         one.close()
 
 
-def test_values_are_checked_before_they_are_sent(place):
+def test_values_are_checked_before_they_are_sent(work_folder):
     from handctl.client.stream import TargetStream
 
     class Sender:
@@ -167,13 +167,13 @@ def test_values_are_checked_before_they_are_sent(place):
 @pytest.mark.realtime
 @pytest.mark.alone
 @pytest.mark.parametrize("example", range(3))
-def test_the_programs_of_the_page_run(place, processes, scale, example):
+def test_the_programs_of_the_page_run(work_folder, processes, scale, example):
     programs = re.findall(r"^```python[^\n]*\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
     assert len(programs) == 3
     simulator = start_handctl("sim", "--hand", "jamia", "--bus", "local:lab", *scale)
     processes.append(simulator)
     assert select.select([simulator.stdout], [], [], READY_TIMEOUT_S)[0]
-    (place / "example.py").write_text(programs[example])
+    (work_folder / "example.py").write_text(programs[example])
     ran = subprocess.run(
         [sys.executable, "example.py"], capture_output=True, text=True, timeout=300.0
     )

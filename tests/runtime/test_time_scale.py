@@ -8,9 +8,9 @@ from tests.runtime.processes import LOCAL_BUS, run_handctl, start_hand, time_sca
 
 
 @pytest.fixture
-def slow_hand(place, processes):
+def slow_hand(work_folder, processes):
     """Start a simulated hand at 0.3 of real time."""
-    processes.append(start_hand(place / "truth", "--hand", "jamia", *time_scale_options(0.3)))
+    processes.append(start_hand(work_folder / "truth", "--hand", "jamia", *time_scale_options(0.3)))
     return processes[-1]
 
 
@@ -34,7 +34,7 @@ def test_a_wrong_time_scale_is_refused_before_the_bus_is_opened(slow_hand):
         assert "expected 0.3" in ended.stderr
 
 
-def test_without_a_simulator_a_run_has_real_time(place):
+def test_without_a_simulator_a_run_has_real_time(work_folder):
     assert time_scale_of() == 1.0
     assert time_scale_of(time_scale=0.5) == 0.5
     assert make_plan(RunChoice("jamia")).time_scale == 1.0

@@ -21,12 +21,12 @@ RATE = ("--rate", "100")
 SCALE = 0.5
 
 
-def test_a_stop_of_one_hand_leaves_the_other_moving(place, processes, scale):
-    write_homed_calibration(place / "c.toml", load_hand("jamia"))
+def test_a_stop_of_one_hand_leaves_the_other_moving(work_folder, processes, scale):
+    write_homed_calibration(work_folder / "c.toml", load_hand("jamia"))
     buses = [f"local:{side}" for side in SIDES]
     runs = []
     for side, bus in zip(SIDES, buses, strict=True):
-        processes.append(start_hand(place / f"{side}.truth", "--hand", "jamia", *scale, bus=bus))
+        processes.append(start_hand(work_folder / f"{side}.truth", "--hand", "jamia", *scale, bus=bus))
         words = (
             "--calibration",
             "c.toml",
@@ -58,4 +58,4 @@ def test_a_stop_of_one_hand_leaves_the_other_moving(place, processes, scale):
     code, result, err = process_result(runs[1])
     assert (code, result["failure"]) == (0, ""), err
     for side in SIDES:
-        assert modes_of_complete_log(place / f"{side}.mcap")[-1] == "DISARM -> DONE"
+        assert modes_of_complete_log(work_folder / f"{side}.mcap")[-1] == "DISARM -> DONE"
