@@ -11,7 +11,7 @@ from tests.cli.command_refusals import refusal_line
 from tests.drives.protocol_bench import hand_file, on_two_buses
 
 
-def names(path):
+def message_names(path):
     """Return the names of the messages in a DBC file, which cantools reads in strict mode."""
     return {message.name for message in cantools.database.load_file(path, strict=True).messages}
 
@@ -19,7 +19,7 @@ def names(path):
 def test_a_hand_on_one_bus_has_one_file(work_folder, capsys):
     assert main(["config", "export", "--dbc", "--hand", "jamia"]) == 0
     assert capsys.readouterr().out == "jamia.dbc: bus main\n"
-    assert {"sync", "tensions_0", "index_motor_feedback", "thumb_motor_command"} <= names(
+    assert {"sync", "tensions_0", "index_motor_feedback", "thumb_motor_command"} <= message_names(
         "jamia.dbc"
     )
 
@@ -35,8 +35,8 @@ def test_each_bus_of_a_hand_has_its_file(work_folder, capsys):
         {"bus": "main", "output": "two.main.dbc"},
         {"bus": "second", "output": "two.second.dbc"},
     ]
-    assert "sync" in names("two.main.dbc")
-    assert names("two.second.dbc") == {
+    assert "sync" in message_names("two.main.dbc")
+    assert message_names("two.second.dbc") == {
         f"{one}_motor_{pdo}" for one in ("ring", "thumb") for pdo in ("tpdo1", "rpdo1")
     }
 

@@ -11,7 +11,7 @@ from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from handctl.hand.load import load_hand
 from tests.cli.command_refusals import refusal_line
 
-WORDS = [
+INIT_CASES = [
     (fingers, opposed, links, tendons)
     for fingers, opposed in ((1, 1), (2, 0), (4, 1), (3, 2))
     for links in ("60", "40,30", "50,30,20")
@@ -19,7 +19,7 @@ WORDS = [
 ]
 
 
-@pytest.mark.parametrize(("fingers", "opposed", "links", "tendons"), WORDS)
+@pytest.mark.parametrize(("fingers", "opposed", "links", "tendons"), INIT_CASES)
 def test_new_hand_file_passes_config_check(
     work_folder: Path,
     capsys: pytest.CaptureFixture[str],
@@ -46,7 +46,10 @@ def test_new_hand_file_passes_config_check(
     assert len(hand.digit) == fingers + opposed
     assert len(hand.joints) == joints * len(hand.digit)
     assert len(hand.tendon) == len(hand.digit) * (joints if tendons == "each" else 1)
-    assert json.loads((work_folder / "hand.schema.json").read_text())["title"] == "Hand file of handctl"
+    assert (
+        json.loads((work_folder / "hand.schema.json").read_text())["title"]
+        == "Hand file of handctl"
+    )
     assert (work_folder / "mine.toml").read_text().startswith("#:schema hand.schema.json\n")
 
 

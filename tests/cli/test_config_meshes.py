@@ -23,7 +23,7 @@ from handctl.hand.load import (
 from handctl.log.attached_meshes import MAX_BYTES
 from handctl.session.plan import RunChoice, make_plan
 from tests.cli.command_refusals import refusal_line, refusal_lines
-from tests.cli.test_config_import import TRIPOD
+from tests.cli.test_config_import import TRIPOD_URDF
 from tests.hand.mesh_files import (
     assert_same_places,
     corners_of_hand,
@@ -38,7 +38,7 @@ LINK_LINE = 'link_mesh = ["t42/inner.stl", "t42/outer.stl"]'
 
 
 @pytest.fixture
-def own(work_folder: Path) -> Path:
+def copy_t42_with_meshes(work_folder: Path) -> Path:
     """Copy the hand t42 with its meshes to mine/hand.toml, and return the path."""
     (work_folder / "mine").mkdir()
     shutil.copytree(PACKAGED_HANDS_FOLDER / "t42", work_folder / "mine" / "t42")
@@ -94,11 +94,11 @@ def replace_once(path: Path, old: str, new: str) -> None:
     ],
 )
 def test_each_mistake_is_one_line_that_names_the_key(
-    own: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, line: str
+    copy_t42_with_meshes: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, line: str
 ) -> None:
-    text = own.read_text()
-    own.write_text(text.replace(old, new, 1))
-    assert own.read_text() != text
+    text = copy_t42_with_meshes.read_text()
+    copy_t42_with_meshes.write_text(text.replace(old, new, 1))
+    assert copy_t42_with_meshes.read_text() != text
     lines = refusal_lines(capsys, "config", "check", "--hand", "mine/hand.toml")
     assert line in lines[0]
     # A wrong scale of the links is two mistakes, because both links of the fingers have it.
@@ -106,24 +106,24 @@ def test_each_mistake_is_one_line_that_names_the_key(
 
 
 def test_a_mesh_that_is_no_mesh_is_refused_and_a_run_begins_without_it(
-    own: Path, capsys: pytest.CaptureFixture[str]
+    copy_t42_with_meshes: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (own.parent / "t42" / "outer.stl").write_text("solid outer\n" * 20)
+    (copy_t42_with_meshes.parent / "t42" / "outer.stl").write_text("solid outer\n" * 20)
     right = 'link_mesh[1]: "t42/outer.stl": an STL in text form; expected a binary STL, which MuJoCo reads as well'
-    assert refusal_line(capsys, "config", "check", "--hand", str(own)).endswith(
+    assert refusal_line(capsys, "config", "check", "--hand", str(copy_t42_with_meshes)).endswith(
         f"default.digit.{right}\n"
     )
     messages: list[str] = []
-    plan = make_plan(RunChoice(own), tell=messages.append)
+    plan = make_plan(RunChoice(copy_t42_with_meshes), tell=messages.append)
     assert messages == [f"handctl: caution: digit[{digit}].{right}" for digit in ("left", "right")]
     assert sorted(plan.attachments) == ["mesh/t42/inner.stl", "mesh/t42/palm.stl"]
 
 
-def test_meshes_too_large_for_a_log_are_reported_before_the_run(own: Path) -> None:
-    with (own.parent / "t42" / "outer.stl").open("r+b") as large:
+def test_meshes_too_large_for_a_log_are_reported_before_the_run(copy_t42_with_meshes: Path) -> None:
+    with (copy_t42_with_meshes.parent / "t42" / "outer.stl").open("r+b") as large:
         large.truncate(MAX_BYTES)
     messages: list[str] = []
-    plan = make_plan(RunChoice(own), tell=messages.append)
+    plan = make_plan(RunChoice(copy_t42_with_meshes), tell=messages.append)
     assert not plan.attachments
     (line,) = messages
     assert line.startswith(
@@ -138,9 +138,9 @@ def test_a_plan_of_a_packaged_hand_has_its_meshes() -> None:
     assert not make_plan(RunChoice("jamia")).attachments
 
 
-def test_exports_name_meshes_relative_to_their_own_folder(own: Path) -> None:
+def test_exports_name_meshes_relative_to_their_own_folder(copy_t42_with_meshes: Path) -> None:
     Path("out").mkdir()
-    words = ["config", "export", "--hand", str(own)]
+    words = ["config", "export", "--hand", str(copy_t42_with_meshes)]
     assert main([*words, "--urdf", "--output", "out/hand.urdf"]) == 0
     assert main([*words, "--mjcf", "--output", "mine/hand.xml"]) == 0
     urdf = {mesh.get("filename") for mesh in ET.parse("out/hand.urdf").iter("mesh")}
@@ -150,19 +150,19 @@ def test_exports_name_meshes_relative_to_their_own_folder(own: Path) -> None:
     assert mjcf == {f"t42/{name}" for name in names}
 
 
-def test_a_hand_in_another_protocol_keeps_its_meshes(own: Path) -> None:
+def test_a_hand_in_another_protocol_keeps_its_meshes(copy_t42_with_meshes: Path) -> None:
     from argparse import Namespace
 
-    args = Namespace(hand=str(own), protocol="odrive")
+    args = Namespace(hand=str(copy_t42_with_meshes), protocol="odrive")
     with hand_in_protocol(args):
-        assert args.hand != str(own)
+        assert args.hand != str(copy_t42_with_meshes)
         assert not list(mesh_mistakes(load_hand(args.hand), Path(args.hand).parent))
 
 
-FORMS = {"--urdf": "hand.urdf", "--mjcf": "hand.xml"}
+FILE_BY_OPTION = {"--urdf": "hand.urdf", "--mjcf": "hand.xml"}
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", FILE_BY_OPTION)
 @pytest.mark.parametrize("name", packaged_hands())
 def test_exported_meshes_come_back_to_their_places(
     work_folder: Path, name: str, form: str, capsys: pytest.CaptureFixture[str]
@@ -172,7 +172,7 @@ def test_exported_meshes_come_back_to_their_places(
     write_meshes(work_folder / "hand")
     hand = meshed(name)
     Path("hand/hand.toml").write_text(hand.to_toml())
-    exported = f"hand/{FORMS[form]}"
+    exported = f"hand/{FILE_BY_OPTION[form]}"
     assert main(["config", "export", form, "--hand", "hand/hand.toml", "--output", exported]) == 0
     assert main(["config", "init", "--yes", form, exported, "--output", "mine/mine.toml"]) == 0
     assert "warning" not in capsys.readouterr().out
@@ -203,10 +203,12 @@ def write_ros_package(work_folder: Path) -> Path:
     (folder / "meshes").mkdir()
     for size, name in enumerate(("base", "proximal"), 1):
         (folder / "meshes" / f"{name}.stl").write_bytes(stl(size * triangles()))
-    return Path(shutil.copy(TRIPOD, folder / "urdf"))
+    return Path(shutil.copy(TRIPOD_URDF, folder / "urdf"))
 
 
-def test_meshes_of_a_package_are_imported(work_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_meshes_of_a_package_are_imported(
+    work_folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     urdf = write_ros_package(work_folder)
     assert main(["config", "init", "--yes", "--urdf", str(urdf), "--output", "mine.toml"]) == 0
     assert "mesh" not in capsys.readouterr().out

@@ -12,7 +12,7 @@ import pytest
 from handctl.cli.main import main
 from handctl.hand.load import hand_path
 
-MISTAKES = {
+HAND_FILE_MISTAKES = {
     "a value in millimetres": (
         "link_length_m = [0.030, 0.015, 0.010]", "link_length_m = [30, 0.015, 0.010]",
         "digit_template.finger.link_length_m[0]: 30; expected a number from ",
@@ -133,11 +133,11 @@ def error_lines(capsys: pytest.CaptureFixture[str], *words: str) -> list[str]:
     return [line.removeprefix("handctl: ").removeprefix("mine.toml: ") for line in err.splitlines()]
 
 
-@pytest.mark.parametrize("case", MISTAKES)
+@pytest.mark.parametrize("case", HAND_FILE_MISTAKES)
 def test_a_mistake_is_one_line_that_names_the_key(
     work_folder: Path, capsys: pytest.CaptureFixture[str], case: str
 ) -> None:
-    old, new, start = MISTAKES[case]
+    old, new, start = HAND_FILE_MISTAKES[case]
     write_changed_jamia11(work_folder, (old, new))
     found = error_lines(capsys)
     assert found[0].startswith(start)
@@ -154,10 +154,14 @@ def test_all_mistakes_are_reported_together(
         "a template that is not there",
     )
     write_changed_jamia11(
-        work_folder, *[MISTAKES[case][:2] for case in cases], ("m2.node_id = 5", "m2.node_id = 500")
+        work_folder,
+        *[HAND_FILE_MISTAKES[case][:2] for case in cases],
+        ("m2.node_id = 5", "m2.node_id = 500"),
     )
     found = error_lines(capsys)
-    starts = [MISTAKES[case][2] for case in cases] + ["digit[middle].motor.m2.node_id: 500"]
+    starts = [HAND_FILE_MISTAKES[case][2] for case in cases] + [
+        "digit[middle].motor.m2.node_id: 500"
+    ]
     for start in starts:
         assert len([line for line in found if line.startswith(start)]) == 1, start
 
@@ -233,7 +237,9 @@ def test_an_object_inside_the_hand_comes_with_the_others(
     assert len(found) == 2
 
 
-def test_a_demo_refuses_such_an_object_too(work_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_demo_refuses_such_an_object_too(
+    work_folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["demo", "--lockstep", "--dry-run", "--scene", "cylinder:900"]) == 2
     assert "scene cylinder:900: the object is" in capsys.readouterr().err
 
@@ -241,7 +247,7 @@ def test_a_demo_refuses_such_an_object_too(work_folder: Path, capsys: pytest.Cap
 def test_config_check_has_the_same_mistakes_in_json(
     work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    write_changed_jamia11(work_folder, MISTAKES["one node number twice"][:2])
+    write_changed_jamia11(work_folder, HAND_FILE_MISTAKES["one node number twice"][:2])
     assert main(["config", "check", "--json", "--hand", "mine.toml"]) == 2
     out, err = capsys.readouterr()
     assert [f"handctl: {line}" for line in json.loads(out)["errors"]] == err.splitlines()
@@ -251,7 +257,7 @@ def test_config_check_has_the_same_mistakes_in_json(
 def test_run_refuses_a_hand_file_with_mistakes(
     work_folder: Path, capsys: pytest.CaptureFixture[str], case: str
 ) -> None:
-    write_changed_jamia11(work_folder, MISTAKES[case][:2])
+    write_changed_jamia11(work_folder, HAND_FILE_MISTAKES[case][:2])
     assert (
         main(
             ["run", "--hand", "mine.toml", "--bus", "local:nobody", "--task", "grasp", "--dry-run"]

@@ -10,7 +10,7 @@ from handctl.hand.load import hand_content
 from tests.cli.command_refusals import refusal_line
 from tests.runtime.processes import run_handctl, time_scale_options
 
-GRASP = """schema = 1
+GRASP_TASK = """schema = 1
 name = "two fingers"
 [[phase]]
 kind = "close"
@@ -27,13 +27,13 @@ duration_s = 1.0
 """
 
 
-def jamia():
+def jamia_content():
     return hand_content("jamia")
 
 
 def two_fingers():
     """Return a hand with index and middle finger only. Both close to the same side, so they can lift nothing."""
-    content = jamia()
+    content = jamia_content()
     for part in ("digit", "tendon", "motor"):
         content[part] = content[part][:2]
     node = content["sensor_node"]
@@ -44,7 +44,7 @@ def two_fingers():
 
 def two_buses():
     """Return a hand whose thumb and ring finger are on a second bus."""
-    content = jamia()
+    content = jamia_content()
     content["bus"].append({**content["bus"][0], "name": "second"})
     for motor in content["motor"][2:]:
         motor["bus"] = "second"
@@ -53,7 +53,7 @@ def two_buses():
 
 def test_a_grasp_that_lifts_nothing_is_a_failure(work_folder, capsys):
     (work_folder / "two.toml").write_text(toml_text(two_fingers()))
-    (work_folder / "grasp.toml").write_text(GRASP)
+    (work_folder / "grasp.toml").write_text(GRASP_TASK)
     assert (
         main(
             [
@@ -102,7 +102,7 @@ def test_a_hand_of_two_buses_works_in_real_time(work_folder, slower):
 def test_a_hand_without_load_cells_is_ready_and_the_faults_that_need_them_are_named(
     work_folder, capsys, cells
 ):
-    content = jamia()
+    content = jamia_content()
     content["sensor_node"]["tendons"] = cells
     (work_folder / "hand.toml").write_text(toml_text(content))
     assert main(["config", "check", "--hand", "hand.toml"]) == 0
@@ -113,7 +113,7 @@ def test_a_hand_without_load_cells_is_ready_and_the_faults_that_need_them_are_na
 
 @pytest.mark.parametrize("verb", ["config", "demo"])
 def test_a_joint_that_no_tendon_crosses_is_one_line(work_folder, capsys, verb):
-    content = jamia()
+    content = jamia_content()
     del content["tendon"][0]["moment_arm_m"]["index_j3"]
     (work_folder / "hand.toml").write_text(toml_text(content))
     line = refusal_line(

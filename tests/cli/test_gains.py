@@ -17,7 +17,7 @@ from handctl.session.calibration import write_calibration
 from tests.runtime.processes import time_scale_options
 
 PACKAGED_N = Gains().motion.force_N
-SAME = f"tension.force_N={Gains().tension.force_N}"
+UNCHANGED_GAIN = f"tension.force_N={Gains().tension.force_N}"
 """Setting of a gain to its present value, which has no effect."""
 
 
@@ -182,7 +182,15 @@ def test_set_on_a_running_hand_is_in_its_log(work_folder, slower):
             run = subprocess.Popen(
                 [*handctl, "run", "--bus", "local:set", "--log", str(log), "--json", *scale]
             )
-            change = [*handctl, "gains", "set", "motion.force_N=26", SAME, "--bus", "local:set"]
+            change = [
+                *handctl,
+                "gains",
+                "set",
+                "motion.force_N=26",
+                UNCHANGED_GAIN,
+                "--bus",
+                "local:set",
+            ]
             end = time.monotonic() + 60.0
             while (
                 said := subprocess.run([*change, "--json"], capture_output=True, text=True)

@@ -9,35 +9,35 @@ from handctl.cli.main import main
 from handctl.hand.load import PACKAGED_HANDS_FOLDER
 from tests.cli.command_refusals import refusal_line
 
-BUS = ("--bus", "local:nobody")
+ABSENT_BUS_OPTION = ("--bus", "local:nobody")
 
 
-def a_pipe(path):
+def make_pipe(path):
     os.mkfifo(path)
 
 
-def a_folder(path):
+def make_folder(path):
     path.mkdir()
 
 
-def a_number_without_end(path):
+def write_endless_number(path):
     path.write_text("schema = " + "9" * 5000)
 
 
-def nested_without_end(path):
+def write_endless_nesting(path):
     path.write_text("a = " + "[" * 3000 + "]" * 3000)
 
 
-def a_loop(path):
+def make_link_loop(path):
     path.symlink_to(path.name)
 
 
-READS = {
+READING_COMMANDS = {
     "hand": ("config", "check", "--hand", "odd"),
     "task": ("config", "check", "--task", "odd"),
     "gains": ("config", "check", "--gains", "odd"),
     "calibration": ("config", "check", "--calibration", "odd"),
-    "trajectory": ("run", *BUS, "--trajectory", "odd"),
+    "trajectory": ("run", *ABSENT_BUS_OPTION, "--trajectory", "odd"),
     "candidate": ("tune", "verify", "odd", "--lockstep", "--dry-run"),
     "scene": ("demo", "--lockstep", "--dry-run", "--scene", "odd.toml"),
     "log": ("log", "info", "odd"),
@@ -45,17 +45,19 @@ READS = {
 
 
 @pytest.mark.parametrize(
-    "make", [a_pipe, a_folder, a_number_without_end, nested_without_end], ids=lambda f: f.__name__
+    "make",
+    [make_pipe, make_folder, write_endless_number, write_endless_nesting],
+    ids=lambda f: f.__name__,
 )
-@pytest.mark.parametrize("what", READS)
+@pytest.mark.parametrize("what", READING_COMMANDS)
 def test_unreadable_file_is_refused_in_one_line(work_folder, capsys, what, make):
     make(work_folder / "odd")
     (work_folder / "odd.toml").symlink_to("odd")
-    assert "odd" in refusal_line(capsys, *READS[what])
+    assert "odd" in refusal_line(capsys, *READING_COMMANDS[what])
 
 
 def test_a_truth_that_is_a_pipe_is_not_waited_for(work_folder, capsys):
-    a_pipe(work_folder / "truth")
+    make_pipe(work_folder / "truth")
     golden = PACKAGED_HANDS_FOLDER.parents[3] / "logs" / "golden" / "jamia-fault.mcap"
     assert "not a file" in refusal_line(capsys, "report", str(golden), "--truth", "truth")
 
@@ -72,19 +74,19 @@ def test_a_truth_file_of_another_run_is_refused(work_folder, capsys):
 
 
 @pytest.mark.parametrize("name", ["n" * 300, "odd/x", "loop"])
-@pytest.mark.parametrize("what", [what for what in READS if what != "scene"])
+@pytest.mark.parametrize("what", [what for what in READING_COMMANDS if what != "scene"])
 def test_impossible_file_name_is_refused(work_folder, capsys, what, name):
     (work_folder / "odd").write_text("")
-    a_loop(work_folder / "loop")
-    refusal_line(capsys, *(word.replace("odd", name) for word in READS[what]))
+    make_link_loop(work_folder / "loop")
+    refusal_line(capsys, *(word.replace("odd", name) for word in READING_COMMANDS[what]))
 
 
 def test_a_name_with_nul_is_refused(capsys):
-    for words in READS.values():
+    for words in READING_COMMANDS.values():
         assert "NUL" in refusal_line(capsys, *(word.replace("odd", "o\0d") for word in words))
 
 
-NUMBERS = [
+WRONG_NUMBER_COMMANDS = [
     ("tune", "design", "--rate=nan"),
     ("tune", "design", "--rate=inf"),
     ("tune", "design", "--rate=0"),
@@ -109,7 +111,7 @@ NUMBERS = [
 ]
 
 
-@pytest.mark.parametrize("words", NUMBERS, ids=" ".join)
+@pytest.mark.parametrize("words", WRONG_NUMBER_COMMANDS, ids=" ".join)
 def test_invalid_number_is_refused(capsys, words):
     assert words[-1].partition("=")[0] in refusal_line(capsys, *words)
 
@@ -155,7 +157,9 @@ def test_very_long_drive_option_is_refused(capsys):
 @pytest.mark.parametrize("option", ["--bitrate", "--data-bitrate"])
 @pytest.mark.parametrize("verb", [("bus", "doctor"), ("scan",)], ids=" ".join)
 def test_impossible_bit_rate_is_refused(capsys, verb, option, rate):
-    assert "expected 10000 to 8000000" in refusal_line(capsys, *verb, *BUS, f"{option}={rate}")
+    assert "expected 10000 to 8000000" in refusal_line(
+        capsys, *verb, *ABSENT_BUS_OPTION, f"{option}={rate}"
+    )
 
 
 def test_an_unknown_perturbation_is_refused_before_the_run(capsys):
@@ -164,17 +168,21 @@ def test_an_unknown_perturbation_is_refused_before_the_run(capsys):
 
 @pytest.mark.parametrize("verb", [("identify",), ("tune", "verify", "new.toml")], ids=" ".join)
 @pytest.mark.parametrize(
-    "words", [("--lockstep", "--perturb", "stiffness=nan"), (*BUS, "--perturb", "stiffness=2")]
+    "words",
+    [
+        ("--lockstep", "--perturb", "stiffness=nan"),
+        (*ABSENT_BUS_OPTION, "--perturb", "stiffness=2"),
+    ],
 )
 def test_perturbation_without_a_simulated_hand_is_refused(work_folder, capsys, verb, words):
     (work_folder / "new.toml").write_text("schema = 1\n")
     assert "--perturb" in refusal_line(capsys, *verb, *words, "--dry-run")
 
 
-BUSES = ["x", ":x", "local:", "local:../x", "local:a/b", "local:.x", "socketcan:", ""]
+WRONG_BUS_SPECS = ["x", ":x", "local:", "local:../x", "local:a/b", "local:.x", "socketcan:", ""]
 
 
-@pytest.mark.parametrize("bus", BUSES)
+@pytest.mark.parametrize("bus", WRONG_BUS_SPECS)
 def test_invalid_bus_is_refused_before_the_run(work_folder, capsys, bus):
     drive = ("--protocol", "mit", "--node", "1", "--torque-limit-Nm", "0.1")
     for words in (

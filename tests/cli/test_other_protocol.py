@@ -16,7 +16,7 @@ from handctl.cli.runs.other_protocol import hand_in_protocol
 from handctl.hand.load import load_hand, packaged_hands
 from tests.cli.command_refusals import refusal_line
 
-BUS = ("--bus", "local:does-not-exist")
+ABSENT_BUS_OPTION = ("--bus", "local:does-not-exist")
 
 
 @pytest.mark.parametrize("protocol", ALL_PROTOCOLS)
@@ -34,7 +34,7 @@ def test_a_simulator_leaves_the_file_that_its_controller_needs(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    words = ["sim", "--hand", "jamia", "--protocol", "odrive", *BUS]
+    words = ["sim", "--hand", "jamia", "--protocol", "odrive", *ABSENT_BUS_OPTION]
     assert main([*words, "--dry-run", "--json"]) == 0
     command = json.loads(capsys.readouterr().out)["command"]
     assert command[command.index("--hand") + 1] == "jamia-odrive.toml"

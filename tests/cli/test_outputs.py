@@ -12,15 +12,15 @@ from handctl.errors import ConfigError
 from handctl.hand.load import hand_path
 from handctl.output import atomic_path, save_figure, write_text_atomically
 
-GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-fault.mcap"
-FULL = Path("/dev/full")
+GOLDEN_LOG = Path(__file__).parents[2] / "logs" / "golden" / "jamia-fault.mcap"
+FULL_DEVICE = Path("/dev/full")
 """A device that accepts no byte, like a full disk."""
-FORMATS = ("csv", "candump", "parquet", "rrd", "lerobot")
-LOG = str(GOLDEN)
-NOWHERE = {
-    "report": ("report", LOG, "--output", "@"),
-    "recover": ("log", "recover", LOG, "--output", "@"),
-    "picture": ("replay", "execute", LOG, "--gains", "g.toml", "--picture", "@"),
+EXPORT_FORMATS = ("csv", "candump", "parquet", "rrd", "lerobot")
+GOLDEN_LOG_TEXT = str(GOLDEN_LOG)
+OUTPUT_COMMANDS = {
+    "report": ("report", GOLDEN_LOG_TEXT, "--output", "@"),
+    "recover": ("log", "recover", GOLDEN_LOG_TEXT, "--output", "@"),
+    "picture": ("replay", "execute", GOLDEN_LOG_TEXT, "--gains", "g.toml", "--picture", "@"),
     "design": ("tune", "design", "--plants", "1", "--output", "@"),
     "picture of a design": (
         "tune",
@@ -32,11 +32,14 @@ NOWHERE = {
         "--picture",
         "@",
     ),
-    "save": ("view", LOG, "--save", "@.rrd"),
+    "save": ("view", GOLDEN_LOG_TEXT, "--save", "@.rrd"),
     "paper": ("paper", "--quick", "--output", "@"),
     "calibration": ("run", "--bus", "local:nobody", "--task", "grasp.toml", "--calibration", "@"),
     "log": ("run", "--bus", "local:nobody", "--task", "grasp.toml", "--log", "@"),
-    **{form: ("log", "export", f"--{form}", LOG, "--output", "@", "--json") for form in FORMATS},
+    **{
+        form: ("log", "export", f"--{form}", GOLDEN_LOG_TEXT, "--output", "@", "--json")
+        for form in EXPORT_FORMATS
+    },
 }
 
 
@@ -49,24 +52,26 @@ def existing_files(work_folder):
     for name in ("file", "other.mcap"):
         (work_folder / name).write_text("mine")
     (work_folder / "g.toml").write_text("schema = 1\n")
-    before = everything(work_folder)
+    before = files_below(work_folder)
     yield
-    assert everything(work_folder) == before
+    assert files_below(work_folder) == before
 
 
-def everything(work_folder):
+def files_below(work_folder):
     return {path: path.read_bytes() if path.is_file() else None for path in work_folder.rglob("*")}
 
 
-CASES = [
-    (what, name) for what in NOWHERE for name in ("folder", "no-folder/x", "file/x", "other.mcap")
+UNWRITABLE_CASES = [
+    (what, name)
+    for what in OUTPUT_COMMANDS
+    for name in ("folder", "no-folder/x", "file/x", "other.mcap")
 ]
-CASES.remove(("save", "other.mcap"))  # ``save`` writes to other.mcap.rrd
+UNWRITABLE_CASES.remove(("save", "other.mcap"))  # ``save`` writes to other.mcap.rrd
 
 
-@pytest.mark.parametrize(("what", "name"), CASES)
+@pytest.mark.parametrize(("what", "name"), UNWRITABLE_CASES)
 def test_unwritable_output_path_is_refused(capsys, what, name):
-    assert main([word.replace("@", name) for word in NOWHERE[what]]) == 2
+    assert main([word.replace("@", name) for word in OUTPUT_COMMANDS[what]]) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert err.startswith("handctl: ")
@@ -74,10 +79,10 @@ def test_unwritable_output_path_is_refused(capsys, what, name):
     assert name in err
 
 
-def inputs(work_folder):
+def write_input_files(work_folder):
     """Create a log under the names log.html and log.png, and a hand file."""
     for name in ("log.html", "log.png"):
-        (work_folder / name).write_bytes(GOLDEN.read_bytes())
+        (work_folder / name).write_bytes(GOLDEN_LOG.read_bytes())
     (work_folder / "hand.toml").write_text(hand_path("jamia").read_text())
 
 
@@ -85,9 +90,9 @@ def inputs(work_folder):
     "words",
     [
         ("report", "log.html"),
-        ("report", LOG, "--truth", "file", "--output", "file"),
+        ("report", GOLDEN_LOG_TEXT, "--truth", "file", "--output", "file"),
         ("view", "log.png", "--picture", "log.png"),
-        ("replay", "execute", LOG, "--gains", "g.toml", "--picture", "g.toml"),
+        ("replay", "execute", GOLDEN_LOG_TEXT, "--gains", "g.toml", "--picture", "g.toml"),
         ("tune", "design", "--plants", "1", "--hand", "hand.toml", "--output", "hand.toml"),
         (
             "tune",
@@ -106,42 +111,42 @@ def inputs(work_folder):
     ids=lambda words: " ".join(words[:2]),
 )
 def test_output_never_replaces_an_input(work_folder, capsys, words):
-    inputs(work_folder)
-    before = everything(work_folder)
+    write_input_files(work_folder)
+    before = files_below(work_folder)
     assert main(list(words)) == 2
     out, err = capsys.readouterr()
     assert (out, err.count("\n")) == ("", 1), err
     assert "another name" in err
-    assert everything(work_folder) == before
+    assert files_below(work_folder) == before
     for name in ("log.html", "log.png", "hand.toml"):
         (work_folder / name).unlink()
 
 
-@pytest.mark.parametrize("form", FORMATS)
+@pytest.mark.parametrize("form", EXPORT_FORMATS)
 def test_an_export_that_fails_leaves_nothing(work_folder, monkeypatch, capsys, form):
-    def full(path):
+    def raise_full_disk(path):
         raise OSError(28, "No space left on device", str(path))
 
-    monkeypatch.setattr("handctl.output._fsync_file", full)
-    assert main(["log", "export", f"--{form}", LOG, "--output", "new", "--json"]) == 1
+    monkeypatch.setattr("handctl.output._fsync_file", raise_full_disk)
+    assert main(["log", "export", f"--{form}", GOLDEN_LOG_TEXT, "--output", "new", "--json"]) == 1
     assert capsys.readouterr() == ("", "handctl: new: No space left on device\n")
 
 
 @pytest.mark.parametrize("ended", [KeyboardInterrupt, ValueError])
 def test_interrupted_write_leaves_only_the_old_file(work_folder, ended):
-    def interrupted(part):
+    def write_half(part):
         part.parent.mkdir(exist_ok=True)
         part.write_text("half of")
         raise ended
 
     with pytest.raises(ended), atomic_path(work_folder / "file") as part:
-        interrupted(part)
+        write_half(part)
     with pytest.raises(ended), atomic_path(work_folder / "new", new=True) as part:
-        interrupted(part / "deep")
+        write_half(part / "deep")
 
 
 def test_a_device_is_written_to_and_not_replaced(work_folder):
-    (work_folder / "full").symlink_to(FULL)
+    (work_folder / "full").symlink_to(FULL_DEVICE)
     with pytest.raises(OSError, match="No space left on device") as error:
         write_text_atomically(work_folder / "full", "text")
     assert error.value.filename == str(work_folder / "full")
@@ -191,8 +196,8 @@ def test_a_picture_keeps_the_requested_file_name(work_folder):
 def test_a_recording_is_not_begun_without_room_for_it(monkeypatch, capsys):
     monkeypatch.setattr("handctl.view.feed.DISK_SPACE_FACTOR", 10**12)
     for words in (
-        ("log", "export", "--rrd", LOG, "--output", "new.rrd", "--json"),
-        ("view", LOG, "--save", "new.rrd"),
+        ("log", "export", "--rrd", GOLDEN_LOG_TEXT, "--output", "new.rrd", "--json"),
+        ("view", GOLDEN_LOG_TEXT, "--save", "new.rrd"),
     ):
         assert main(words) == 1
         assert capsys.readouterr() == ("", "handctl: new.rrd: No space left on device\n")

@@ -23,8 +23,8 @@ from handctl.runtime.buses.open import real_buses
 from tests.cli.command_refusals import refusal_line
 from tests.runtime.processes import write_homed_calibration
 
-REAL = ("socketcan:can0", "pcan:PCAN_USBBUS1", "slcan:/dev/ttyACM0")
-MOVES = {
+REAL_BUSES = ("socketcan:can0", "pcan:PCAN_USBBUS1", "slcan:/dev/ttyACM0")
+MOVING_COMMANDS = {
     "run": ("run",),
     "jog": ("jog", "index", "--angle", "3"),
     "identify": ("identify",),
@@ -32,12 +32,12 @@ MOVES = {
     "replay": ("replay", "drive", "before.mcap"),
     "tune": ("tune", "verify", "new.toml"),
 }
-HAND = ("--hand", "jamia")
-GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
+HAND_OPTION = ("--hand", "jamia")
+GOLDEN_LOG = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 
 
 @pytest.fixture(autouse=True)
-def files(work_folder, monkeypatch):
+def input_files(work_folder, monkeypatch):
     """Create the files that commands read before they open the bus.
 
     Make standard input something other than a terminal.
@@ -46,12 +46,12 @@ def files(work_folder, monkeypatch):
     monkeypatch.setattr("sys.stdin", io.StringIO())
 
 
-@pytest.fixture(params=MOVES)
-def words(request, work_folder):
+@pytest.fixture(params=MOVING_COMMANDS)
+def command_words(request, work_folder):
     """Return the words of a command that moves a hand. Create the log that ``replay`` reads."""
     if request.param == "replay":
-        (work_folder / "before.mcap").symlink_to(GOLDEN)
-    return MOVES[request.param]
+        (work_folder / "before.mcap").symlink_to(GOLDEN_LOG)
+    return MOVING_COMMANDS[request.param]
 
 
 def test_only_real_interfaces_count_as_real_buses():
@@ -62,27 +62,27 @@ def test_only_real_interfaces_count_as_real_buses():
         "virtual:x",
         "udp_multicast:ff15::1",
     ]
-    assert real_buses([*simulated, *REAL]) == list(REAL)
+    assert real_buses([*simulated, *REAL_BUSES]) == list(REAL_BUSES)
 
 
-def test_no_hand_is_the_default_on_a_real_bus(words, capsys):
-    for bus in REAL:
+def test_no_hand_is_the_default_on_a_real_bus(command_words, capsys):
+    for bus in REAL_BUSES:
         for more in ((), ("--yes",), ("--dry-run",)):
-            err = refusal_line(capsys, *words, "--bus", bus, *more)
+            err = refusal_line(capsys, *command_words, "--bus", bus, *more)
             assert f"--hand: no hand is given, and {bus} may have" in err
-    assert main([*words, "--bus", "local:nobody", "--dry-run"]) == 0, (
+    assert main([*command_words, "--bus", "local:nobody", "--dry-run"]) == 0, (
         "a simulated bus has a default hand"
     )
 
 
-def test_without_a_terminal_a_hand_moves_only_with_yes(words, capsys):
+def test_without_a_terminal_a_hand_moves_only_with_yes(command_words, capsys):
     said = "jamia on socketcan:can0 is armed and moves index, middle, ring, thumb; expected --yes"
-    assert said in refusal_line(capsys, *words, *HAND, "--bus", "socketcan:can0")
-    assert main([*words, *HAND, "--bus", "socketcan:can0", "--dry-run"]) == 0, (
+    assert said in refusal_line(capsys, *command_words, *HAND_OPTION, "--bus", "socketcan:can0")
+    assert main([*command_words, *HAND_OPTION, "--bus", "socketcan:can0", "--dry-run"]) == 0, (
         "no motion in a dry run"
     )
     capsys.readouterr()
-    assert main([*words, *HAND, "--bus", "socketcan:can0", "--yes"]) == 1, (
+    assert main([*command_words, *HAND_OPTION, "--bus", "socketcan:can0", "--yes"]) == 1, (
         "the only error is the missing bus"
     )
     assert "can0" in capsys.readouterr().err.splitlines()[-1]
@@ -91,7 +91,15 @@ def test_without_a_terminal_a_hand_moves_only_with_yes(words, capsys):
 def at_a_terminal(answer: str) -> tuple[int, str]:
     """Run a command in a terminal and answer its question. Return its exit code and the text on the terminal."""
     ours, theirs = pty.openpty()
-    command = [sys.executable, "-m", "handctl.cli", "run", *HAND, "--bus", "socketcan:nosuch"]
+    command = [
+        sys.executable,
+        "-m",
+        "handctl.cli",
+        "run",
+        *HAND_OPTION,
+        "--bus",
+        "socketcan:nosuch",
+    ]
     process = subprocess.Popen(
         command, stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True
     )

@@ -16,22 +16,24 @@ from handctl.cli.main import main
 from handctl.paper.bench.pool import worker_pool
 from handctl.tune.search.workers import ProcessPool
 
-VERSION = (sys.executable, "-m", "handctl.cli", "--version")
-BUFFERED = {key: value for key, value in os.environ.items() if key != "PYTHONUNBUFFERED"}
+VERSION_COMMAND = (sys.executable, "-m", "handctl.cli", "--version")
+BUFFERED_ENVIRONMENT = {
+    key: value for key, value in os.environ.items() if key != "PYTHONUNBUFFERED"
+}
 
 
-def shell(redirected, words=VERSION, **environment):
+def run_in_shell(redirected, words=VERSION_COMMAND, **environment):
     """Run a command in a shell with redirected streams. Return its exit code, output and errors."""
     command = ["sh", "-c", f'exec "$0" "$@" {redirected}', *words]
     ran = subprocess.run(
-        command, env=BUFFERED | environment, capture_output=True, text=True, check=False
+        command, env=BUFFERED_ENVIRONMENT | environment, capture_output=True, text=True, check=False
     )
     return ran.returncode, ran.stdout, ran.stderr
 
 
 @pytest.mark.parametrize("unbuffered", ["", "1"])
 def test_a_full_disk_for_the_output_is_one_line(unbuffered):
-    code, _, err = shell("> /dev/full", PYTHONUNBUFFERED=unbuffered)
+    code, _, err = run_in_shell("> /dev/full", PYTHONUNBUFFERED=unbuffered)
     assert code == 1
     assert err.startswith("handctl: ")
     assert err.endswith("No space left on device\n")
@@ -45,7 +47,9 @@ def test_output_without_a_reader_is_no_error(verb):
     read, write = os.pipe()
     os.close(read)
     command = (sys.executable, "-m", "handctl.cli", *verb)
-    ran = subprocess.run(command, env=BUFFERED, stdout=write, stderr=subprocess.PIPE, check=False)
+    ran = subprocess.run(
+        command, env=BUFFERED_ENVIRONMENT, stdout=write, stderr=subprocess.PIPE, check=False
+    )
     os.close(write)
     assert (ran.returncode, ran.stderr) == (0, b"")
 
@@ -73,17 +77,17 @@ def test_the_name_of_a_file_is_no_markup(capsys):
 
 @pytest.mark.parametrize("closed", [">&-", "<&-", "2>&-", ">&- 2>&- <&-"])
 def test_closed_streams_are_no_error(closed):
-    code, _, err = shell(closed)
+    code, _, err = run_in_shell(closed)
     assert (code, err) == (0, "")
 
 
 def test_characters_that_a_terminal_cannot_show_are_escaped(work_folder):
     words = (sys.executable, "-m", "handctl.cli", "log", "info", "h\u00e4nd\udcff.mcap")
-    code, _, err = shell("", words, PYTHONIOENCODING="ascii")
+    code, _, err = run_in_shell("", words, PYTHONIOENCODING="ascii")
     assert code == 2
     assert "h\\xe4nd" in err
     words = (sys.executable, "-m", "handctl.cli", "sim", "--bus", "local:\u00e4\udcff", "--dry-run")
-    code, out, err = shell("", words, PYTHONIOENCODING="ascii")
+    code, out, err = run_in_shell("", words, PYTHONIOENCODING="ascii")
     assert (code, err) == (0, "")
     assert "\\xe4\\udcff" in out
 
@@ -181,7 +185,7 @@ def test_a_worker_of_the_paper_leaves_no_folder(work_folder):
     assert list(work_folder.iterdir()) == []
 
 
-BUGGY = """
+BUGGY_PROGRAM = """
 import atexit, sys
 import handctl.cli.checks.doctor
 from handctl.cli.main import main
@@ -192,7 +196,7 @@ sys.exit(main())
 
 
 def test_a_bug_in_handctl_is_shown_with_traceback_and_its_own_exit_code():
-    ended = subprocess.run([sys.executable, "-c", BUGGY], capture_output=True, text=True)
+    ended = subprocess.run([sys.executable, "-c", BUGGY_PROGRAM], capture_output=True, text=True)
     assert ended.returncode == 70
     assert "KeyError: 'nobody thought of this'" in ended.stderr
     assert (

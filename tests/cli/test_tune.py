@@ -26,8 +26,8 @@ from handctl.tune.scoring import GainScore
 from handctl.tune.search.search import SearchResult, SearchTrial
 from tests.cli.command_refusals import refusal_line
 
-GOLDEN = str(Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap")
-A = Namespace(candidate="new.toml", hand="jamia")
+GOLDEN_LOG = str(Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap")
+CANDIDATE_ARGS = Namespace(candidate="new.toml", hand="jamia")
 
 
 @pytest.fixture
@@ -75,17 +75,20 @@ def test_poles_that_are_not_stable_in_simulation_are_not_written(work_folder, ca
     assert not list(work_folder.iterdir())
 
 
-def scored(tracking):
+def gain_score(tracking):
     return GainScore(tracking, 2.0, 3.0, 60.0, 0.0)
 
 
 def test_a_measure_is_worse_only_beyond_its_spread():
     from handctl.tune.verify import compare_rounds
 
-    runs = [[scored(1.0), scored(1.0 + 0.01 * i), *[scored(3.0 + 0.01 * i)] * 3] for i in range(3)]
+    runs = [
+        [gain_score(1.0), gain_score(1.0 + 0.01 * i), *[gain_score(3.0 + 0.01 * i)] * 3]
+        for i in range(3)
+    ]
     assert [one.verdict for one in compare_rounds(runs)] == ["worse", "same", "same", "same"]
     assert compare_rounds([runs[0]])[0].verdict == "worse"
-    noisy = [[scored(1.0), scored(1.0), *[scored(new)] * 3] for new in (0.5, 1.0, 2.0)]
+    noisy = [[gain_score(1.0), gain_score(1.0), *[gain_score(new)] * 3] for new in (0.5, 1.0, 2.0)]
     assert compare_rounds(noisy)[0].verdict == "same"
 
 
@@ -93,7 +96,7 @@ def test_a_measure_is_worse_only_beyond_its_spread():
 def test_gains_that_are_worse_are_verified_only_if_that_is_accepted(capsys, accept, code):
     from handctl.cli.tuning.tune_verify import _report_verification
 
-    rounds = [scored(1.0), scored(1.0), scored(3.0), scored(3.0), scored(3.0)]
+    rounds = [gain_score(1.0), gain_score(1.0), gain_score(3.0), gain_score(3.0), gain_score(3.0)]
     run = {"through": True, "returned": None, "failure": "", "rounds": rounds, "judged_by": "truth"}
     run |= {"log": "l", "picture": "p"}
     args = Namespace(candidate="new.toml", hand="jamia", accept_worse=accept, json=False)
@@ -159,7 +162,7 @@ def test_units_in_brackets_are_no_markup(fake_search, capsys):
             "picture": "p",
         },
         (),
-        A,
+        CANDIDATE_ARGS,
     )
     assert "[deg]" in capsys.readouterr().out
 
@@ -168,12 +171,12 @@ def test_units_in_brackets_are_no_markup(fake_search, capsys):
     "words",
     [
         ("identify", "--lockstep"),
-        ("identify", "--from-log", GOLDEN),
+        ("identify", "--from-log", GOLDEN_LOG),
         ("tune", "verify", "new.toml", "--lockstep"),
         ("commission", "--bus", "local:nobody"),
         ("jog", "index", "--tension", "8", "--bus", "local:nobody"),
         ("demo", "--lockstep"),
-        ("replay", "drive", GOLDEN, "--bus", "local:nobody"),
+        ("replay", "drive", GOLDEN_LOG, "--bus", "local:nobody"),
     ],
 )
 def test_a_dry_run_writes_nothing_and_answers_in_json(work_folder, capsys, words):
@@ -184,7 +187,7 @@ def test_a_dry_run_writes_nothing_and_answers_in_json(work_folder, capsys, words
 
 
 @pytest.mark.parametrize(
-    "words", [(), ("--from-log", GOLDEN, "--lockstep"), ("--lockstep", "--bus", "local:nobody")]
+    "words", [(), ("--from-log", GOLDEN_LOG, "--lockstep"), ("--lockstep", "--bus", "local:nobody")]
 )
 def test_an_identification_refuses_two_sources(capsys, words):
     assert "expected one of them" in refusal_line(capsys, "identify", *words)
@@ -301,7 +304,7 @@ def test_a_fit_of_a_blocked_digit_is_not_written(work_folder, capsys, monkeypatc
 )
 @pytest.mark.parametrize("kind", ["design", "search"])
 def test_gains_and_picture_are_two_files(work_folder, capsys, kind, words):
-    """A command refuses the same name for both, because the picture would overwrite the gains."""
+    """CANDIDATE_ARGS command refuses the same name for both, because the picture would overwrite the gains."""
     assert "the name of the picture" in refusal_line(capsys, "tune", kind, "--plants", "1", *words)
     assert not list(work_folder.iterdir())
 
@@ -329,15 +332,15 @@ def test_tuning_overwrites_no_other_file_of_the_hand(work_folder, capsys, name, 
 
 
 def test_a_log_of_a_simulated_hand_is_not_used_for_the_real_hand(work_folder, capsys):
-    assert main(["identify", "--from-log", GOLDEN, "--dry-run", "--json"]) == 0
+    assert main(["identify", "--from-log", GOLDEN_LOG, "--dry-run", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["calibration"] == "jamia.lockstep.calibration.toml"
     real = work_folder / "real.mcap"
-    with RunLog(Path(GOLDEN)) as log:
+    with RunLog(Path(GOLDEN_LOG)) as log:
         LogWriter(real, replace(log.header, deterministic=False), lambda *what: None, 1).finish(
             "finished", 0
         )
     assert "is of a simulated hand" in refusal_line(
-        capsys, "identify", "--from-log", str(real), "--from-log", GOLDEN
+        capsys, "identify", "--from-log", str(real), "--from-log", GOLDEN_LOG
     )
 
 
@@ -354,7 +357,7 @@ def test_repeated_options_are_collected():
     ("words", "line"),
     [
         (
-            ("identify", "--from-log", GOLDEN, "--digits", "thumb"),
+            ("identify", "--from-log", GOLDEN_LOG, "--digits", "thumb"),
             "--digits: together with --from-log",
         ),
         (("identify", "--lockstep", "--seed", "-1"), "--seed: -1; expected 0 or more"),
@@ -370,7 +373,7 @@ def test_options_that_do_not_fit_together_are_refused(work_folder, capsys, words
     assert line in refusal_line(capsys, *words)
 
 
-PERTURBING = [
+PERTURBING_COMMANDS = [
     ("identify", "--lockstep", "--dry-run"),
     ("tune", "design", "--plants", "1"),
     ("tune", "search", "--plants", "1", "--trials", "1"),
@@ -380,7 +383,7 @@ PERTURBING = [
 """Commands that simulate the hand in their own process. ``sim`` starts a simulator, see test_simulate."""
 
 
-@pytest.mark.parametrize("verb", PERTURBING, ids=lambda words: "-".join(words[:2]))
+@pytest.mark.parametrize("verb", PERTURBING_COMMANDS, ids=lambda words: "-".join(words[:2]))
 @pytest.mark.parametrize(
     ("words", "said"),
     [

@@ -20,11 +20,11 @@ from handctl.session.calibration import previous_identified, run_commissioning, 
 from handctl.session.run import make_controller, run_lockstep
 from tests.drives.protocol_bench import hand_file
 
-FIRST, SECOND = ("0x4000",), ("0x8000",)
-GOAL = {"do": "move", "angle_deg": {"index": 5.0}, "duration_s": 0.2}
+FIRST_SERIALS, SECOND_SERIALS = ("0x4000",), ("0x8000",)
+MOVE_GOAL = {"do": "move", "angle_deg": {"index": 5.0}, "duration_s": 0.2}
 
 
-class Bench:
+class CalibratedBench:
     """A simulated hand in virtual time, and the plan of its controller."""
 
     def __init__(self, work_folder, hand, serials=()):
@@ -35,7 +35,7 @@ class Bench:
         parser = argparse.ArgumentParser()
         add_run_options(parser, bus_required=False)
         self.args = parser.parse_args(["--hand", str(hand), "--json"])
-        self.plan, self.place = make_plan(self.args, lockstep=True), work_folder
+        self.plan, self.work_folder = make_plan(self.args, lockstep=True), work_folder
         self.peer = load_peer(
             SIMULATED_HAND_ENTRY,
             hand_path=str(hand),
@@ -48,16 +48,18 @@ class Bench:
         return run_lockstep(plan, controller, log, self.clock)
 
     def commission(self, name):
-        calibration, _ = run_commissioning(self.plan, self.place / f"{name}.mcap", self.runner)
+        calibration, _ = run_commissioning(
+            self.plan, self.work_folder / f"{name}.mcap", self.runner
+        )
         return calibration
 
     def jog(self, calibration, name):
-        program = JogProgram(MoveDigits.model_validate(GOAL), 0.4)
+        program = JogProgram(MoveDigits.model_validate(MOVE_GOAL), 0.4)
         controller = make_controller(self.plan, program, calibration, True)
-        return self.runner(self.plan, controller, self.place / f"{name}.mcap")
+        return self.runner(self.plan, controller, self.work_folder / f"{name}.mcap")
 
 
-def modes(log):
+def mode_texts(log):
     with RunLog(log) as run:
         return [event.event.text for event in run.events if event.event.name == "mode"]
 
@@ -68,7 +70,10 @@ def test_the_second_hand_of_a_design_is_not_armed_with_the_first_one_s_calibrati
 ):
     """Regression: two hands of a design were used in one folder. The second got the tares and zeros of the first."""
     hand = hand_file(work_folder, protocols)
-    first, second = Bench(work_folder, hand, FIRST), Bench(work_folder, hand, SECOND)
+    first, second = (
+        CalibratedBench(work_folder, hand, FIRST_SERIALS),
+        CalibratedBench(work_folder, hand, SECOND_SERIALS),
+    )
     calibration = first.commission("first")
     assert set(calibration.drive) == {motor.name for motor in load_hand(str(hand)).motor}
     assert not any(text.startswith("node") for text in calibration.drive.values())
@@ -90,7 +95,7 @@ def test_the_second_hand_of_a_design_is_not_armed_with_the_first_one_s_calibrati
         assert f"{name} is drive " in outcome.state.failure
         assert f"but was calibrated with drive {text}" in outcome.state.failure
     assert "\n" not in outcome.state.failure
-    assert [text.partition(":")[0] for text in modes(work_folder / "other.mcap")][
+    assert [text.partition(":")[0] for text in mode_texts(work_folder / "other.mcap")][
         -1
     ] == "READY -> DONE", "the hand was not armed"
     for one in (first, second):
@@ -100,7 +105,10 @@ def test_the_second_hand_of_a_design_is_not_armed_with_the_first_one_s_calibrati
 def test_replaced_drive_is_named_before_arming(work_folder):
     hand = hand_file(work_folder, ["mit"])
     motor = load_hand(str(hand)).motor[0].name
-    before, after = Bench(work_folder, hand, FIRST), Bench(work_folder, hand, (*FIRST, f"{motor}=0x77"))
+    before, after = (
+        CalibratedBench(work_folder, hand, FIRST_SERIALS),
+        CalibratedBench(work_folder, hand, (*FIRST_SERIALS, f"{motor}=0x77")),
+    )
     failure = after.jog(before.commission("before"), "after").state.failure
     assert failure.startswith(f"{motor} is drive 0x77, but was calibrated with drive 0x40")
     assert failure.count(" is drive ") == 1
@@ -109,19 +117,19 @@ def test_replaced_drive_is_named_before_arming(work_folder):
 
 
 def test_a_log_names_its_drives_and_repeats(work_folder, capsys):
-    bench = Bench(work_folder, "jamia", SECOND)
+    bench = CalibratedBench(work_folder, "jamia", SECOND_SERIALS)
     calibration = bench.commission("made")
     bench.jog(
         calibration.model_copy(update={"drive": dict.fromkeys(calibration.drive, "0x1")}), "refused"
     )
     bench.peer.close()
-    assert modes(work_folder / "refused.mcap")[-1].startswith("READY -> DONE: ")
+    assert mode_texts(work_folder / "refused.mcap")[-1].startswith("READY -> DONE: ")
     assert main(["replay", "execute", "refused.mcap", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["differing"] == 0
 
 
 def test_a_calibration_of_an_earlier_version_is_accepted_with_a_notice(work_folder, capsys):
-    bench = Bench(work_folder, "jamia")
+    bench = CalibratedBench(work_folder, "jamia")
     calibration = bench.commission("made").model_copy(update={"drive": {}})
     path = work_folder / "old.toml"
     write_calibration(path, calibration)
@@ -138,7 +146,7 @@ def test_a_calibration_of_an_earlier_version_is_accepted_with_a_notice(work_fold
 
 
 def test_identified_values_of_other_drives_are_not_used(work_folder, capsys):
-    bench = Bench(work_folder, "jamia")
+    bench = CalibratedBench(work_folder, "jamia")
     calibration, path = bench.commission("made"), work_folder / "c.toml"
     bench.peer.close()
     hand = bench.plan.hand

@@ -6,17 +6,17 @@ from pathlib import Path
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
-GOLDEN = Path(__file__).parents[2] / "logs" / "golden"
+GOLDEN_FOLDER = Path(__file__).parents[2] / "logs" / "golden"
 
 
 @pytest.fixture(scope="session")
-def golden() -> Path:
+def golden_folder() -> Path:
     """Return the folder of the golden logs."""
-    return GOLDEN
+    return GOLDEN_FOLDER
 
 
 @pytest.fixture(scope="session")
-def fresh(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def fresh_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Record a grasp with a fault, a bus event and requests on this machine, and return the path of the log."""
     import short_runs
 

@@ -22,13 +22,13 @@ from handctl.session.plan import RunPlan
 from handctl.session.run import make_controller, run_lockstep
 from handctl.session.simulate import SimulatorSettings, simulate
 
-REQUEST = '{"do": "gains", "set": {"motion.force_N": 40.0, "tension.integral_per_s": 6.0}}'
+GAINS_REQUEST = '{"do": "gains", "set": {"motion.force_N": 40.0, "tension.integral_per_s": 6.0}}'
 
 
 def test_a_run_whose_gains_were_set_repeats(tmp_path: Path) -> None:
     log = tmp_path / "set.mcap"
     requests = {
-        300: (REQUEST, '{"do": "gains", "set": {"motion.force": 1}}'),
+        300: (GAINS_REQUEST, '{"do": "gains", "set": {"motion.force": 1}}'),
         600: ('{"do": "stop"}',),
     }
     short_runs.record_lockstep_run(

@@ -16,7 +16,7 @@ from handctl.report.summary import (
 from tests.report.invented_run import JAMIA, PERIOD_NS, InventedLog, set_truth_column, zero_truth
 
 
-def quiet() -> InventedLog:
+def quiet_run() -> InventedLog:
     """Create a run of two seconds without events."""
     log = InventedLog(JAMIA, 200, {0: "home"})
     for name in ("tension", "tension_raw", "tip_force"):
@@ -38,7 +38,7 @@ def hold_log(ramp: int = 20) -> InventedLog:
 
 
 def test_ticks_misses_and_lateness() -> None:
-    log = quiet()
+    log = quiet_run()
     log.k = np.concatenate((np.arange(100), np.arange(103, 203)))
     log.late_ns = np.arange(200) * 1000
     result = summarise_run(log, JAMIA, None, 0)
@@ -82,7 +82,7 @@ def test_the_mean_angle_weights_joints_by_their_moment_arms() -> None:
 
 
 def test_tracking_error_is_computed_in_free_motion_only() -> None:
-    log, truth = quiet(), zero_truth(JAMIA, 200, 7)
+    log, truth = quiet_run(), zero_truth(JAMIA, 200, 7)
     joints = slice(0, 3)  # joints of the index finger
     log.fields["q_goal"][:, joints] = 0.5
     for joint in JAMIA.joints[joints]:
@@ -109,7 +109,7 @@ def test_tracking_error_is_computed_in_free_motion_only() -> None:
 
 def test_tension_errors_are_computed_for_estimate_and_raw_load_cell() -> None:
     """The estimate of a tick belongs to the time of the tick. The load-cell sample was taken one period before."""
-    log, truth = quiet(), zero_truth(JAMIA, 200)
+    log, truth = quiet_run(), zero_truth(JAMIA, 200)
     real = 20.0 + np.arange(200) * 0.1
     for name in JAMIA.tendon_names:
         set_truth_column(truth, f"tension/{name}", real)
@@ -125,7 +125,7 @@ def test_tension_errors_are_computed_for_estimate_and_raw_load_cell() -> None:
 
 
 def test_slack_tendons_do_not_count() -> None:
-    log, truth = quiet(), zero_truth(JAMIA, 200)
+    log, truth = quiet_run(), zero_truth(JAMIA, 200)
     log.fields["tension"][:] = 7.0
     assert math.isnan(summarise_run(log, JAMIA, truth, 0)["tension_rmse_n"])
 
@@ -205,7 +205,7 @@ def test_measured_load_equals_a_hand_calculation() -> None:
 
     Its 13 other bits get none.
     """
-    log = quiet()
+    log = quiet_run()
     one = (98 + 97 // 4 + 13) / 1e6
     assert measured_load(log, 1_000_000, None, [(8, False)] * 10) == pytest.approx(10 * one / 1.99)
 

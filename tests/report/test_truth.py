@@ -12,20 +12,20 @@ from tests.report.invented_run import JAMIA, set_truth_column, write_truth, zero
 
 
 @pytest.fixture
-def small() -> TruthRecord:
+def small_truth() -> TruthRecord:
     rng = np.random.default_rng(1)
     return TruthRecord(
         {}, np.arange(6) * 1_000_000 + 2**60, rng.normal(size=(6, 3)), ("a", "b/c", "d")
     )
 
 
-def test_a_written_truth_file_is_read(small: TruthRecord, tmp_path: Path) -> None:
+def test_a_written_truth_file_is_read(small_truth: TruthRecord, tmp_path: Path) -> None:
     path = tmp_path / "t.truth"
-    write_truth(path, small)
+    write_truth(path, small_truth)
     again = read_truth(path)
-    np.testing.assert_array_equal(again.t_ns, small.t_ns)
-    np.testing.assert_array_equal(again.values, small.values)
-    assert again.columns == small.columns
+    np.testing.assert_array_equal(again.t_ns, small_truth.t_ns)
+    np.testing.assert_array_equal(again.values, small_truth.values)
+    assert again.columns == small_truth.columns
     assert again.has("b/c")
     assert not again.has("x")
 
@@ -50,10 +50,10 @@ def test_the_simulators_own_file_is_read(tmp_path: Path) -> None:
 
 
 def test_a_file_cut_at_any_byte_gives_a_prefix_or_a_one_line_error(
-    small: TruthRecord, tmp_path: Path
+    small_truth: TruthRecord, tmp_path: Path
 ) -> None:
     path = tmp_path / "t.truth"
-    write_truth(path, small)
+    write_truth(path, small_truth)
     complete = path.read_bytes()
     head = complete.index(b"\n") + 1
     for cut in range(len(complete)):
@@ -61,7 +61,7 @@ def test_a_file_cut_at_any_byte_gives_a_prefix_or_a_one_line_error(
         rows = max(0, cut - head) // 32
         if rows:
             truth = read_truth(path)
-            np.testing.assert_array_equal(truth.values, small.values[:rows])
+            np.testing.assert_array_equal(truth.values, small_truth.values[:rows])
         else:
             with pytest.raises(LogError) as caught:
                 read_truth(path)

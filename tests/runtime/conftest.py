@@ -8,8 +8,8 @@ from handctl.hand.load import load_hand
 from tests.runtime.processes import (
     LOCAL_BUS,
     LONG_TASK,
-    SCALE,
     SHORT_TASK,
+    TIME_SCALE,
     end_process,
     start_hand,
     time_scale_options,
@@ -39,8 +39,8 @@ def processes():
 
 @pytest.fixture
 def scale(request, slower):
-    """Return the command-line options for the time scale. A test module may set its own ``SCALE``."""
-    return time_scale_options(getattr(request.module, "SCALE", SCALE) * slower)
+    """Return the command-line options for the time scale. A test module may set its own ``TIME_SCALE``."""
+    return time_scale_options(getattr(request.module, "TIME_SCALE", TIME_SCALE) * slower)
 
 
 @pytest.fixture

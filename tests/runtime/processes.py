@@ -21,7 +21,7 @@ READY_TIMEOUT_S = 60.0
 COMMAND_TIMEOUT_S = 200.0
 """Longest time that a command of handctl may run [s]."""
 LOCAL_BUS = "local:t"
-SCALE = 1.0
+TIME_SCALE = 1.0
 """Speed of time in simulator and controller, 1 for real time.
 
 If the machine is too slow for it, the clock that both share pauses.

@@ -23,7 +23,7 @@ from tests.runtime.processes import (
 )
 
 REALTIME = pytest.mark.realtime
-PROGRAM = """
+CLIENT_PROGRAM = """
 import handctl, time
 with handctl.connect("jamia", "local:t", *{words}):
     print("live", flush=True)
@@ -32,7 +32,7 @@ with handctl.connect("jamia", "local:t", *{words}):
 
 
 @pytest.fixture
-def alone(work_folder):
+def unserved_client(work_folder):
     """Return a Python client of a bus that no controller serves."""
     client = HandClient("local:nobody")
     yield client
@@ -40,11 +40,11 @@ def alone(work_folder):
 
 
 @pytest.mark.parametrize("number", [3, np.float32(3), np.float64(3), np.int64(3), Fraction(3)])
-def test_every_numeric_type_is_accepted(alone, number, monkeypatch):
+def test_every_numeric_type_is_accepted(unserved_client, number, monkeypatch):
     requests = []
-    monkeypatch.setattr(alone, "_set_goal", requests.append)
-    alone.move(index=number, duration_s=number, wait=False)
-    alone.hold(index=number, rate_N_per_s=number)
+    monkeypatch.setattr(unserved_client, "_set_goal", requests.append)
+    unserved_client.move(index=number, duration_s=number, wait=False)
+    unserved_client.hold(index=number, rate_N_per_s=number)
     assert requests[0] == {"do": "move", "angle_deg": {"index": 3.0}, "duration_s": 3.0}
     assert requests[1] == {"do": "hold", "tension_N": {"index": 3.0}, "rate_N_per_s": 3.0}
 
@@ -52,10 +52,10 @@ def test_every_numeric_type_is_accepted(alone, number, monkeypatch):
 @pytest.mark.parametrize(
     "number", [float("nan"), 10**400, "3", True, np.True_, None, np.array([3.0, 4.0]), 1e9]
 )
-def test_an_invalid_angle_is_refused_before_it_is_sent(alone, number):
+def test_an_invalid_angle_is_refused_before_it_is_sent(unserved_client, number):
     """The client refuses it, because a controller that refuses three requests within a second relaxes the hand."""
     with pytest.raises(ConfigError, match=r"move: angle_deg.index: .*; expected"):
-        alone.move(index=number)
+        unserved_client.move(index=number)
 
 
 def status_with_events(*texts):
@@ -69,11 +69,15 @@ def status_with_events(*texts):
 @pytest.mark.parametrize(
     "theirs", ["refused: no digit 'x'", "request: Invalid JSON", "move index 3"]
 )
-def test_replies_to_other_programs_are_ignored(alone, monkeypatch, theirs):
+def test_replies_to_other_programs_are_ignored(unserved_client, monkeypatch, theirs):
     """Regression: of two programs that used one hand, one reported refusals of requests of the other."""
     sent = []
-    monkeypatch.setattr(alone._watcher, "send", lambda data, timeout: sent.append(json.loads(data)))
-    monkeypatch.setattr(alone, "_wait_until_following", lambda timeout: status_with_events())
+    monkeypatch.setattr(
+        unserved_client._watcher, "send", lambda data, timeout: sent.append(json.loads(data))
+    )
+    monkeypatch.setattr(
+        unserved_client, "_wait_until_following", lambda timeout: status_with_events()
+    )
 
     def heard(timeout):
         yield status_with_events("asked: move by somebody", theirs)
@@ -81,38 +85,38 @@ def test_replies_to_other_programs_are_ignored(alone, monkeypatch, theirs):
             theirs, f"asked: move by {sent[-1]['by']}", reply, "asked: move by somebody", theirs
         )
 
-    monkeypatch.setattr(alone._watcher, "lines", heard)
+    monkeypatch.setattr(unserved_client._watcher, "lines", heard)
     reply = "move index 3"
-    alone.move(index=3, wait=False)
+    unserved_client.move(index=3, wait=False)
     reply = "refused: the hand is not ready yet"
     with pytest.raises(ConfigError, match="the hand is not ready yet"):
-        alone.move(index=3, wait=False)
+        unserved_client.move(index=3, wait=False)
     assert len({one["by"] for one in sent}) == 2
-    alone._commands = False
+    unserved_client._commands = False
 
 
-def test_a_goal_without_a_digit_is_refused(alone):
+def test_a_goal_without_a_digit_is_refused(unserved_client):
     with pytest.raises(ConfigError, match="move: no digit; expected"):
-        alone.move()
+        unserved_client.move()
 
 
-def test_a_hold_without_a_tension_brings_the_hand_to_rest(alone, monkeypatch):
+def test_a_hold_without_a_tension_brings_the_hand_to_rest(unserved_client, monkeypatch):
     requests = []
-    monkeypatch.setattr(alone, "_set_goal", requests.append)
-    alone.hold()
-    alone.hold({})
+    monkeypatch.setattr(unserved_client, "_set_goal", requests.append)
+    unserved_client.hold()
+    unserved_client.hold({})
     assert requests == [{"do": "stay"}] * 2
 
 
-def test_digits_may_come_as_a_mapping(alone, monkeypatch):
+def test_digits_may_come_as_a_mapping(unserved_client, monkeypatch):
     """Regression: a mapping as first argument was taken as the duration. The error was then "no digit"."""
     requests = []
-    monkeypatch.setattr(alone, "_set_goal", requests.append)
-    alone.move({"index": 10}, thumb=5, wait=False)
-    alone.hold({"index": 10})
+    monkeypatch.setattr(unserved_client, "_set_goal", requests.append)
+    unserved_client.move({"index": 10}, thumb=5, wait=False)
+    unserved_client.hold({"index": 10})
     goals = [one.get("angle_deg", one.get("tension_N")) for one in requests]
     assert goals == [{"index": 10.0, "thumb": 5.0}, {"index": 10.0}]
-    for do in (alone.move, alone.hold):
+    for do in (unserved_client.move, unserved_client.hold):
         with pytest.raises(
             ConfigError, match=r"(move|hold): 2.0; expected digits by name, as in index=30"
         ):
@@ -122,14 +126,18 @@ def test_digits_may_come_as_a_mapping(alone, monkeypatch):
         ):
             do({"index": 1}, index=2)
     with pytest.raises(ConfigError, match="no digit; expected one at least"):
-        alone.move({})
+        unserved_client.move({})
 
 
-def test_a_silent_controller_is_one_line(alone):
+def test_a_silent_controller_is_one_line(unserved_client):
     with pytest.raises(BusError, match="the controller is silent"):
-        alone.state(-1.0)
-    alone.close()
-    for ask in (alone.state, lambda: alone.move(index=3), lambda: alone.wait("live", 1.0)):
+        unserved_client.state(-1.0)
+    unserved_client.close()
+    for ask in (
+        unserved_client.state,
+        lambda: unserved_client.move(index=3),
+        lambda: unserved_client.wait("live", 1.0),
+    ):
         with pytest.raises(BusError, match="this client is closed"):
             ask()
 
@@ -152,11 +160,11 @@ def test_dir_lists_the_public_names():
         library.conect  # noqa: B018
 
 
-def wait_until(true, timeout_s=60.0):
+def wait_until(condition, timeout_s=60.0):
     end = time.monotonic() + timeout_s
-    while not true() and time.monotonic() < end:
+    while not condition() and time.monotonic() < end:
         time.sleep(0.02)
-    assert true()
+    assert condition()
 
 
 @REALTIME
@@ -243,7 +251,9 @@ def test_a_fault_between_two_calls_is_reported_at_the_end(work_folder, hand, cal
 
 
 @REALTIME
-def test_a_task_of_another_program_goes_on(work_folder, hand, calibrated, processes, monkeypatch, scale):
+def test_a_task_of_another_program_goes_on(
+    work_folder, hand, calibrated, processes, monkeypatch, scale
+):
     monkeypatch.setattr("handctl.client.hand.ATTACH_TIMEOUT_S", 1.0)
     process = start_handctl(
         "run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *scale
@@ -264,7 +274,7 @@ def test_a_task_of_another_program_goes_on(work_folder, hand, calibrated, proces
 
 def start_program(processes, *words):
     """Start a program that connects to the hand and holds it for a minute."""
-    code = PROGRAM.format(words=words)
+    code = CLIENT_PROGRAM.format(words=words)
     program = subprocess.Popen(
         [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
@@ -285,7 +295,9 @@ def test_ctrl_c_while_it_starts_leaves_no_controller(work_folder, hand, processe
 
 
 @REALTIME
-def test_a_program_that_is_killed_leaves_no_armed_hand(work_folder, hand, calibrated, processes, scale):
+def test_a_program_that_is_killed_leaves_no_armed_hand(
+    work_folder, hand, calibrated, processes, scale
+):
     program = start_program(processes, "--calibration", "c.toml", "--log", "live.mcap", *scale)
     assert program.stdout.readline() == "live\n"
     program.kill()

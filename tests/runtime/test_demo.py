@@ -7,7 +7,7 @@ from tests.runtime.processes import modes_of_complete_log, process_result, start
 
 pytestmark = [pytest.mark.realtime, pytest.mark.alone]
 
-FAST = (
+FAST_DEMO_OPTIONS = (
     "--task",
     "short.toml",
     "--scene",
@@ -22,7 +22,7 @@ FAST = (
 
 
 def test_the_clock_of_the_demo_pauses_on_a_slow_machine(work_folder, processes):
-    processes.append(start_handctl("demo", *FAST))
+    processes.append(start_handctl("demo", *FAST_DEMO_OPTIONS))
     code, result, err = process_result(processes.pop())
     assert code == 0, err
     assert result["failure"] == ""
@@ -39,6 +39,6 @@ def test_the_clock_of_the_demo_pauses_on_a_slow_machine(work_folder, processes):
 
 
 def test_a_strict_clock_does_not_pause(work_folder, processes):
-    processes.append(start_handctl("demo", "--strict-clock", *FAST))
+    processes.append(start_handctl("demo", "--strict-clock", *FAST_DEMO_OPTIONS))
     code, _, err = process_result(processes.pop())
     assert code == 1, err

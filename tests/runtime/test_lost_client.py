@@ -1,4 +1,4 @@
-"""Test a client that dies or hangs after a ``hold``.
+"""Test a client that dies or hangs after a ``start_holding_client``.
 
 The hand relaxes when the lease of the client has ended, which the truth of the simulator shows.
 """
@@ -23,7 +23,7 @@ from tests.runtime.processes import LOCAL_BUS, READY_TIMEOUT_S
 REALTIME = pytest.mark.realtime
 LEASE_S = 0.6
 HELD_N = 12.0
-PROGRAM = f"""
+CLIENT_PROGRAM = f"""
 import handctl, time
 with handctl.connect("jamia", {LOCAL_BUS!r}, **{{options}}) as hand:
     hand.hold(index={HELD_N})
@@ -33,9 +33,9 @@ with handctl.connect("jamia", {LOCAL_BUS!r}, **{{options}}) as hand:
 """
 
 
-def hold(**options):
+def start_holding_client(**options):
     """Start another client in a process. It holds a tension and then does nothing."""
-    command = [sys.executable, "-c", PROGRAM.format(options=options)]
+    command = [sys.executable, "-c", CLIENT_PROGRAM.format(options=options)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert select.select([process.stdout], [], [], READY_TIMEOUT_S)[0]
     assert process.stdout.readline() == "held\n"
@@ -65,7 +65,9 @@ def test_a_lost_client_makes_the_hand_relax(work_folder, hand, calibrated, scale
         "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale
     ).open()
     try:
-        other = hold(lease_s=LEASE_S, **({"watchdog_s": LEASE_S} if how == "hangs" else {}))
+        other = start_holding_client(
+            lease_s=LEASE_S, **({"watchdog_s": LEASE_S} if how == "hangs" else {})
+        )
         try:
             if how != "hangs":
                 time.sleep(3.0 * LEASE_S / factor)

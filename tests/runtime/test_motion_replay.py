@@ -28,7 +28,7 @@ from tests.runtime.processes import (
 )
 
 pytestmark = [pytest.mark.realtime, pytest.mark.alone]
-GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
+GOLDEN_LOG = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 
 
 @pytest.fixture
@@ -39,10 +39,14 @@ def work_folder(work_folder):
 
 
 def test_a_golden_grasp_repeats_on_the_local_bus(work_folder, scale):
-    simulated = start_hand(work_folder / "x.truth", "--hand", "jamia", "--scene", "scene.toml", *scale)
+    simulated = start_hand(
+        work_folder / "x.truth", "--hand", "jamia", "--scene", "scene.toml", *scale
+    )
     try:
         words = ("--hand", "jamia", "--bus", LOCAL_BUS, "--calibration", "c.toml", *scale)
-        done = run_handctl("replay", "drive", str(GOLDEN), *words, "--log", "again.mcap", "--json")
+        done = run_handctl(
+            "replay", "drive", str(GOLDEN_LOG), *words, "--log", "again.mcap", "--json"
+        )
     finally:
         end_process(simulated)
     assert done.returncode == 0, done.stderr
@@ -55,7 +59,7 @@ def test_a_golden_grasp_repeats_on_the_local_bus(work_folder, scale):
     assert max(row["rms"] for row in result["joint_deg"].values()) < 1.0, (
         "as in lockstep, tests/replay/test_drive.py"
     )
-    with RunLog(GOLDEN) as before, RunLog(work_folder / "again.mcap") as after:
+    with RunLog(GOLDEN_LOG) as before, RunLog(work_folder / "again.mcap") as after:
         apart = mean_angle_differences(before, after)
         assert np.percentile(apart, 99, axis=0).max() < 1.0
         assert apart.max() < 2.0, "a digit may leave the object one tick late"
@@ -64,7 +68,9 @@ def test_a_golden_grasp_repeats_on_the_local_bus(work_folder, scale):
 
 
 def test_an_interrupted_replay_reports_its_progress(work_folder, scale):
-    simulated = start_hand(work_folder / "x.truth", "--hand", "jamia", "--scene", "scene.toml", *scale)
+    simulated = start_hand(
+        work_folder / "x.truth", "--hand", "jamia", "--scene", "scene.toml", *scale
+    )
     words = (
         "--hand",
         "jamia",
@@ -78,7 +84,7 @@ def test_an_interrupted_replay_reports_its_progress(work_folder, scale):
         "--json",
     )
     try:
-        driving = start_handctl("replay", "drive", str(GOLDEN), *words)
+        driving = start_handctl("replay", "drive", str(GOLDEN_LOG), *words)
         watcher = StatusWatcher(LOCAL_BUS)
         wait_for_phase("playback", watcher, driving)
         time.sleep(0.6)

@@ -92,7 +92,9 @@ def test_a_stop_from_another_process_ends_the_run(work_folder, hand, calibrated,
     ]
 
 
-def test_the_first_ctrl_c_relaxes_disables_and_confirms(work_folder, hand, calibrated, processes, scale):
+def test_the_first_ctrl_c_relaxes_disables_and_confirms(
+    work_folder, hand, calibrated, processes, scale
+):
     process = start_long(processes, calibrated, *scale)
     process.send_signal(signal.SIGINT)
     code, result, err = process_result(process)

@@ -1,4 +1,4 @@
-"""The Python program of the README works unchanged with the simulated hand of the README."""
+"""The Python program of the README_TEXT works unchanged with the simulated hand of the README_TEXT."""
 
 import re
 import select
@@ -11,13 +11,13 @@ import pytest
 
 from tests.runtime.processes import READY_TIMEOUT_S, modes_of_complete_log, start_handctl
 
-README = (Path(__file__).parents[2] / "README.md").read_text()
-LOAD = "import os\nparent = os.getppid()\nwhile os.getppid() == parent: pass"
+README_TEXT = (Path(__file__).parents[2] / "README.md").read_text()
+LOAD_PROGRAM = "import os\nparent = os.getppid()\nwhile os.getppid() == parent: pass"
 
 
-def blocks(language: str, *containing: str) -> list[str]:
-    """Return the code blocks of the README that are in a language and contain all given texts."""
-    texts = re.findall(rf"^```{language}\n(.*?)^```$", README, re.MULTILINE | re.DOTALL)
+def readme_blocks(language: str, *containing: str) -> list[str]:
+    """Return the code blocks of the README_TEXT that are in a language and contain all given texts."""
+    texts = re.findall(rf"^```{language}\n(.*?)^```$", README_TEXT, re.MULTILINE | re.DOTALL)
     return [block for block in texts if all(text in block for text in containing)]
 
 
@@ -25,17 +25,17 @@ def blocks(language: str, *containing: str) -> list[str]:
 @pytest.mark.alone
 @pytest.mark.parametrize("busy", [2])
 def test_the_program_in_the_readme_runs_beside_busy_ones(work_folder, processes, busy):
-    (program,) = blocks("python", "handctl.connect")
-    (commands,) = blocks("", "handctl sim", "--bus local:lab")
+    (program,) = readme_blocks("python", "handctl.connect")
+    (commands,) = readme_blocks("", "handctl sim", "--bus local:lab")
     (line,) = [line for line in commands.splitlines() if line.startswith("handctl sim")]
     simulator = start_handctl(*shlex.split(line.split("#")[0])[1:])
     processes.append(simulator)
     processes.extend(
-        subprocess.Popen([sys.executable, "-c", LOAD], stdout=subprocess.PIPE, text=True)
+        subprocess.Popen([sys.executable, "-c", LOAD_PROGRAM], stdout=subprocess.PIPE, text=True)
         for _ in range(busy)
     )
     (work_folder / "example.py").write_text(program)
-    ready(simulator)
+    wait_until_ready(simulator)
     ran = subprocess.run(
         [sys.executable, "example.py"], capture_output=True, text=True, timeout=300.0
     )
@@ -45,7 +45,7 @@ def test_the_program_in_the_readme_runs_beside_busy_ones(work_folder, processes,
     modes_of_complete_log(work_folder / log)
 
 
-def ready(simulator: "subprocess.Popen[str]") -> None:
+def wait_until_ready(simulator: "subprocess.Popen[str]") -> None:
     """Wait until a simulator serves its bus."""
     assert simulator.stdout
     assert select.select([simulator.stdout], [], [], READY_TIMEOUT_S)[0], "no ready line"

@@ -16,7 +16,7 @@ from tests.runtime.processes import (
 )
 
 pytestmark = pytest.mark.realtime
-WORDS = (
+RUN_OPTIONS = (
     "--hand",
     "jamia",
     "--bus",
@@ -32,7 +32,7 @@ WORDS = (
 def test_a_second_controller_is_refused_and_the_first_goes_on(work_folder, scale):
     write_homed_calibration(work_folder / "c.toml", load_hand("jamia"))
     simulated = start_hand(work_folder / "hand.truth", "--hand", "jamia", *scale)
-    first = start_handctl("run", *WORDS, "--log", "first.mcap", *scale)
+    first = start_handctl("run", *RUN_OPTIONS, "--log", "first.mcap", *scale)
     try:
         with SyncListener() as listener:
             until = time.monotonic() + 60.0
@@ -40,7 +40,7 @@ def test_a_second_controller_is_refused_and_the_first_goes_on(work_folder, scale
                 assert first.poll() is None, first.communicate()
                 assert time.monotonic() < until
                 listener.listen(0.01)
-            second = run_handctl("run", *WORDS, "--log", "second.mcap", *scale)
+            second = run_handctl("run", *RUN_OPTIONS, "--log", "second.mcap", *scale)
             assert second.returncode == 1
             assert "another controller runs here" in second.stderr
             assert second.stderr.count("\n") == 1

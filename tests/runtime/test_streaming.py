@@ -22,11 +22,11 @@ from tests.runtime.processes import (
 )
 
 REALTIME = pytest.mark.realtime
-PAGE = (Path(__file__).parents[2] / "docs" / "how-to" / "python.md").read_text()
+PAGE_TEXT = (Path(__file__).parents[2] / "docs" / "how-to" / "python.md").read_text()
 
 
 @pytest.fixture
-def live(work_folder, hand, calibrated, scale):
+def live_hand(work_folder, hand, calibrated, scale):
     """Return a client that has started the controller of a simulated hand."""
     with library.connect(
         "jamia", f"main={LOCAL_BUS}", "--calibration", "c.toml", "--log", "live.mcap", *scale
@@ -76,29 +76,29 @@ def test_a_stream_is_followed_observed_logged_and_repeated(work_folder, hand, ca
 
 
 @REALTIME
-def test_only_one_of_several_clients_commands_the_hand(live):
+def test_only_one_of_several_clients_commands_the_hand(live_hand):
     """Regression: a client that left stopped the hand of the others.
 
     Two threads of one client got no results of their moves.
     """
-    live.move(index=10.0, duration_s=0.3)
+    live_hand.move(index=10.0, duration_s=0.3)
     with library.connect("jamia", LOCAL_BUS) as other:
         assert other.observe().mode == "ACTIVE"
         with pytest.raises(
-            ConfigError, match=f"{live.name} commands this hand, expected take_over"
+            ConfigError, match=f"{live_hand.name} commands this hand, expected take_over"
         ):
             other.move(thumb=5.0)
         other.take_over()
         other.move(thumb=5.0, duration_s=0.3)
         with pytest.raises(ConfigError, match=f"{other.name} commands this hand"):
-            live.hold(thumb=8.0)
-    live.move(thumb=0.0, duration_s=0.3)
-    assert live.observe().mode == "ACTIVE", "the hand continues without the other client"
+            live_hand.hold(thumb=8.0)
+    live_hand.move(thumb=0.0, duration_s=0.3)
+    assert live_hand.observe().mode == "ACTIVE", "the hand continues without the other client"
     errors = []
 
     def move(**angles):
         try:
-            live.move(duration_s=0.3, **angles)
+            live_hand.move(duration_s=0.3, **angles)
         except library.HandctlError as error:
             errors.append(error)
 
@@ -110,12 +110,12 @@ def test_only_one_of_several_clients_commands_the_hand(live):
     for thread in threads:
         thread.join()
     assert not errors
-    assert live.observe(wait=True).q_deg[:9] == pytest.approx(10.0, abs=3.0)
+    assert live_hand.observe(wait=True).q_deg[:9] == pytest.approx(10.0, abs=3.0)
     with pytest.raises(ConfigError, match="wait_for: no digit 'pinky'; expected one of"):
-        live.wait_for(contact="pinky")
+        live_hand.wait_for(contact="pinky")
     with pytest.raises(DriveError, match=r"condition not met after 0.1 s"):
-        live.wait_for(contact="index", timeout_s=0.1)
-    assert live.wait_for(phase="live").phase == "live"
+        live_hand.wait_for(contact="index", timeout_s=0.1)
+    assert live_hand.wait_for(phase="live").phase == "live"
 
 
 def test_every_watcher_gets_its_lines(work_folder):
@@ -168,7 +168,7 @@ def test_values_are_checked_before_they_are_sent(work_folder):
 @pytest.mark.alone
 @pytest.mark.parametrize("example", range(3))
 def test_the_programs_of_the_page_run(work_folder, processes, scale, example):
-    programs = re.findall(r"^```python[^\n]*\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+    programs = re.findall(r"^```python[^\n]*\n(.*?)^```$", PAGE_TEXT, re.MULTILINE | re.DOTALL)
     assert len(programs) == 3
     simulator = start_handctl("sim", "--hand", "jamia", "--bus", "local:lab", *scale)
     processes.append(simulator)

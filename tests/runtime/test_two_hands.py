@@ -15,18 +15,20 @@ from tests.runtime.processes import (
 )
 
 pytestmark = [pytest.mark.realtime, pytest.mark.alone, pytest.mark.nightly]
-SIDES = ("left", "right")
-RATE = ("--rate", "100")
+HAND_SIDES = ("left", "right")
+RATE_OPTION = ("--rate", "100")
 """Options for a low control rate, because four processes with deadlines share the processors."""
-SCALE = 0.5
+TIME_SCALE = 0.5
 
 
 def test_a_stop_of_one_hand_leaves_the_other_moving(work_folder, processes, scale):
     write_homed_calibration(work_folder / "c.toml", load_hand("jamia"))
-    buses = [f"local:{side}" for side in SIDES]
+    buses = [f"local:{side}" for side in HAND_SIDES]
     runs = []
-    for side, bus in zip(SIDES, buses, strict=True):
-        processes.append(start_hand(work_folder / f"{side}.truth", "--hand", "jamia", *scale, bus=bus))
+    for side, bus in zip(HAND_SIDES, buses, strict=True):
+        processes.append(
+            start_hand(work_folder / f"{side}.truth", "--hand", "jamia", *scale, bus=bus)
+        )
         words = (
             "--calibration",
             "c.toml",
@@ -35,7 +37,7 @@ def test_a_stop_of_one_hand_leaves_the_other_moving(work_folder, processes, scal
             "--json",
             "--log",
             f"{side}.mcap",
-            *RATE,
+            *RATE_OPTION,
             *scale,
         )
         runs.append(start_handctl("run", "--hand", "jamia", "--bus", bus, *words))
@@ -57,5 +59,5 @@ def test_a_stop_of_one_hand_leaves_the_other_moving(work_folder, processes, scal
     assert run_handctl("stop", "--bus", buses[1]).returncode == 0
     code, result, err = process_result(runs[1])
     assert (code, result["failure"]) == (0, ""), err
-    for side in SIDES:
+    for side in HAND_SIDES:
         assert modes_of_complete_log(work_folder / f"{side}.mcap")[-1] == "DISARM -> DONE"
