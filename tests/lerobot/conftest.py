@@ -12,7 +12,7 @@ from tests.runtime.processes import (
     write_homed_calibration,
 )
 
-SCALE = 0.5
+TIME_SCALE = 0.5
 """Time of the hand that passes per second of wall time."""
 
 
@@ -28,9 +28,9 @@ def work_folder(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def options(work_folder):
+def robot_options(work_folder):
     """Start a simulated hand in slowed time, and return the options of its controller."""
-    scale = time_scale_options(SCALE)
+    scale = time_scale_options(TIME_SCALE)
     process = start_hand(work_folder / "hand.truth", "--hand", "jamia", "--scene", "none", *scale)
     yield ["--calibration", "c.toml", "--log", "run.mcap", *scale]
     end_process(process)

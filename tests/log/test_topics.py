@@ -27,7 +27,7 @@ from handctl.log.write.writer import LogWriter
 from handctl.programs.requests import target_text
 
 
-def _write(
+def _write_log(
     path: Path,
     run: RunHeader,
     bodies: list[bytes],
@@ -47,7 +47,7 @@ def _write(
     return path
 
 
-def _bodies(run: RunHeader) -> list[bytes]:
+def _tick_bodies(run: RunHeader) -> list[bytes]:
     return [
         pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :]
         for tick in varied_run.varied_ticks(run)
@@ -113,9 +113,9 @@ def test_messages_do_not_depend_on_where_chunks_end(
     tmp_path: Path, borders: frozenset[int]
 ) -> None:
     run = varied_run.varied_header()
-    bodies = _bodies(run)
+    bodies = _tick_bodies(run)
     plain, cut = (
-        messages_by_topic(_write(tmp_path / name, run, bodies, at))
+        messages_by_topic(_write_log(tmp_path / name, run, bodies, at))
         for name, at in (("a", frozenset()), ("b", borders))
     )
     assert plain.keys() == cut.keys()
@@ -143,10 +143,10 @@ def test_equal_lockstep_runs_give_equal_files_except_the_wall_clock(tmp_path: Pa
 
 def test_the_wall_offset_shifts_all_times_alike(tmp_path: Path) -> None:
     run, offset = varied_run.varied_header(), 1_700_000_000_123_456_789
-    bodies = _bodies(run)
-    plain = read_messages(_write(tmp_path / "a", run, bodies))
+    bodies = _tick_bodies(run)
+    plain = read_messages(_write_log(tmp_path / "a", run, bodies))
     shifted = read_messages(
-        _write(tmp_path / "b", varied_run.varied_header(offset_ns=offset), bodies)
+        _write_log(tmp_path / "b", varied_run.varied_header(offset_ns=offset), bodies)
     )
     assert [one.log_time + offset for one in plain] == [one.log_time for one in shifted]
     states = [one for one in shifted if one.topic == "/joint_states"]
@@ -162,7 +162,7 @@ def test_transforms_equal_the_kinematics_of_the_hand(tmp_path: Path, hand: str) 
     digits = [DigitModel.of(described, name) for name in run.digits]
     ticks = list(synthetic_run.SyntheticTicks(run, 1.0))
     topics = messages_by_topic(
-        _write(
+        _write_log(
             tmp_path / "a",
             run,
             [pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :] for tick in ticks],
@@ -236,7 +236,7 @@ def test_streamed_targets_have_a_topic_and_no_line_in_rosout(tmp_path: Path) -> 
         (tick_in._replace(requests=asked.get(i, ())), out) for i, (tick_in, out) in enumerate(ticks)
     ]
     topics = messages_by_topic(
-        _write(
+        _write_log(
             tmp_path / "a",
             run,
             [pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :] for tick in ticks],
@@ -261,7 +261,7 @@ def test_streamed_targets_have_a_topic_and_no_line_in_rosout(tmp_path: Path) -> 
 def test_the_cycle_topic_has_missed_ticks_and_lateness(tmp_path: Path) -> None:
     run = varied_run.varied_header()
     ticks = list(varied_run.varied_ticks(run))
-    topics = messages_by_topic(_write(tmp_path / "a", run, _bodies(run)))["/cycle"]
+    topics = messages_by_topic(_write_log(tmp_path / "a", run, _tick_bodies(run)))["/cycle"]
     oracle = RosbagsSerialiser(topics[0].kind, topics[0].schema)
     last = None
     for (tick_in, out), message in zip(ticks, topics, strict=True):
@@ -300,7 +300,7 @@ def test_telemetry_of_another_shape_becomes_nan_and_is_counted(tmp_path: Path) -
         pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :]
         for tick in synthetic_run.SyntheticTicks(other, 0.1)
     ]
-    log = _write(tmp_path / "a", run, bodies, events=("misshapen",))
+    log = _write_log(tmp_path / "a", run, bodies, events=("misshapen",))
     topics = messages_by_topic(log)["/tendon_states"]
     oracle = RosbagsSerialiser(topics[0].kind, topics[0].schema)
     assert all(np.isnan(oracle.decode(one.data).effort).all() for one in topics)

@@ -18,9 +18,9 @@ PERIOD_NS = 2_000_000
 class FakeMonotonicClock:
     """A simulated CLOCK_MONOTONIC. A sleep advances it by the duration of the sleep and an overshoot."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, overshoot: int = 0) -> None:
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, overshoot_ns: int = 0) -> None:
         self.now_ns = 5_000_000_000
-        self.overshoot_ns = overshoot
+        self.overshoot_ns = overshoot_ns
         self.sleeps_s = list[float]()
         monkeypatch.setattr(time, "monotonic_ns", self.read)
         monkeypatch.setattr(time, "sleep", self.sleep)

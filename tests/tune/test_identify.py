@@ -33,10 +33,10 @@ from handctl.tune.identify.fit_motor import (
 )
 from handctl.tune.identify.identifiability import _reason_not_identified
 
-SPRUNG = PARAMETER_TOLERANCES.keys() - {"moment_arm", "pretension"}
+SPRUNG_PARAMETERS = PARAMETER_TOLERANCES.keys() - {"moment_arm", "pretension"}
 """Parameters that are identified for digits with return springs."""
-SEEDS = 100
-COVERED = 90
+SEED_COUNT = 100
+MIN_COVERED = 90
 
 
 WEAK_MOTOR, STIFF_MOTOR = (23, "thumb"), (39, "thumb")
@@ -61,7 +61,7 @@ def test_parameters_wrong_by_thirty_percent_are_identified_with_detuned_gains(
     """
     row = measure_digit(seed, digit, tmp_path)
     assert "failure" not in row
-    assert {parameter["name"] for parameter in row["parameters"]} == SPRUNG
+    assert {parameter["name"] for parameter in row["parameters"]} == SPRUNG_PARAMETERS
     assert [parameter for parameter in row["parameters"] if not parameter["within"]] == []
     assert [
         parameter
@@ -76,7 +76,7 @@ def test_springs_behind_several_tendons_are_found_by_the_joint_encoders(tmp_path
     The intervals of these parameters show this.
     """
     row = measure_digit(3, "thumb", tmp_path, "jamia11")
-    assert {parameter["name"] for parameter in row["parameters"]} == SPRUNG
+    assert {parameter["name"] for parameter in row["parameters"]} == SPRUNG_PARAMETERS
     assert [
         parameter
         for parameter in row["parameters"]
@@ -94,17 +94,19 @@ def test_springs_behind_several_tendons_are_found_by_the_joint_encoders(tmp_path
 def test_intervals_cover_the_parameters_of_a_hundred_hands(tmp_path: Path) -> None:
     digits = load_hand("jamia").digit_names
     figures = summarise_results(
-        [measure_digit(seed, digits[seed % 4], tmp_path) for seed in range(1, SEEDS + 1)]
+        [measure_digit(seed, digits[seed % 4], tmp_path) for seed in range(1, SEED_COUNT + 1)]
     )
     assert figures["failed"] == []
-    parameters = {name: figures["parameters"][name] for name in SPRUNG}
+    parameters = {name: figures["parameters"][name] for name in SPRUNG_PARAMETERS}
     assert {
-        name: found["covered"] for name, found in parameters.items() if found["covered"] < COVERED
+        name: found["covered"]
+        for name, found in parameters.items()
+        if found["covered"] < MIN_COVERED
     } == {}
     assert {
-        name: found["within"] for name, found in parameters.items() if found["within"] < COVERED
+        name: found["within"] for name, found in parameters.items() if found["within"] < MIN_COVERED
     } == {}
-    assert figures["all_covered_all_at_once"] >= COVERED
+    assert figures["all_covered_all_at_once"] >= MIN_COVERED
 
 
 def test_the_window_is_smooth_and_its_derivatives_are_its_derivatives() -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import synthetic_run
-from rrd_entities import Entity, of_file, run_info_of
+from rrd_entities import RecordingEntity, entities_of_file, run_info_of
 
 from handctl.cli.main import main
 from handctl.hand.formats.meshes import meshes_of_hand
@@ -41,19 +41,19 @@ def mesh_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def recorded(mesh_log: Path) -> dict[str, Entity]:
+def recorded_entities(mesh_log: Path) -> dict[str, RecordingEntity]:
     out = mesh_log.with_suffix(".rrd")
     write_rrd(mesh_log, run_info_of(mesh_log), out)
-    return of_file(out)
+    return entities_of_file(out)
 
 
 def test_each_mesh_is_an_asset_in_the_frame_of_its_link(
-    recorded: dict[str, Entity], mesh_log: Path
+    recorded_entities: dict[str, RecordingEntity], mesh_log: Path
 ) -> None:
     run = run_info_of(mesh_log)
     assert run.note == ""
     for mesh in meshes_of_hand(run.hand):
-        shown = recorded[f"/hand/{mesh.link}/mesh"].static
+        shown = recorded_entities[f"/hand/{mesh.link}/mesh"].static
         assert shown["CoordinateFrame:frame"] == [mesh.link]
         assert bytes(np.array(shown["Asset3D:blob"][0], np.uint8)) == run.meshes[mesh.link].data
         assert shown["Asset3D:media_type"] == [MEDIA_TYPES[mesh.suffix]]
@@ -66,7 +66,9 @@ def test_each_mesh_is_an_asset_in_the_frame_of_its_link(
         assert shown["InstancePoses3D:scales"] == [pytest.approx(mesh.scale, rel=1e-6)]
 
 
-def test_a_link_has_a_mesh_or_capsules(recorded: dict[str, Entity], mesh_log: Path) -> None:
+def test_a_link_has_a_mesh_or_capsules(
+    recorded_entities: dict[str, RecordingEntity], mesh_log: Path
+) -> None:
     hand = run_info_of(mesh_log).hand
     meshed_links = {mesh.link for mesh in meshes_of_hand(hand)}
     links = {"palm"} | {
@@ -74,7 +76,9 @@ def test_a_link_has_a_mesh_or_capsules(recorded: dict[str, Entity], mesh_log: Pa
     }
     assert meshed_links < links
     for link in links:
-        parts = {path.split("/")[3] for path in recorded if path.startswith(f"/hand/{link}/")}
+        parts = {
+            path.split("/")[3] for path in recorded_entities if path.startswith(f"/hand/{link}/")
+        }
         assert parts == {"mesh"} if link in meshed_links else "mesh" not in parts and parts, link
 
 
@@ -105,7 +109,7 @@ def test_a_log_without_its_meshes_shows_capsules_and_says_so(
     assert main(["view", str(log), "--save", str(out)]) == 0
     text = "capsules are drawn for palm, left_link1 and 3 more: the log does not have the meshes"
     assert f"handctl: caution: {log}: {text}\n" in capsys.readouterr().err
-    paths = of_file(out)
+    paths = entities_of_file(out)
     assert "/hand/left_link1/visual_0" in paths
     assert not [path for path in paths if path.endswith("/mesh")]
 
