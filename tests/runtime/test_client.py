@@ -9,8 +9,8 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-import run_handctl as library
 
+import handctl as library
 from handctl import BusError, ConfigError, DriveError, PowerError
 from handctl.client import HandClient
 from handctl.runtime.mailbox import StatusWatcher, is_running

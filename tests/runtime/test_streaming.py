@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import run_handctl as library
 
+import handctl as library
 from handctl import ConfigError, DriveError
 from handctl.runtime.mailbox import MAX_WATCHERS, WATCH_REQUEST, Mailbox, StatusWatcher
 from tests.runtime.processes import (
