@@ -54,11 +54,11 @@ def test_lerobot_finds_robot_and_teleoperators() -> None:
 
 @NEEDS_LEROBOT
 @pytest.mark.realtime
-def test_a_robot_observes_follows_limits_and_rests_in_pauses(options) -> None:
+def test_a_robot_observes_follows_limits_and_rests_in_pauses(robot_options) -> None:
     from lerobot.utils.errors import DeviceNotConnectedError
     from lerobot_robot_handctl import HandctlRobot, HandctlRobotConfig
 
-    robot = HandctlRobot(HandctlRobotConfig(bus=LOCAL_BUS, options=options))
+    robot = HandctlRobot(HandctlRobotConfig(bus=LOCAL_BUS, options=robot_options))
     with pytest.raises(DeviceNotConnectedError):
         robot.get_observation()
     robot.connect()
@@ -113,11 +113,11 @@ def test_keys_close_and_open_digits() -> None:
 
 @NEEDS_LEROBOT
 @pytest.mark.realtime
-def test_the_script_of_lerobot_teleoperates_the_hand_by_a_log(options, work_folder) -> None:
+def test_the_script_of_lerobot_teleoperates_the_hand_by_a_log(robot_options, work_folder) -> None:
     assert main(["-q", "demo", "--lockstep", "--log", "leader.mcap"]) == 0
     seconds = 6.0
     words = [
-        "--robot.type=handctl", f"--robot.bus={LOCAL_BUS}", f"--robot.options={list(options)}".replace("'", '"'),
+        "--robot.type=handctl", f"--robot.bus={LOCAL_BUS}", f"--robot.options={list(robot_options)}".replace("'", '"'),
         "--teleop.type=handctl_log", "--teleop.log=leader.mcap", f"--fps={round(50 * TIME_SCALE)}",
         f"--teleop_time_s={seconds}",
     ]  # fmt: skip

@@ -49,12 +49,12 @@ def fault_texts(log: RunLog) -> list[str]:
 
 
 @pytest.mark.realtime
-def test_recorded_episodes_can_be_loaded_replayed_and_run(options, work_folder) -> None:
+def test_recorded_episodes_can_be_loaded_replayed_and_run(robot_options, work_folder) -> None:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     assert main(["-q", "demo", "--lockstep", "--log", "leader.mcap"]) == 0
     robot = ["--robot.type=handctl", f"--robot.bus={LOCAL_BUS}"]
-    option = "--robot.options=" + json.dumps(options)
+    option = "--robot.options=" + json.dumps(robot_options)
     data = ["--dataset.repo_id=me/hand", "--dataset.root=data"]
     run_script(
         "record", *robot, option, "--teleop.type=handctl_log", "--teleop.log=leader.mcap", *data,
@@ -74,7 +74,7 @@ def test_recorded_episodes_can_be_loaded_replayed_and_run(options, work_folder) 
     actions = np.array([dataset[i]["action"].numpy() for i in range(dataset.num_frames)])
     assert np.ptp(np.degrees(actions[:, 0])) > 10.0
 
-    replay = json.dumps([word.replace("run.mcap", "replay.mcap") for word in options])
+    replay = json.dumps([word.replace("run.mcap", "replay.mcap") for word in robot_options])
     run_script(
         "replay",
         *robot,
@@ -92,7 +92,7 @@ def test_recorded_episodes_can_be_loaded_replayed_and_run(options, work_folder) 
     expected = np.degrees(first[:, :3].mean(axis=1).max())
     assert highest == pytest.approx(expected, abs=2.0)
 
-    words = [word.replace("run.mcap", "again.mcap") for word in options]
+    words = [word.replace("run.mcap", "again.mcap") for word in robot_options]
     ran = run_handctl(
         "run", "--hand", "jamia", "--bus", LOCAL_BUS, "--dataset", "data", "--speed", "200", *words
     )

@@ -28,9 +28,9 @@ LARGEST_RATIO = 1.5
 def test_a_streamed_sine_is_followed_like_a_task(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(streaming, "SIMULATOR", ["-c", SIMULATOR])
+    monkeypatch.setattr(streaming, "SIMULATOR_ARGUMENTS", ["-c", SIMULATOR])
     monkeypatch.setattr(streaming, "TRACKED_S", TRACKED_S)
-    monkeypatch.setattr(streaming, "INTERPOLATIONS", ("minimum_jerk",))
+    monkeypatch.setattr(streaming, "INTERPOLATION_NAMES", ("minimum_jerk",))
     calibration = tmp_path / "jamia.calibration.toml"
     write_homed_calibration(calibration, load_hand("jamia"))
     for time_scale in TIME_SCALES:
