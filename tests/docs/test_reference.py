@@ -6,13 +6,13 @@ from pathlib import Path
 import pytest
 
 from handctl.cli.main import VERB_HELP
-from tools.reference.blocks import BLOCK_FUNCTIONS, BLOCK_PATTERN, filled_page, pages
-from tools.reference.topics import registered
+from tools.reference.blocks import BLOCK_FUNCTIONS, BLOCK_PATTERN, filled_page, pages_with_blocks
+from tools.reference.topics import packaged_hand_topics
 
 REPOSITORY_ROOT = Path(__file__).parents[2]
 GENERATED_PAGES = {
     path.relative_to(REPOSITORY_ROOT).as_posix(): (text, right)
-    for path, text, right in pages(REPOSITORY_ROOT)
+    for path, text, right in pages_with_blocks(REPOSITORY_ROOT)
 }
 
 
@@ -44,5 +44,5 @@ def test_every_verb_has_a_section_with_its_example() -> None:
 
 def test_every_topic_of_a_log_has_a_row() -> None:
     page = GENERATED_PAGES["docs/reference/topics.md"][0]
-    for topic, (kind, _) in registered().items():
+    for topic, (kind, _) in packaged_hand_topics().items():
         assert re.search(rf"^\| `{re.escape(topic)}` \| \[?`{kind}`", page, re.MULTILINE), topic
