@@ -24,14 +24,14 @@ from tests.runtime.bus_hub import RUN_DIR_VARIABLE, ScriptedHub, frame_record
 from tests.runtime.datagram_bus import datagram_bus
 
 CLASSICAL_FRAME_STRUCT, FD_FRAME_STRUCT = struct.Struct("=IB3x8s"), struct.Struct("=IBB2x64s")
-"""Layouts of classical and FD_FRAME_STRUCT frames in the kernel. Source: Linux ``can.h``."""
+"""Layouts of classical and FD frames in the kernel. Source: Linux ``can.h``."""
 CLASSICAL_SIZES = (0, 1, 7, 8)
 FD_SIZES = (0, 8, 12, 64)
 BUS_INDEX = 3
 
 
 def mixed_frames(count: int, seed: int) -> list[Frame]:
-    """Return classical and FD_FRAME_STRUCT frames of various lengths in random order."""
+    """Return classical and FD frames of various lengths in random order."""
     rng = random.Random(seed)
     frames = []
     for number in range(count):

@@ -13,7 +13,7 @@ from tests.runtime.datagram_bus import datagram_bus
 
 CLASSICAL_FRAME_STRUCT = struct.Struct("=IB3x8s")
 FD_FRAME_STRUCT = struct.Struct("=IBB2x64s")
-"""Layout of an FD_FRAME_STRUCT frame in the kernel. Source: Linux ``can.h``."""
+"""Layout of an FD frame in the kernel. Source: Linux ``can.h``."""
 
 
 @pytest.fixture
