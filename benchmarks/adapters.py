@@ -20,7 +20,7 @@ from handctl.cli.main import main
 from handctl.cli.runs import demo
 
 
-class Outcome(NamedTuple):
+class AdapterRunOutcome(NamedTuple):
     """Outcome of a run: whether the rate is possible, tracking error [deg], tension error [N], and cause of the end."""
 
     held: bool
@@ -29,7 +29,7 @@ class Outcome(NamedTuple):
     end: str
 
 
-def outcome(hand: str, adapter: str, rate: float, seed: int) -> Outcome:
+def run_demo_with_adapter(hand: str, adapter: str, rate: float, seed: int) -> AdapterRunOutcome:
     """Run the demo of a hand behind an adapter at a control rate [Hz]."""
     run = demo.run
 
@@ -56,13 +56,13 @@ def outcome(hand: str, adapter: str, rate: float, seed: int) -> Outcome:
         finally:
             demo.run = run
     if not output.getvalue():
-        return Outcome(
+        return AdapterRunOutcome(
             False, float("nan"), float("nan"), errors.getvalue().strip().splitlines()[-1]
         )
     result = json.loads(output.getvalue())
     errors_of = result["tracking_rmse_deg"]
     tracking = (sum(error**2 for error in errors_of.values()) / len(errors_of)) ** 0.5
-    return Outcome(
+    return AdapterRunOutcome(
         not result["failure"], tracking, result["tension_hold_error_n"], result["failure"] or "done"
     )
 
@@ -89,7 +89,7 @@ def _print_outcomes() -> None:
     for adapter in args.adapters:
         for rate in args.rates:
             for seed in range(args.seeds):
-                result = outcome(args.hand, adapter, rate, seed)
+                result = run_demo_with_adapter(args.hand, adapter, rate, seed)
                 print(f"{args.hand} {adapter} {rate:g} Hz, seed {seed}: {'held' if result.held else 'NOT HELD'},"
                       f" tracking {result.tracking_deg:.2f} deg, hold {result.hold_error_n:.2f} N, {result.end}",
                       flush=True)  # fmt: skip

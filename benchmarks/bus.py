@@ -25,12 +25,12 @@ import time
 import warnings
 from pathlib import Path
 
-HERE = Path(__file__).parent
-MOTORS = (4, 11)
+BENCHMARKS_FOLDER = Path(__file__).parent
+MOTOR_COUNTS = (4, 11)
 C_REFERENCE = "C, the same system calls"
 PACKET_PER_FRAME = "C, one packet per frame"
-ROUNDS = 5
-REFERENCE = "python-can, scalar codec"
+MEASUREMENT_ROUNDS = 5
+REFERENCE_ALTERNATIVE = "python-can, scalar codec"
 
 
 def main() -> None:
@@ -44,10 +44,10 @@ def main() -> None:
     args = parser.parse_args()
     if args.one:
         medium, floor, ticks = args.one
-        print(json.dumps(measure(medium, floor, int(ticks))))
+        print(json.dumps(measure_bus(medium, floor, int(ticks))))
         return
     result = measure_both_buses(1000 if args.quick else 5000)
-    print(json.dumps(result, indent=2)) if args.json else show(result)
+    print(json.dumps(result, indent=2)) if args.json else print_results(result)
 
 
 def use_one_core() -> str:
@@ -74,7 +74,7 @@ def measure_both_buses(ticks: int) -> dict:
         floor = compile_reference(Path(short))
         how = use_one_core()
         return {
-            "local": measure("local", floor, ticks),
+            "local": measure_bus("local", floor, ticks),
             "vcan": measure_vcan(floor, ticks),
             "on": how,
         }
@@ -87,14 +87,15 @@ def compile_reference(folder: Path) -> str:
         return ""
     target = folder / "floor"
     subprocess.run(
-        [compiler, "-O2", "-o", str(target), str(HERE / "exchange" / "floor.c")], check=True
+        [compiler, "-O2", "-o", str(target), str(BENCHMARKS_FOLDER / "exchange" / "floor.c")],
+        check=True,
     )
     return str(target)
 
 
 def measure_vcan(floor: str, ticks: int) -> dict:
     """Measure the exchange on vcan0."""
-    sys.path.insert(0, str(HERE.parent))
+    sys.path.insert(0, str(BENCHMARKS_FOLDER.parent))
     from tests.vcan import uml_guest
 
     kind, reason = uml_guest.vcan_access()
@@ -106,7 +107,7 @@ def measure_vcan(floor: str, ticks: int) -> dict:
     return json.loads(output[-1]) if status == 0 else {"skipped": f"status {status}: {output[-1:]}"}
 
 
-def measure(medium: str, floor: str, ticks: int) -> dict:
+def measure_bus(medium: str, floor: str, ticks: int) -> dict:
     """Measure wall and CPU time of each alternative [us], by number of motors.
 
     For an alternative that cannot run, the result has the reason.
@@ -116,10 +117,10 @@ def measure(medium: str, floor: str, ticks: int) -> dict:
     CPU time in steps of 10 ms.
     """
     result: dict = {}
-    for motors in MOTORS:
+    for motors in MOTOR_COUNTS:
         rounds: dict = {}
-        for _ in range(ROUNDS):
-            for name, row in measure_round(medium, floor, motors, ticks // ROUNDS):
+        for _ in range(MEASUREMENT_ROUNDS):
+            for name, row in measure_round(medium, floor, motors, ticks // MEASUREMENT_ROUNDS):
                 rounds.setdefault(name, []).append(row)
         result[str(motors)] = add_ratios(
             {name: combine_rounds(rows) for name, rows in rounds.items()}
@@ -137,17 +138,20 @@ def combine_rounds(rows: list[dict]) -> dict:
 
 def measure_round(medium: str, floor: str, motors: int, ticks: int):
     """Yield the name and the times of one alternative after another."""
-    sys.path.insert(0, str(HERE))
-    from exchange.clients import CLIENTS
-    from exchange.media import MEDIA, motors_on
-    from exchange.ways import ALTERNATIVES
+    sys.path.insert(0, str(BENCHMARKS_FOLDER))
+    from exchange.package_clients import CLIENT_BY_PACKAGE
+    from exchange.simulated_motors import MOTORS_BY_MEDIUM, motors_on
+    from exchange.torque_exchanges import EXCHANGE_BY_NAME
 
     warnings.simplefilter("ignore")  # The clients print warnings.
     if floor:
-        yield C_REFERENCE, measure_c_program(floor, medium, MEDIA[medium][2], motors, ticks)
+        yield (
+            C_REFERENCE,
+            measure_c_program(floor, medium, MOTORS_BY_MEDIUM[medium][2], motors, ticks),
+        )
         if medium == "local":
             yield PACKET_PER_FRAME, measure_c_program(floor, "packets", "-", motors, ticks)
-    for name, make in {**ALTERNATIVES, **CLIENTS}.items():
+    for name, make in {**EXCHANGE_BY_NAME, **CLIENT_BY_PACKAGE}.items():
         with motors_on(medium) as (peer, interface, channel):
             try:
                 made = make(interface, channel, motors)
@@ -157,7 +161,7 @@ def measure_round(medium: str, floor: str, motors: int, ticks: int):
             yield (
                 name,
                 measure_client(
-                    made, peer, motors, ticks if name in ALTERNATIVES else max(50, ticks // 5)
+                    made, peer, motors, ticks if name in EXCHANGE_BY_NAME else max(50, ticks // 5)
                 ),
             )
 
@@ -184,7 +188,7 @@ def measure_client(client, peer, motors: int, ticks: int) -> dict:
             a = clock()
             client.send(torques)
             b = clock()
-            peer.answer(motors, client.answer)
+            peer.send_replies(motors, client.reply_of)
             c = clock()
             got = client.receive()
             times.append(b - a + clock() - c - 2 * looking)
@@ -203,7 +207,7 @@ def measure_client(client, peer, motors: int, ticks: int) -> dict:
 
 def add_ratios(rows: dict) -> dict:
     """Add to each row the ratios of its wall time to both C programs, and its speed-up over python-can."""
-    reference = rows[REFERENCE]
+    reference = rows[REFERENCE_ALTERNATIVE]
     for row in rows.values():
         if "skipped" not in row:
             row["times_floor"] = (
@@ -218,9 +222,9 @@ def add_ratios(rows: dict) -> dict:
     return rows
 
 
-def show(result: dict) -> None:
+def print_results(result: dict) -> None:
     """Print the result as text."""
-    print(f"on {result.pop('on')}; the fastest of {ROUNDS} rounds")
+    print(f"on {result.pop('on')}; the fastest of {MEASUREMENT_ROUNDS} rounds")
     for medium, sizes in result.items():
         if "skipped" in sizes:
             print(f"{medium}: skipped: {sizes['skipped']}")

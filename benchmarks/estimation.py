@@ -19,14 +19,19 @@ from functools import cache
 
 import numpy as np
 from trials import estimation_page, page
-from trials.filters import RATES, WEIGHTS, averaged, cell_alone
+from trials.alternative_filters import (
+    AVERAGE_WEIGHTS,
+    TENSION_RATE_NOISES,
+    cell_only_estimate,
+    exponential_average,
+)
 from trials.hands import CLEAR_SUFFIX, hand_by_name
-from trials.jobs import Plan, add_options, collect, plan_of
-from trials.limits import CELL_DRIFT_VARIANCE_N2_PER_S, limit
-from trials.lockstep import RATES_HZ, Trial, TrialRecord, run
-from trials.plants import FURTHER_PLANTS, PHASES_TO_CONTACT, PLANTS
-from trials.script import Script, Step
-from trials.windows import REGIMES, windows
+from trials.job_runner import JobPlan, add_job_options, collect_results, job_plan_of
+from trials.lockstep import RATES_HZ, LockstepTrial, TrialRecord, run_trial
+from trials.plants import FURTHER_PLANT_FACTORS, PHASES_TO_CONTACT, PLANT_FACTORS
+from trials.reference_filter import CELL_DRIFT_VARIANCE_N2_PER_S, reference_sigma
+from trials.regimes import REGIME_NAMES, regime_masks
+from trials.script_program import ScriptProgram, ScriptStep
 
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
@@ -34,20 +39,20 @@ from handctl.document import validate_content
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
 
-HANDS = ("jamia", "jamia11")
-TRIED_PLANTS = PLANTS | FURTHER_PLANTS
-MOVES = Script(
+MEASURED_HANDS = ("jamia", "jamia11")
+TRIED_PLANTS = PLANT_FACTORS | FURTHER_PLANT_FACTORS
+MOTION_SCRIPT = ScriptProgram(
     (
-        Step("slow", 1.0, angle_deg=30.0, move_s=0.8),
-        Step("medium", 0.5, angle_deg=55.0, move_s=0.3),
-        Step("back", 0.3, angle_deg=20.0, move_s=0.25),
-        Step("and again", 0.3, angle_deg=45.0, move_s=0.2),
-        Step("open", 0.5, angle_deg=5.0, move_s=0.3),
-        Step("let go", 0.4, tension_N=0.0, rate_N_per_s=100.0),
-        Step("take up", 0.4, tension_N=6.0, rate_N_per_s=60.0),
+        ScriptStep("slow", 1.0, angle_deg=30.0, move_s=0.8),
+        ScriptStep("medium", 0.5, angle_deg=55.0, move_s=0.3),
+        ScriptStep("back", 0.3, angle_deg=20.0, move_s=0.25),
+        ScriptStep("and again", 0.3, angle_deg=45.0, move_s=0.2),
+        ScriptStep("open", 0.5, angle_deg=5.0, move_s=0.3),
+        ScriptStep("let go", 0.4, tension_N=0.0, rate_N_per_s=100.0),
+        ScriptStep("take up", 0.4, tension_N=6.0, rate_N_per_s=60.0),
     )
 )
-GRASP = {
+GRASP_TASK = {
     "schema": 1,
     "name": "estimation",
     "phase": [
@@ -57,7 +62,7 @@ GRASP = {
     ],
 }  # fmt: skip
 STRONG_GRASP = {
-    **GRASP,
+    **GRASP_TASK,
     "name": "beyond the knee",
     "phase": [
         *PHASES_TO_CONTACT,
@@ -66,8 +71,8 @@ STRONG_GRASP = {
         {"kind": "hold", "name": "less", "tension_N": 160.0, "rate_N_per_s": 200.0, "duration_s": 0.6},
     ],
 }  # fmt: skip
-SCENE = "cylinder"
-ESTIMATORS = ("filtered", "raw", "estimate", "raw now", "average", "cell alone")
+SCENE_NAME = "cylinder"
+ESTIMATOR_NAMES = ("filtered", "raw", "estimate", "raw now", "average", "cell alone")
 
 
 RATIO_COLUMNS = (
@@ -80,41 +85,46 @@ RATIO_COLUMNS = (
 )
 
 
-def trials(hand: str, plant: str, seed: int) -> list[Trial]:
+def trials_of_seed(hand: str, plant: str, seed: int) -> list[LockstepTrial]:
     """Return the trials of a hand on a plant with one seed."""
     if hand == "jamia_bench":
-        return [Trial(hand, _task(STRONG_GRASP), seed, SCENE, TRIED_PLANTS[plant])]
-    free = Trial(hand + CLEAR_SUFFIX, MOVES, seed, None, TRIED_PLANTS[plant])
-    return [free, Trial(hand, _task(GRASP), seed, SCENE, TRIED_PLANTS[plant])]
+        return [
+            LockstepTrial(hand, _task_program(STRONG_GRASP), seed, SCENE_NAME, TRIED_PLANTS[plant])
+        ]
+    free = LockstepTrial(hand + CLEAR_SUFFIX, MOTION_SCRIPT, seed, None, TRIED_PLANTS[plant])
+    return [
+        free,
+        LockstepTrial(hand, _task_program(GRASP_TASK), seed, SCENE_NAME, TRIED_PLANTS[plant]),
+    ]
 
 
-def _task(content: dict) -> TaskProgram:
+def _task_program(content: dict) -> TaskProgram:
     return TaskProgram(validate_content(content, Task, "benchmark"))
 
 
-def judge(job: tuple[str, str, int]) -> dict[str, dict[str, list[float]]]:
+def squared_error_sums(job: tuple[str, str, int]) -> dict[str, dict[str, list[float]]]:
     """Sum the squared errors of each estimator and of the reference over the trials of one seed, for each regime."""
     sums: dict[str, dict[str, list[float]]] = {}
-    for trial in trials(*job):
-        record = run(trial)
+    for trial in trials_of_seed(*job):
+        record = run_trial(trial)
         if record.failure:
             sums.setdefault("ended", {}).setdefault(record.failure, []).extend((1.0, 1.0))
-        for regime, mask in windows(record).items():
+        for regime, mask in regime_masks(record).items():
             if mask.any():
                 row = sums.setdefault(regime, {})
-                for name, values in _squares(record, regime).items():
-                    row.setdefault(name, []).extend(_summed(values, mask))
+                for name, values in _squared_quantities(record, regime).items():
+                    row.setdefault(name, []).extend(_sum_and_count(values, mask))
     return sums
 
 
-def _summed(values: np.ndarray, mask: np.ndarray) -> list[float]:
+def _sum_and_count(values: np.ndarray, mask: np.ndarray) -> list[float]:
     """Return sum and number of the values in the ticks of a regime that are not NaN."""
     values_in_regime = values[mask]
     values_in_regime = values_in_regime[~np.isnan(values_in_regime)]
     return [float(values_in_regime.sum()), float(len(values_in_regime))]
 
 
-def _squares(record: TrialRecord, regime: str) -> dict[str, np.ndarray]:
+def _squared_quantities(record: TrialRecord, regime: str) -> dict[str, np.ndarray]:
     """Return the squared quantities of a regime, each (ticks, N).
 
     These are squared errors of each estimator and variance of the reference [N^2], NIS, and
@@ -129,12 +139,15 @@ def _squares(record: TrialRecord, regime: str) -> dict[str, np.ndarray]:
     model = record.controller.model
     result = {"filtered": record.filtered - before, "raw": raw - before}
     result |= {"estimate": numbers["tension"] - real, "raw now": raw - real}
-    result |= {f"average {w:g}": averaged(raw, float(w)) - real for w in WEIGHTS}
+    result |= {f"average {w:g}": exponential_average(raw, float(w)) - real for w in AVERAGE_WEIGHTS}
     noise = float(model.space.tension_noise[0])
-    result |= {f"cell alone {r:g}": cell_alone(raw, period, noise, float(r)) - real for r in RATES}
+    result |= {
+        f"cell alone {r:g}": cell_only_estimate(raw, period, noise, float(r)) - real
+        for r in TENSION_RATE_NOISES
+    }
     squares = {name: error**2 for name, error in result.items()}
     drift = CELL_DRIFT_VARIANCE_N2_PER_S * record.times[:, None]
-    then, now = _limits(record.hand.name, regime in ("hold", "beyond 200 N")).T
+    then, now = _reference_sigmas(record.hand.name, regime in ("hold", "beyond 200 N")).T
     squares |= {"limit": drift + np.square(then), "limit now": drift + np.square(now)}
     squares["sigma"] = numbers["tension_sigma"] ** 2
     squares["nis"] = numbers["nis"] / 2.0
@@ -145,21 +158,21 @@ def _squares(record: TrialRecord, regime: str) -> dict[str, np.ndarray]:
 
 
 @cache
-def _limits(hand: str, is_held: bool) -> np.ndarray:
+def _reference_sigmas(hand: str, is_held: bool) -> np.ndarray:
     """Return the standard deviations of the reference at the last sample and at present (N, 2) [N]."""
     name = hand.removesuffix(CLEAR_SUFFIX)
     model = HandModel.from_hand(hand_by_name(name), Gains(), RATES_HZ[name])
-    return np.array([limit(model, i, is_held) for i in range(model.tendon_count)])
+    return np.array([reference_sigma(model, i, is_held) for i in range(model.tendon_count)])
 
 
-def tabulate(results: list[dict]) -> dict[str, dict[str, float]]:
+def tabulate_regimes(results: list[dict]) -> dict[str, dict[str, float]]:
     """Tabulate the figures of each regime.
 
     The figures are the RMSE of each estimator [N], the spread of the RMSE of the estimate over the
     seeds, ratios of RMSEs, NIS, and whiteness.
     """
     table = {}
-    for regime in REGIMES:
+    for regime in REGIME_NAMES:
         seeds = [_means_of_quantities(sums[regime]) for sums in results if regime in sums]
         if not seeds:
             continue
@@ -172,9 +185,9 @@ def tabulate(results: list[dict]) -> dict[str, dict[str, float]]:
             column: min(
                 (name for name in mean if name.startswith(f"{column} ")), key=mean.__getitem__
             )
-            for column in ESTIMATORS[4:]
+            for column in ESTIMATOR_NAMES[4:]
         }
-        row = {column: mean[best.get(column, column)] for column in ESTIMATORS} | {
+        row = {column: mean[best.get(column, column)] for column in ESTIMATOR_NAMES} | {
             "limit": mean["limit"],
             "limit now": mean["limit now"],
             "sigma": mean["sigma"],
@@ -195,13 +208,13 @@ def _means_of_quantities(sums: dict[str, list[float]]) -> dict[str, float]:
     return {name: sum(parts[::2]) / max(sum(parts[1::2]), 1.0) for name, parts in sums.items()}
 
 
-def measure(seeds: int, wrong_seeds: int, plants: list[str], plan: Plan) -> dict:
+def measure_estimators(seeds: int, wrong_seeds: int, plants: list[str], plan: JobPlan) -> dict:
     """Measure all tables.
 
     In the result, ``seeds`` gives the number of seeds of each case that the plan had time for.
     """
-    cases = [(hand, plant) for plant in plants for hand in HANDS]
-    cases.insert(len(HANDS), ("jamia_bench", "as known"))
+    cases = [(hand, plant) for plant in plants for hand in MEASURED_HANDS]
+    cases.insert(len(MEASURED_HANDS), ("jamia_bench", "as known"))
     counts = [seeds if case[1] == "as known" else wrong_seeds for case in cases]
     # The jobs are in the order of their seeds, so that a stopped benchmark has equally many results
     # of each case.
@@ -211,7 +224,7 @@ def measure(seeds: int, wrong_seeds: int, plants: list[str], plan: Plan) -> dict
         for case, n in zip(cases, counts, strict=True)
         if k < n
     ]
-    results = collect(judge, jobs, plan)
+    results = collect_results(squared_error_sums, jobs, plan)
     tables: dict = {"seeds": {}, "hands": {}, "ended": []}
     for case in cases:
         of_case = {job: sums for job, sums in results.items() if job[:2] == case}
@@ -219,15 +232,17 @@ def measure(seeds: int, wrong_seeds: int, plants: list[str], plan: Plan) -> dict
             f"{job}: {reason}" for job, sums in of_case.items() for reason in sums.pop("ended", {})
         ]
         if of_case:
-            tables["hands"].setdefault(case[0], {})[case[1]] = tabulate(list(of_case.values()))
+            tables["hands"].setdefault(case[0], {})[case[1]] = tabulate_regimes(
+                list(of_case.values())
+            )
             tables["seeds"][", ".join(case)] = len(of_case)
     return tables
 
 
-def show(result: dict) -> None:
+def print_results(result: dict) -> None:
     """Print the result as text."""
     columns = (
-        *ESTIMATORS,
+        *ESTIMATOR_NAMES,
         "limit",
         "limit now",
         *(f"{estimator} / {other}" for estimator, other in RATIO_COLUMNS),
@@ -267,7 +282,7 @@ def main() -> None:
         default=10,
         help="number of runs with each changed plant (default: 10)",
     )
-    add_options(parser)
+    add_job_options(parser)
     parser.add_argument(
         "--stiffness", action="store_true", help="change only the stiffness of the plants"
     )
@@ -278,12 +293,12 @@ def main() -> None:
     start = time.monotonic()
     plants = list(TRIED_PLANTS)[:3] if args.quick or args.stiffness else list(TRIED_PLANTS)
     counts = (1, 1, plants) if args.quick else (args.seeds, args.wrong_seeds, plants)
-    result = measure(*counts, plan_of(args))
+    result = measure_estimators(*counts, job_plan_of(args))
     result["wall_s"] = time.monotonic() - start
-    print(json.dumps(result, indent=2)) if args.json else show(result)
+    print(json.dumps(result, indent=2)) if args.json else print_results(result)
     if args.page:
-        page.write("estimation", estimation_page.section(result))
-        estimation_page.picture(result)
+        page.write_part("estimation", estimation_page.page_section(result))
+        estimation_page.draw_picture(result)
 
 
 if __name__ == "__main__":

@@ -11,15 +11,15 @@ import json
 from typing import Any
 
 import numpy as np
-from grasps import contact, page, payload, slip, success, tip
-from grasps.objects import CASES
-from trials.jobs import Plan, add_options, collect, plan_of
+from grasps import contact, page, payload, slip, success, tip_force
+from grasps.objects import GRASP_CASES
+from trials.job_runner import JobPlan, add_job_options, collect_results, job_plan_of
 
-HANDS = ("jamia", "jamia11")
-QUICK = (1,)
-DEFAULT = (1, 6, 8, 11, 16)
+MEASURED_HANDS = ("jamia", "jamia11")
+QUICK_OBJECTS = (1,)
+DEFAULT_OBJECTS = (1, 6, 8, 11, 16)
 """Numbers of the objects in a quick run and in a usual run."""
-STRETCH_S = 30.0
+FREE_RUN_S = 30.0
 """Simulated time of a run of free motion [s]."""
 
 
@@ -56,7 +56,7 @@ def main() -> None:
         default="success,payload,contact,tip,slip",
         help="parts of the benchmark, separated by commas (default: %(default)s)",
     )
-    add_options(parser)
+    add_job_options(parser)
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument(
         "--page",
@@ -64,59 +64,70 @@ def main() -> None:
         help="write the results into docs/evidence/control-grasps.md, with a picture",
     )
     args = parser.parse_args()
-    result = measure(args, plan_of(args))
+    result = measure_grasps(args, job_plan_of(args))
     if args.page:
-        page.write(result)
-    print(json.dumps(result, indent=1)) if args.json else print(page.text(result))
+        page.write_page(result)
+    print(json.dumps(result, indent=1)) if args.json else print(page.tables_text(result))
 
 
-def measure(args: argparse.Namespace, plan: Plan) -> dict[str, Any]:
+def measure_grasps(args: argparse.Namespace, plan: JobPlan) -> dict[str, Any]:
     """Measure the parts of the benchmark that the options select."""
     parts = args.parts.split(",")
     seeds = range(args.seeds)
-    hands = HANDS[:1] if args.quick else HANDS
-    which = QUICK if args.quick else range(len(CASES)) if args.full else DEFAULT
-    which = [i for i in which if CASES[i].grasp in args.grasps.split(",")]
+    hands = MEASURED_HANDS[:1] if args.quick else MEASURED_HANDS
+    which = (
+        QUICK_OBJECTS if args.quick else range(len(GRASP_CASES)) if args.full else DEFAULT_OBJECTS
+    )
+    which = [i for i in which if GRASP_CASES[i].grasp in args.grasps.split(",")]
     result: dict[str, Any] = {}
     if "success" in parts:
         tries = [(hand, i, seed) for seed in seeds for i in which for hand in hands]
-        result["success"] = list(collect(success.try_case, tries, plan).values())
+        result["success"] = list(collect_results(success.measure_grasp, tries, plan).values())
     if "payload" in parts and not args.quick:
-        loads = [(hand, along, seed) for seed in seeds for hand in hands for along in payload.ALONG]
-        result["payload"] = list(collect(payload.try_load, loads, plan).values())
+        loads = [
+            (hand, along, seed)
+            for seed in seeds
+            for hand in hands
+            for along in payload.LOAD_DIRECTIONS
+        ]
+        result["payload"] = list(collect_results(payload.measure_payload, loads, plan).values())
     if "slip" in parts and not args.quick:
         slips = [
             (hand, answered, seed) for seed in seeds for hand in hands for answered in (False, True)
         ]
-        result["slip"] = list(collect(slip.pull, slips, plan).values())
+        result["slip"] = list(collect_results(slip.measure_slip, slips, plan).values())
     if "tip" in parts:
-        found = collect(tip.press, [(hand, seed) for seed in seeds for hand in hands], plan)
+        found = collect_results(
+            tip_force.measure_tip_force, [(hand, seed) for seed in seeds for hand in hands], plan
+        )
         result["tip"] = [row for rows in found.values() for row in rows]
     if "contact" in parts:
         minutes = args.minutes_free or (0.1 if args.quick else 10.0 if args.full else 0.5)
-        result["contact"] = _contacts(hands, args.seeds * (2 if args.quick else 4), minutes, plan)
+        result["contact"] = _measure_contact_detection(
+            hands, args.seeds * (2 if args.quick else 4), minutes, plan
+        )
     return result
 
 
-def _contacts(
-    hands: tuple[str, ...], walls: int, minutes: float, plan: Plan
+def _measure_contact_detection(
+    hands: tuple[str, ...], walls: int, minutes: float, plan: JobPlan
 ) -> list[dict[str, Any]]:
     """Measure contacts with walls and false contacts in free motion, for each hand.
 
     In a run of free motion the digits also rest, and only the time in which they move counts.
     """
-    results = collect(
+    results = collect_results(
         contact.find_contacts, [(hand, seed) for seed in range(walls) for hand in hands], plan
     )
-    stretch = min(STRETCH_S, 60.0 * minutes)
+    stretch = min(FREE_RUN_S, 60.0 * minutes)
     count = max(1, round(60.0 * minutes / stretch / contact.MOVING_FRACTION))
-    free = collect(
+    free = collect_results(
         contact.free_motion,
         [(hand, stretch, seed) for seed in range(count) for hand in hands],
         plan,
     )
     return [
-        _contact(
+        _summarise_contacts(
             hand,
             [v for j, v in results.items() if j[0] == hand],
             [v for j, v in free.items() if j[0] == hand],
@@ -125,14 +136,16 @@ def _contacts(
     ]
 
 
-def _contact(hand: str, walls: list[list[float]], rows: list[dict[str, float]]) -> dict[str, Any]:
+def _summarise_contacts(
+    hand: str, walls: list[list[float]], rows: list[dict[str, float]]
+) -> dict[str, Any]:
     """Summarise the latencies of contact events and the false alarms of one hand."""
     latency = np.array([value for values in walls for value in values])
     if not len(latency) or not rows:
         return {"hand": hand, "contacts": 0}
     return {
         "hand": hand, "contacts": len(latency),
-        "within_20_ms": round(float((latency <= contact.WITHIN_S + 1e-9).mean()), 3),
+        "within_20_ms": round(float((latency <= contact.DETECTION_LIMIT_S + 1e-9).mean()), 3),
         "before_1_N": round(float((latency < 0.0).mean()), 3),
         "p95_ms": round(1e3 * float(np.sort(latency)[int(np.ceil(0.95 * len(latency))) - 1]), 1),
         "worst_ms": round(1e3 * float(latency.max()), 1),

@@ -14,50 +14,57 @@ import math
 import numpy as np
 from trials import page, tracking
 from trials.hands import FINGERTIP_LOAD, SIDE_SUFFIX
-from trials.jobs import Plan, add_options, collect, plan_of
+from trials.job_runner import JobPlan, add_job_options, collect_results, job_plan_of
 from trials.laws import GRAVITY_LAWS
-from trials.lockstep import RATES_HZ, Trial, run
+from trials.lockstep import RATES_HZ, LockstepTrial, run_trial
 
-WEIGHTS_OF = dict(
+WEIGHTS_LAW = dict(
     zip(GRAVITY_LAWS, ("+ gravity and springs",) * 2 + ("+ full computed torque",) * 2, strict=True)
 )
 """For each control law of this benchmark, the law of the tracking benchmark whose weights (with margins) it uses."""
-SPEEDS = ("slow", "fast")
-FIGURES = {"rmse_deg": "RMSE", "steady_deg": "steady"}
+MEASURED_SPEEDS = ("slow", "fast")
+FIGURE_LABELS = {"rmse_deg": "RMSE", "steady_deg": "steady"}
 
 
-def work(job: tuple) -> dict[str, dict[str, float]]:
+def run_gravity_trial(job: tuple) -> dict[str, dict[str, float]]:
     """Run one trial and return its figures by speed. If the trial ended early, all figures are NaN."""
     hand, law, seed = job
     gains = GRAVITY_LAWS[law].gains(
-        *tracking.tuned(hand, WEIGHTS_OF[law], careful=True), RATES_HZ[hand]
+        *tracking.tuned_weights(hand, WEIGHTS_LAW[law], with_margins=True), RATES_HZ[hand]
     )
-    trial = Trial(
+    trial = LockstepTrial(
         hand + SIDE_SUFFIX,
-        tracking.moves(SPEEDS),
+        tracking.motion_script(MEASURED_SPEEDS),
         seed,
         None,
         None,
         gains,
         change=GRAVITY_LAWS[law].change,
     )
-    record = run(trial)
+    record = run_trial(trial)
     if record.failure:
-        return {speed: dict.fromkeys(FIGURES, float("nan")) for speed in SPEEDS}
-    return tracking.judge(record, SPEEDS)
+        return {speed: dict.fromkeys(FIGURE_LABELS, float("nan")) for speed in MEASURED_SPEEDS}
+    return tracking.tracking_figures(record, MEASURED_SPEEDS)
 
 
-def measure(seeds: int, plan: Plan) -> dict:
+def measure_gravity_compensation(seeds: int, plan: JobPlan) -> dict:
     """Measure mean and spread over the seeds for each hand, control law, speed and figure."""
-    jobs = [(hand, law, k) for hand in tracking.HANDS for law in GRAVITY_LAWS for k in range(seeds)]
-    results = collect(work, jobs, plan)
+    jobs = [
+        (hand, law, k)
+        for hand in tracking.MEASURED_HANDS
+        for law in GRAVITY_LAWS
+        for k in range(seeds)
+    ]
+    results = collect_results(run_gravity_trial, jobs, plan)
     result: dict = {}
-    for hand in tracking.HANDS:
+    for hand in tracking.MEASURED_HANDS:
         for law in GRAVITY_LAWS:
             rows = [results[hand, law, k] for k in range(seeds) if (hand, law, k) in results]
             result.setdefault(hand, {})[law] = {
-                speed: {name: _over_seeds([row[speed][name] for row in rows]) for name in FIGURES}
-                for speed in SPEEDS
+                speed: {
+                    name: _over_seeds([row[speed][name] for row in rows]) for name in FIGURE_LABELS
+                }
+                for speed in MEASURED_SPEEDS
             }
     return result
 
@@ -68,17 +75,17 @@ def _over_seeds(values: list[float]) -> dict[str, float]:
     return {"mean": mean, "spread": spread, "seeds": len(values), "ended": len(values) - len(good)}
 
 
-def section(result: dict) -> str:
+def page_section(result: dict) -> str:
     """Return the Markdown section of a result."""
     head = [
         "hand, law",
-        *(f"{speed}, {name} [deg]" for speed in SPEEDS for name in FIGURES.values()),
+        *(f"{speed}, {name} [deg]" for speed in MEASURED_SPEEDS for name in FIGURE_LABELS.values()),
         "seeds",
     ]
     rows = []
     for hand, laws in result.items():
         for law, speeds in laws.items():
-            cells = [speeds[speed][name] for speed in SPEEDS for name in FIGURES]
+            cells = [speeds[speed][name] for speed in MEASURED_SPEEDS for name in FIGURE_LABELS]
             texts = [f"{one['mean']:.3f} ± {one['spread']:.3f}" for one in cells]
             ended = cells[0]["ended"]
             rows.append(
@@ -89,7 +96,7 @@ def section(result: dict) -> str:
                 ]
             )
     seeds = max(
-        speeds[SPEEDS[0]]["rmse_deg"]["seeds"]
+        speeds[MEASURED_SPEEDS[0]]["rmse_deg"]["seeds"]
         for laws in result.values()
         for speeds in laws.values()
     )
@@ -105,21 +112,21 @@ the tracking table that keep their margins, and there is no force loop. The erro
 angle of a digit from its setpoint, measured in the plant. The columns *steady* have the digit with the largest error.
 All numbers are means over the seeds, with their spread.
 
-{page.table(head, rows)}
+{page.markdown_table(head, rows)}
 
-{_description(result)}
+{_benefit_text(result)}
 """
 
 
-def _description(result: dict) -> str:
+def _benefit_text(result: dict) -> str:
     """Describe the benefit of gravity compensation for each hand, pair of laws and speed."""
     parts = []
     for hand, laws in result.items():
         names = list(laws)
         for without, compensated in zip(names[::2], names[1::2], strict=True):
             texts = [
-                f"{speed} {_gain(laws[without][speed], laws[compensated][speed])}"
-                for speed in SPEEDS
+                f"{speed} {_reduction_text(laws[without][speed], laws[compensated][speed])}"
+                for speed in MEASURED_SPEEDS
             ]
             parts.append(f"{hand}, {compensated}: {', '.join(texts)}")
     return (
@@ -132,7 +139,7 @@ def _description(result: dict) -> str:
     )
 
 
-def _gain(without: dict, compensated: dict) -> str:
+def _reduction_text(without: dict, compensated: dict) -> str:
     before = without["rmse_deg"]
     after = compensated["rmse_deg"]
     change = before["mean"] - after["mean"]
@@ -152,15 +159,15 @@ def main() -> None:
         default=10,
         help="number of runs, with other noise and drift (default: 10)",
     )
-    add_options(parser)
+    add_job_options(parser)
     parser.add_argument(
         "--page", action="store_true", help="write the results into docs/evidence/control.md"
     )
     args = parser.parse_args()
-    result = measure(args.seeds, plan_of(args))
-    print(json.dumps(result, indent=2) if args.json else section(result))
+    result = measure_gravity_compensation(args.seeds, job_plan_of(args))
+    print(json.dumps(result, indent=2) if args.json else page_section(result))
     if args.page:
-        page.write("gravity", section(result))
+        page.write_part("gravity", page_section(result))
 
 
 if __name__ == "__main__":

@@ -22,13 +22,13 @@ from firmware_sim.plant.mjcf import STEP_S
 from firmware_sim.plant.plant import Plant
 from firmware_sim.scene.scene import load_scene
 
-HANDS = ("jamia", "jamia11", "t42")
-SCENES = {"Track": None, "Grasp": "cylinder:33"}
+MEASURED_HANDS = ("jamia", "jamia11", "t42")
+SCENE_BY_ENVIRONMENT = {"Track": None, "Grasp": "cylinder:33"}
 TORQUE_N_M = 0.05
-STEPS = 2000
-QUICK_STEPS = 300
-RESETS = 10
-PROCESSES = 2
+STEP_COUNT = 2000
+QUICK_STEP_COUNT = 300
+RESET_COUNT = 10
+PROCESS_COUNT = 2
 
 
 class BareEnv(gymnasium.Env[np.ndarray, np.ndarray]):
@@ -72,12 +72,16 @@ def main() -> None:
     )
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     args = parser.parse_args()
-    steps = QUICK_STEPS if args.quick else STEPS
-    rows = [measured(hand, name, steps) for hand in HANDS for name in SCENES]
-    print(json.dumps(rows, indent=2)) if args.json else show(rows)
+    steps = QUICK_STEP_COUNT if args.quick else STEP_COUNT
+    rows = [
+        measure_environment(hand, name, steps)
+        for hand in MEASURED_HANDS
+        for name in SCENE_BY_ENVIRONMENT
+    ]
+    print(json.dumps(rows, indent=2)) if args.json else print_results(rows)
 
 
-def measured(hand: str, name: str, steps: int) -> dict[str, Any]:
+def measure_environment(hand: str, name: str, steps: int) -> dict[str, Any]:
     """Measure handctl and the MuJoCo environment for one hand."""
     options = {
         "hand": hand,
@@ -85,11 +89,11 @@ def measured(hand: str, name: str, steps: int) -> dict[str, Any]:
     }
     kind = f"handctl/{name}-v0"
     env = gymnasium.make(kind, **options)
-    bare = BareEnv(hand, SCENES[name], env.unwrapped.step_s)
-    stepping_s = steps_s(env, steps)
-    bare_s = steps_s(bare, steps)
+    bare = BareEnv(hand, SCENE_BY_ENVIRONMENT[name], env.unwrapped.step_s)
+    stepping_s = step_cpu_s(env, steps)
+    bare_s = step_cpu_s(bare, steps)
     step_s = env.unwrapped.step_s
-    vector = AsyncVectorEnv([lambda: gymnasium.make(kind, **options)] * PROCESSES)
+    vector = AsyncVectorEnv([lambda: gymnasium.make(kind, **options)] * PROCESS_COUNT)
     return {
         "hand": hand,
         "environment": kind,
@@ -98,25 +102,25 @@ def measured(hand: str, name: str, steps: int) -> dict[str, Any]:
         "times_real_time": step_s / stepping_s,
         "bare_steps_per_s": 1.0 / bare_s,
         "fraction_of_bare": bare_s / stepping_s,
-        "processes": PROCESSES,
-        "vector_steps_per_s": vector_rate(vector, steps // PROCESSES),
-        "reset_ms": 1e3 * reset_s(env),
-        "bare_reset_ms": 1e3 * reset_s(bare),
+        "processes": PROCESS_COUNT,
+        "vector_steps_per_s": vector_steps_per_s(vector, steps // PROCESS_COUNT),
+        "reset_ms": 1e3 * reset_cpu_s(env),
+        "bare_reset_ms": 1e3 * reset_cpu_s(bare),
     }
 
 
-def action_of(space: gymnasium.spaces.Box, rng: np.random.Generator) -> np.ndarray:
+def random_action(space: gymnasium.spaces.Box, rng: np.random.Generator) -> np.ndarray:
     """Return a random action near the open hand."""
     return np.asarray(-1.0 + 0.1 * rng.uniform(0.0, 1.0, space.shape), np.float32)
 
 
-def steps_s(env: gymnasium.Env, steps: int) -> float:
+def step_cpu_s(env: gymnasium.Env, steps: int) -> float:
     """Return the CPU time of a step without the time of resets [s]."""
     rng = np.random.default_rng(0)
     env.reset(seed=0)
     took = 0.0
     for _ in range(steps):
-        action = action_of(env.action_space, rng)
+        action = random_action(env.action_space, rng)
         begin = time.process_time()
         _, _, ended, truncated, info = env.step(action)
         took += time.process_time() - begin
@@ -127,27 +131,27 @@ def steps_s(env: gymnasium.Env, steps: int) -> float:
     return took / steps
 
 
-def reset_s(env: gymnasium.Env) -> float:
+def reset_cpu_s(env: gymnasium.Env) -> float:
     """Return the CPU time of a reset [s]."""
     begin = time.process_time()
-    for _ in range(RESETS):
+    for _ in range(RESET_COUNT):
         env.reset()
-    return (time.process_time() - begin) / RESETS
+    return (time.process_time() - begin) / RESET_COUNT
 
 
-def vector_rate(vector: AsyncVectorEnv, steps: int) -> float:
+def vector_steps_per_s(vector: AsyncVectorEnv, steps: int) -> float:
     """Return the steps of all processes per second of wall time, including the time of resets."""
     rng = np.random.default_rng(0)
     vector.reset(seed=0)
     begin = time.monotonic()
     for _ in range(steps):
-        vector.step(action_of(vector.action_space, rng))
-    rate = PROCESSES * steps / (time.monotonic() - begin)
+        vector.step(random_action(vector.action_space, rng))
+    rate = PROCESS_COUNT * steps / (time.monotonic() - begin)
     vector.close()
     return rate
 
 
-def show(rows: list[dict[str, Any]]) -> None:
+def print_results(rows: list[dict[str, Any]]) -> None:
     """Print the results as a table."""
     for row in rows:
         print(

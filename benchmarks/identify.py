@@ -37,7 +37,7 @@ from handctl.session.simulate import SimulatorSettings
 from handctl.tune.identify.excitation import excitation_steps, has_springs
 from handctl.tune.identify.identify import TendonResult, identify_tendons
 
-Row = dict[str, Any]
+ResultRow = dict[str, Any]
 
 MAX_PARAMETER_ERROR = 0.3
 MAX_ARM_ERROR = 0.1
@@ -51,13 +51,13 @@ DRAWN_PARAMETERS = (
     "motor_inertia",
     "torque_constant",
 )
-TOLERANCES = {
+PARAMETER_TOLERANCES = {
     "tendon_stiffness": 0.05, "spring_stiffness": 0.05, "motor_inertia": 0.05,
     "motor_coulomb": 0.15, "motor_viscous": 0.15, "capstan": 0.15, "torque_gain": 0.05,
     "moment_arm": 0.01, "pretension": 0.15,
 }  # fmt: skip
 """Required accuracy of each identified parameter, as a fraction of the true value."""
-DETUNABLE = ("motion.position_error_m", "motion.speed_error_m_s", "motion.force_N", "tension.tension_error_N",
+DETUNED_GAIN_KEYS = ("motion.position_error_m", "motion.speed_error_m_s", "motion.force_N", "tension.tension_error_N",
              "tension.speed_error_m_s", "tension.force_N", "tension.integral_per_s")  # fmt: skip
 
 
@@ -85,7 +85,7 @@ def draw_gains(packaged: Gains, seed: int) -> Gains:
     """Draw gains that differ from the packaged gains by up to a factor of 3."""
     chance = random.Random(f"gains {seed}")
     values = {}
-    for key in DETUNABLE:
+    for key in DETUNED_GAIN_KEYS:
         section, _, name = key.partition(".")
         values[key] = getattr(getattr(packaged, section), name) * MAX_GAIN_FACTOR ** chance.uniform(
             -1.0, 1.0
@@ -93,7 +93,7 @@ def draw_gains(packaged: Gains, seed: int) -> Gains:
     return with_values(packaged, values, "detuned")
 
 
-def truth(hand: Hand, tendon: str, factors: dict[str, float]) -> dict[str, float]:
+def true_parameters(hand: Hand, tendon: str, factors: dict[str, float]) -> dict[str, float]:
     """Return the true values of the parameters that the identification of a tendon estimates."""
     known = hand.tendon[hand.tendon_names.index(tendon)]
     motor = hand.motor_of(tendon)
@@ -117,7 +117,7 @@ def truth(hand: Hand, tendon: str, factors: dict[str, float]) -> dict[str, float
 
 def excite_and_fit(
     hand_name: str, digit: str, seed: int, factors: dict[str, float], gains: Gains, folder: Path
-) -> tuple[dict[str, TendonResult], Row]:
+) -> tuple[dict[str, TendonResult], ResultRow]:
     """Move one digit of a simulated hand and fit its parameters. Return the fit, and the CPU time or the failure.
 
     Args:
@@ -140,7 +140,7 @@ def excite_and_fit(
     ) as clock:
         held = HoldLimit()
         outcome = run_lockstep(plan, controller, log, clock, held)
-    row: Row = {
+    row: ResultRow = {
         "seed": seed,
         "digit": digit,
         "simulated_s": outcome.state.k * 1e-9 * plan.period_ns,
@@ -155,7 +155,7 @@ def excite_and_fit(
     return result, row
 
 
-def measure_digit(seed: int, digit: str, folder: Path, hand_name: str = "jamia") -> Row:
+def measure_digit(seed: int, digit: str, folder: Path, hand_name: str = "jamia") -> ResultRow:
     """Move and fit one digit of a random hand.
 
     Return error and coverage of every parameter, or the reason of a failure.
@@ -180,13 +180,13 @@ def measure_digit(seed: int, digit: str, folder: Path, hand_name: str = "jamia")
     row["parameters"] = [
         compare_parameter(name, tendon, real, shared.get(name, one))
         for tendon, one in result.items()
-        for name, real in truth(hand, tendon, factors).items()
+        for name, real in true_parameters(hand, tendon, factors).items()
         if name not in DIGIT_KEYS or one is shared.get(name, one)
     ]
     return row
 
 
-def compare_parameter(name: str, tendon: str, real: float, result: TendonResult) -> Row:
+def compare_parameter(name: str, tendon: str, real: float, result: TendonResult) -> ResultRow:
     """Compare one parameter with its true value. Error and half widths are fractions of the true value."""
     identified = name in result.identifiability.names
     error = result.fit.values[name] / real - 1.0
@@ -201,20 +201,20 @@ def compare_parameter(name: str, tendon: str, real: float, result: TendonResult)
         "identified": identified,
         "covered": identified and abs(error) <= width,
         "covered_all_at_once": identified and abs(error) <= together,
-        "within": identified and abs(error) <= TOLERANCES[name],
+        "within": identified and abs(error) <= PARAMETER_TOLERANCES[name],
     }
 
 
-def summary(rows: list[Row]) -> Row:
+def summarise_results(rows: list[ResultRow]) -> ResultRow:
     """Summarise every parameter: accurate fits, intervals that contain the true value, and errors."""
     good = [row["parameters"] for row in rows if "failure" not in row]
-    result: Row = {
+    result: ResultRow = {
         "seeds": len(rows),
         "failed": [row for row in rows if "failure" in row],
         "parameters": {},
     }
     result["refused"] = [row["seed"] for row in rows if row.get("refused")]
-    for name, limit in TOLERANCES.items():
+    for name, limit in PARAMETER_TOLERANCES.items():
         selected = [one for row in good for one in row if one["name"] == name]
         errors = sorted(abs(one["error"]) for one in selected)
         result["parameters"][name] = {
@@ -235,7 +235,7 @@ def summary(rows: list[Row]) -> Row:
     return result
 
 
-def collect_rows(args: argparse.Namespace) -> list[Row]:
+def collect_rows(args: argparse.Namespace) -> list[ResultRow]:
     """Return the rows of all requested seeds. Rows that are already in the file of results are not computed again."""
     rows = (
         [json.loads(line) for line in args.into.read_text().splitlines()]
@@ -275,7 +275,7 @@ def main() -> int:
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     args = parser.parse_args()
     rows = collect_rows(args)
-    result = summary(rows)
+    result = summarise_results(rows)
     if args.json:
         json.dump(result | {"rows": rows}, sys.stdout, indent=2)
         return 0

@@ -14,15 +14,15 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
-from stack import RATES, Free, Grasp, Stack
-from who import spent
+from cpu_profile import cpu_time_fractions
+from lockstep_stack import RATE_BY_HAND_HZ, FreeMotionSetup, GraspSetup, LockstepStack
 
-SECONDS = 4.0
-QUICK_SECONDS = 1.2
-PASSES = 4
+SIMULATED_S = 4.0
+QUICK_SIMULATED_S = 1.2
+RUNS_PER_CASE = 4
 
 
-class Rollout(NamedTuple):
+class BodyRollout(NamedTuple):
     """Forces on the bodies in each step of a run, and the positions at its end.
 
     Attributes:
@@ -50,27 +50,32 @@ def main() -> None:
     args = parser.parse_args()
     result = {
         hand: {
-            name: measure(hand, rate, name, QUICK_SECONDS if args.quick else SECONDS)
-            for name in SCENES
+            name: measure_lockstep_speed(
+                hand, rate, name, QUICK_SIMULATED_S if args.quick else SIMULATED_S
+            )
+            for name in SETUP_BY_SCENE
         }
-        for hand, rate in RATES.items()
+        for hand, rate in RATE_BY_HAND_HZ.items()
     }
-    print(json.dumps(result, indent=2)) if args.json else show(result)
+    print(json.dumps(result, indent=2)) if args.json else print_results(result)
 
 
-SCENES = {"free": Free, "contact": Grasp}
+SETUP_BY_SCENE = {"free": FreeMotionSetup, "contact": GraspSetup}
 
 
-def measure(hand: str, rate_hz: float, scene: str, seconds: float) -> dict:
+def measure_lockstep_speed(hand: str, rate_hz: float, scene: str, seconds: float) -> dict:
     """Measure one hand in one scene."""
-    made = SCENES[scene]
-    rollout = record_rollout(Stack(hand, rate_hz, made), seconds)
+    made = SETUP_BY_SCENE[scene]
+    rollout = record_rollout(LockstepStack(hand, rate_hz, made), seconds)
     bare = sum_of_shortest(
-        repeat_rollout(Stack(hand, rate_hz, made), rollout) for _ in range(PASSES)
+        repeat_rollout(LockstepStack(hand, rate_hz, made), rollout) for _ in range(RUNS_PER_CASE)
     )
-    whole = sum_of_shortest(Stack(hand, rate_hz, made).run(seconds) for _ in range(PASSES))
+    whole = sum_of_shortest(
+        LockstepStack(hand, rate_hz, made).run(seconds) for _ in range(RUNS_PER_CASE)
+    )
     peer = sum_of_shortest(
-        Stack(hand, rate_hz, made).behind_the_wire(seconds) for _ in range(PASSES // 2)
+        LockstepStack(hand, rate_hz, made).simulator_tick_times(seconds)
+        for _ in range(RUNS_PER_CASE // 2)
     )
     ticks = round(seconds * rate_hz)
     return {
@@ -83,7 +88,7 @@ def measure(hand: str, rate_hz: float, scene: str, seconds: float) -> dict:
         "bare_us_a_tick": bare / ticks * 1e6,
         "rest_us_a_tick": (whole - bare) / ticks * 1e6,
         "simulator_us_a_tick": (peer - bare) / ticks * 1e6,
-        "spent": spent(lambda: Stack(hand, rate_hz, made).run(seconds)),
+        "spent": cpu_time_fractions(lambda: LockstepStack(hand, rate_hz, made).run(seconds)),
     }
 
 
@@ -92,7 +97,7 @@ def sum_of_shortest(runs: Iterable[list[float]]) -> float:
     return sum(map(min, zip(*runs, strict=True)))
 
 
-def record_rollout(stack: Stack, seconds: float) -> Rollout:
+def record_rollout(stack: LockstepStack, seconds: float) -> BodyRollout:
     """Run the stack and record the forces on the bodies."""
     engine = stack.engine
     plant = stack.peer.world.plant
@@ -110,10 +115,10 @@ def record_rollout(stack: Stack, seconds: float) -> Rollout:
     plant.advance = step_by_step
     stack.run(seconds)
     torque, damping, table = (np.array(column) for column in zip(*rows, strict=True))
-    return Rollout(torque, damping, table, engine.q.copy(), float(np.mean(contacts)))
+    return BodyRollout(torque, damping, table, engine.q.copy(), float(np.mean(contacts)))
 
 
-def repeat_rollout(stack: Stack, rollout: Rollout) -> list[float]:
+def repeat_rollout(stack: LockstepStack, rollout: BodyRollout) -> list[float]:
     """Repeat a recorded motion with MuJoCo alone. Return the CPU time of each step [s].
 
     Raises:
@@ -138,7 +143,7 @@ def repeat_rollout(stack: Stack, rollout: Rollout) -> list[float]:
     return took
 
 
-def show(result: dict) -> None:
+def print_results(result: dict) -> None:
     """Print one result as text."""
     for hand, scenes in result.items():
         for scene, row in scenes.items():

@@ -8,22 +8,22 @@ run. handctl passes a record to another process, and the other libraries write i
 import sys
 from pathlib import Path
 
-HERE = Path(__file__).resolve().parent
+BENCHMARKS_FOLDER = Path(__file__).resolve().parent
 if (
     __name__ == "logging"
 ):  # Other scripts in this folder need Python's ``logging``, which this file would hide.
     import importlib.machinery
     import importlib.util
 
-    elsewhere = [place for place in sys.path if Path(place or ".").resolve() != HERE]
+    elsewhere = [place for place in sys.path if Path(place or ".").resolve() != BENCHMARKS_FOLDER]
     spec = importlib.machinery.PathFinder.find_spec("logging", elsewhere)
     sys.modules["logging"] = module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
 else:
-    sys.path[:] = [place for place in sys.path if Path(place or ".").resolve() != HERE]
-    sys.path[:0] = [str(HERE.parent), str(HERE.parent / "tests" / "log")]
+    sys.path[:] = [place for place in sys.path if Path(place or ".").resolve() != BENCHMARKS_FOLDER]
+    sys.path[:0] = [str(BENCHMARKS_FOLDER.parent), str(BENCHMARKS_FOLDER.parent / "tests" / "log")]
 
-    from benchmarks.writers.measure import main
+    from benchmarks.writers.measure_writers import main
 
     if __name__ == "__main__":
         main(__doc__)

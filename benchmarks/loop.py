@@ -18,8 +18,10 @@ import numpy as np
 
 LATENESS_HZ = 500.0
 MAX_MISSED = 0.01
-STEP = 0.85
+RATE_STEP = 0.85
 """Ratio of the next rate to a rate that was too high, in the search for the highest rate."""
+LOOP_MODULES = {"ours": "loops.handctl_loop", "usual": "loops.handwritten_loop"}
+"""Module of each loop, by the key of its results."""
 
 
 def main() -> None:
@@ -37,22 +39,22 @@ def main() -> None:
     )
     args = parser.parse_args()
     if args.one:
-        print(json.dumps(one(*args.one)))
+        print(json.dumps(measure_in_this_process(*args.one)))
         return
     with tempfile.TemporaryDirectory(prefix="h-") as short:
         os.environ["HANDCTL_RUN_DIR"] = short
-        result = measure(0.4 if args.quick else 5.0, quick=args.quick)
-    print(json.dumps(result, indent=2)) if args.json else show(result)
+        result = measure_loops(0.4 if args.quick else 5.0, quick=args.quick)
+    print(json.dumps(result, indent=2)) if args.json else print_results(result)
 
 
-def measure(seconds: float, quick: bool) -> dict:
+def measure_loops(seconds: float, quick: bool) -> dict:
     """Measure lateness, behaviour at fixed rates and highest rate, with 4 and 11 motors."""
     result: dict = {"motors": {}}
     for hand, motors in (("jamia", 4), ("jamia11", 11)):
-        with peer(hand) as bus:
+        with simulated_drives(hand) as bus:
             if motors == 4:
-                ours = child("ours", hand, bus, 2 * seconds, LATENESS_HZ)["late_us"]
-                bare = child("bare", hand, bus, 2 * seconds, LATENESS_HZ)["late_us"]
+                ours = measure_in_child("ours", hand, bus, 2 * seconds, LATENESS_HZ)["late_us"]
+                bare = measure_in_child("bare", hand, bus, 2 * seconds, LATENESS_HZ)["late_us"]
                 result["lateness_us"] = {
                     "rate_hz": LATENESS_HZ,
                     "handctl": ours,
@@ -60,12 +62,14 @@ def measure(seconds: float, quick: bool) -> dict:
                 }
             if motors == 11:
                 result["at_rate"] = {
-                    rate: child("ours", hand, bus, 2 * seconds if quick else 30.0, rate)
+                    rate: measure_in_child("ours", hand, bus, 2 * seconds if quick else 30.0, rate)
                     for rate in (500.0, 1000.0)
                 }
                 with both_cores_loaded():
                     result["loaded_us"] = {
-                        which: child(which, hand, bus, 2 * seconds, LATENESS_HZ)["late_us"]
+                        which: measure_in_child(which, hand, bus, 2 * seconds, LATENESS_HZ)[
+                            "late_us"
+                        ]
                         for which in ("ours", "bare_spin")
                     }
             rates = {
@@ -73,23 +77,23 @@ def measure(seconds: float, quick: bool) -> dict:
                 for which in ("ours", "usual")
             }
         result["motors"][motors] = rates | {
-            f"{name}_ratio": ratio(rates, name) for name in ("free_hz", "held_hz")
+            f"{name}_ratio": rate_ratio(rates, name) for name in ("free_hz", "held_hz")
         }
     return result
 
 
 def free_and_highest_rate(which: str, hand: str, bus: str, seconds: float, quick: bool) -> dict:
     """Measure ticks per second without deadlines, and the highest rate with less than 1 % of the deadlines missed."""
-    free = child(which, hand, bus, seconds, 0.0)["hz"]
+    free = measure_in_child(which, hand, bus, seconds, 0.0)["hz"]
     rate = (0.6 if quick else 0.9) * free
     for _ in range(1 if quick else 12):
-        if child(which, hand, bus, seconds, rate)["missed"] < MAX_MISSED:
+        if measure_in_child(which, hand, bus, seconds, rate)["missed"] < MAX_MISSED:
             return {"free_hz": free, "held_hz": rate}
-        rate *= STEP
+        rate *= RATE_STEP
     return {"free_hz": free, "held_hz": None}
 
 
-def ratio(rates: dict, name: str) -> float | None:
+def rate_ratio(rates: dict, name: str) -> float | None:
     """Return the ratio of handctl to the hand-written loop.
 
     If all rates were too high for one of the loops, the result is None.
@@ -99,7 +103,7 @@ def ratio(rates: dict, name: str) -> float | None:
     return ours / baseline if ours and baseline else None
 
 
-def child(which: str, hand: str, bus: str, seconds: float, rate_hz: float) -> dict:
+def measure_in_child(which: str, hand: str, bus: str, seconds: float, rate_hz: float) -> dict:
     """Run one measurement in a separate process and return its result."""
     words = ["--one", which, hand, bus, str(seconds), str(rate_hz)]
     out = subprocess.run(
@@ -110,8 +114,8 @@ def child(which: str, hand: str, bus: str, seconds: float, rate_hz: float) -> di
     return json.loads(out.stdout)
 
 
-def one(which: str, hand: str, bus: str, seconds: str, rate: str) -> dict:
-    """Run one measurement in this process, which ``child`` has started."""
+def measure_in_this_process(which: str, hand: str, bus: str, seconds: str, rate: str) -> dict:
+    """Run one measurement in this process, which ``measure_in_child`` has started."""
     sys.path.insert(0, str(Path(__file__).parent))
     log = Path(os.environ["HANDCTL_RUN_DIR"]) / f"{os.getpid()}.log"
     if which == "bare":
@@ -119,20 +123,20 @@ def one(which: str, hand: str, bus: str, seconds: str, rate: str) -> dict:
     elif which == "bare_spin":
         outcome = bare_spin(float(seconds), float(rate))
     else:
-        run = __import__(f"loops.{which}", fromlist=["run"]).run
+        run = __import__(LOOP_MODULES[which], fromlist=["run_loop"]).run_loop
         try:
             outcome = run(hand, bus, float(seconds), float(rate) or None, log)
         except RuntimeError:  # At this rate the drives cannot even be set up.
             outcome = 0.0, 1.0, []
     hz, missed, late, *more = outcome
-    result = {"hz": hz, "missed": missed, "late_us": marks(late)}
+    result = {"hz": hz, "missed": missed, "late_us": percentiles_us(late)}
     if more:
         took, cpu = more
-        result |= {"tick_us": marks(took), "cpu": cpu}
+        result |= {"tick_us": percentiles_us(took), "cpu": cpu}
     return result
 
 
-def marks(times_ns: list[int]) -> dict:
+def percentiles_us(times_ns: list[int]) -> dict:
     """Return percentiles of times [us]."""
     percentiles = np.percentile(times_ns, [50, 99, 99.9, 100]) / 1e3 if times_ns else [0.0] * 4
     return dict(
@@ -186,9 +190,14 @@ def bare_sleep(seconds: float, rate_hz: float) -> tuple[float, float, list[int]]
 
 
 @contextmanager
-def peer(hand: str):
+def simulated_drives(hand: str):
     """Start simulated drives on a bus and return its name."""
-    command = [sys.executable, str(Path(__file__).parent / "loops" / "peer.py"), hand, "b"]
+    command = [
+        sys.executable,
+        str(Path(__file__).parent / "loops" / "simulated_drives.py"),
+        hand,
+        "b",
+    ]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
         assert process.stdout
@@ -199,7 +208,7 @@ def peer(hand: str):
         process.wait()
 
 
-def show(result: dict) -> None:
+def print_results(result: dict) -> None:
     """Print the result as text."""
     late = result["lateness_us"]
     print(f"lateness at {late['rate_hz']:g} Hz [us]       p50     p99   p99.9     max")
@@ -223,7 +232,7 @@ def show(result: dict) -> None:
         for kind in ("free_hz", "held_hz"):
             ours = rates["ours"][kind]
             other = rates["usual"][kind]
-            by = ratio(rates, kind)
+            by = rate_ratio(rates, kind)
             print(
                 f"  {motors:>2} motors, {kind[:4]:<12}{ours or 0:10.0f}{other or 0:8.0f}{by or 0:8.2f}"
             )

@@ -46,14 +46,14 @@ def take_random_step(random: np.random.Generator, last: Array, step: int) -> Arr
     return np.clip(last + random.normal(0.0, 2.0 * WALK_STEP, len(last)), -1.0, 1.0)
 
 
-KINDS: dict[str, Callable[[np.random.Generator, Array, int], Array]] = {
+ACTION_SOURCES: dict[str, Callable[[np.random.Generator, Array, int], Array]] = {
     "noise": draw_action,
     "steps": draw_or_keep_action,
     "walk": take_random_step,
 }
 
 
-def run(env: TrackEnv, kind: str, seed: int) -> tuple[str, float]:
+def stream_random_targets(env: TrackEnv, kind: str, seed: int) -> tuple[str, float]:
     """Stream random targets until the end of an episode or a fault.
 
     Args:
@@ -70,7 +70,7 @@ def run(env: TrackEnv, kind: str, seed: int) -> tuple[str, float]:
     largest = 0.0
     step = 0
     while True:
-        action = KINDS[kind](random, action, step)
+        action = ACTION_SOURCES[kind](random, action, step)
         _, _, ended, truncated, information = env.step(action.astype(np.float32))
         largest = max(largest, float(np.max(np.abs(list(env.run.peer.world.plant.tensions())))))
         step += 1
@@ -100,10 +100,10 @@ def main() -> None:
         env = TrackEnv(hand, "digit", duration_s=args.seconds, speed_deg_s=ANY_SPEED_DEG_S)
         faults: collections.Counter[str] = collections.Counter()
         largest = 0.0
-        for kind in KINDS:
+        for kind in ACTION_SOURCES:
             for seed in range(args.seeds):
                 print(f"{hand} {kind} seed {seed}", file=sys.stderr)
-                fault, tension = run(env, kind, seed)
+                fault, tension = stream_random_targets(env, kind, seed)
                 largest = max(largest, tension)
                 if fault:
                     faults[fault.split()[1]] += 1
@@ -111,7 +111,7 @@ def main() -> None:
         table.append(
             {
                 "hand": hand,
-                "runs": len(KINDS) * args.seeds,
+                "runs": len(ACTION_SOURCES) * args.seeds,
                 "faults": dict(faults),
                 "largest_N": largest,
             }

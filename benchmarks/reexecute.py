@@ -11,14 +11,14 @@ import json
 import time
 from pathlib import Path
 
-from who import spent
+from cpu_profile import cpu_time_fractions
 
 from handctl.controller.tick import Controller
 from handctl.log.read.reader import RunLog
 from handctl.replay.rebuild import rebuild_controller
 from handctl.replay.tick_difference import are_outputs_equal
 
-GOLDEN = Path(__file__).resolve().parent.parent / "logs" / "golden"
+GOLDEN_FOLDER = Path(__file__).resolve().parent.parent / "logs" / "golden"
 
 
 def main() -> None:
@@ -34,17 +34,17 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="execute each log twice")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     args = parser.parse_args()
-    logs = args.logs or sorted(GOLDEN.glob("*.mcap"))
-    result = {log.name: measure(log, 2 if args.quick else 10) for log in logs}
-    print(json.dumps(result, indent=2)) if args.json else show(result)
+    logs = args.logs or sorted(GOLDEN_FOLDER.glob("*.mcap"))
+    result = {log.name: measure_log(log, 2 if args.quick else 10) for log in logs}
+    print(json.dumps(result, indent=2)) if args.json else print_results(result)
 
 
-def measure(path: Path, passes: int) -> dict:
+def measure_log(path: Path, passes: int) -> dict:
     """Measure the re-execution of one log."""
     with RunLog(path) as log:
         controller = rebuild_controller(log)
         gc.disable()  # The control loop of a run disables the garbage collector too.
-        runs = [once(log, controller) for _ in range(passes)]
+        runs = [execute_once(log, controller) for _ in range(passes)]
         gc.enable()
         ticks = len(log)
         period_us = log.header.period_ns / 1e3
@@ -57,11 +57,11 @@ def measure(path: Path, passes: int) -> dict:
             "equal": runs[0]["equal"],
             "us_a_tick": {name: took / ticks * 1e6 for name, took in shortest.items()},
             "times_real_time": period_us * ticks / (sum(shortest.values()) * 1e6),
-            "spent": spent(lambda: once(log, controller)),
+            "spent": cpu_time_fractions(lambda: execute_once(log, controller)),
         }
 
 
-def once(log: RunLog, controller: Controller) -> dict:
+def execute_once(log: RunLog, controller: Controller) -> dict:
     """Re-execute a log once.
 
     The result has the CPU times [s] of reading, of each tick, and of comparing, and the number of
@@ -89,7 +89,7 @@ def once(log: RunLog, controller: Controller) -> dict:
     return {"read": read, "tick": took, "compare": cpu() - began, "equal": equal}
 
 
-def show(result: dict) -> None:
+def print_results(result: dict) -> None:
     """Print the results as text."""
     for name, row in result.items():
         parts = ", ".join(f"{stage} {us:.1f}" for stage, us in row["us_a_tick"].items())

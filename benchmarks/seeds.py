@@ -19,18 +19,18 @@ from handctl.campaign.scenarios import ALL_PROTOCOLS
 from handctl.cli.main import main as handctl
 from handctl.hand.hand_loading import load_hand, packaged_hands
 
-LIMITS = {"tracking_deg": 1.0, "tension_error_N": 2.0, "object_motion_mm": 1.0}
+FIGURE_LIMITS = {"tracking_deg": 1.0, "tension_error_N": 2.0, "object_motion_mm": 1.0}
 """Limits of the figures. A run has passed if they hold, and if it had no failure, missed tick or lost frame.
 
-See `limits` for the tension error of a run whose load cells drift.
+See `figure_limits` for the tension error of a run whose load cells drift.
 """
 DRIFT_SIGMAS = 3.0
 """Load-cell drift that a run may show in its tension error, as a multiple of its standard deviation."""
-Case = tuple[str, str, int]
+DemoCase = tuple[str, str, int]
 """Hand, protocol and seed of a run."""
 
 
-def demo(hand: str, protocol: str, seed: int) -> dict[str, Any]:
+def run_demo(hand: str, protocol: str, seed: int) -> dict[str, Any]:
     """Run one demo and return its figures. If the run has not passed, the figures include the reason."""
     out = io.StringIO()
     err = io.StringIO()
@@ -61,7 +61,7 @@ def demo(hand: str, protocol: str, seed: int) -> dict[str, Any]:
     return figures | {"why": failure_reason(figures, result)}
 
 
-def limits(hand: str, duration_s: float) -> dict[str, float]:
+def figure_limits(hand: str, duration_s: float) -> dict[str, float]:
     """Return the limits of the figures of a run.
 
     No sensor of the hand shows the drift of its load cells. The limit of the tension error is
@@ -72,7 +72,7 @@ def limits(hand: str, duration_s: float) -> dict[str, float]:
         * load_hand(hand).sensor_node.tension_bias_drift_N
         * math.sqrt(duration_s / 100.0)
     )
-    return LIMITS | {"tension_error_N": max(LIMITS["tension_error_N"], drift)}
+    return FIGURE_LIMITS | {"tension_error_N": max(FIGURE_LIMITS["tension_error_N"], drift)}
 
 
 def failure_reason(figures: dict[str, Any], run_result: dict[str, Any]) -> str:
@@ -84,7 +84,7 @@ def failure_reason(figures: dict[str, Any], run_result: dict[str, Any]) -> str:
         )
     if min(run_result["contact_force_n"].values()) <= 0.5:
         return "a digit does not hold the object"
-    allowed = limits(figures["hand"], run_result["simulated_s"])
+    allowed = figure_limits(figures["hand"], run_result["simulated_s"])
     return ", ".join(
         f"{name} {figures[name]:.2f}"
         for name, limit in allowed.items()
@@ -92,7 +92,7 @@ def failure_reason(figures: dict[str, Any], run_result: dict[str, Any]) -> str:
     )
 
 
-def table(results: list[dict[str, Any]]) -> str:
+def results_table(results: list[dict[str, Any]]) -> str:
     """Make a Markdown table with a row per hand and protocol, and a line for each run that has not passed."""
     rows = [
         "| hand | protocol | seeds passed | tracking error [deg] | tension error [N] | object motion [mm] |",
@@ -102,7 +102,7 @@ def table(results: list[dict[str, Any]]) -> str:
         selected = [one for one in results if (one["hand"], one["protocol"]) == (hand, protocol)]
         worst = [
             max((one[name] for one in selected if name in one), default=float("nan"))
-            for name in LIMITS
+            for name in FIGURE_LIMITS
         ]
         passed = f"{sum(not one['why'] for one in selected)} of {len(selected)}"
         rows.append(
@@ -148,17 +148,17 @@ def main() -> None:
     lines = args.results.read_text().splitlines() if args.results.exists() else []
     results = [json.loads(line) for line in lines]
     done = {(one["hand"], one["protocol"], one["seed"]) for one in results}
-    cases: list[Case] = [
+    cases: list[DemoCase] = [
         (h, p, seed) for seed in range(args.seeds) for h in args.hand for p in args.protocol
     ]
     for case in cases:
         if case not in done:
-            results.append(demo(*case))
+            results.append(run_demo(*case))
             with args.results.open("a") as file:
                 file.write(json.dumps(results[-1]) + "\n")
     order = {(hand, protocol): i for i, (hand, protocol, _) in enumerate(cases)}
     results.sort(key=lambda one: (order.get((one["hand"], one["protocol"]), -1), one["seed"]))
-    text = table(results)
+    text = results_table(results)
     if args.table:
         args.table.write_text(text)
     print(text)

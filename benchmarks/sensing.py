@@ -23,29 +23,29 @@ from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
 from handctl.session.simulate import SimulatorSettings, homed_controller
 
-PAGE = Path(__file__).parents[1] / "docs" / "evidence" / "control-sensing.md"
-RATE_HZ = {"jamia": 500.0, "n_plus_1": 250.0}
+PAGE_FILE = Path(__file__).parents[1] / "docs" / "evidence" / "control-sensing.md"
+RATE_BY_HAND_HZ = {"jamia": 500.0, "n_plus_1": 250.0}
 DIAMETER_M = {"jamia": 0.035, "n_plus_1": 0.042}
 PRESHAPE_DEG = {"jamia": (8.0, 0.0), "n_plus_1": (4.0, 0.0)}
 """Angles of fingers and thumb before closing [deg]. At these angles the digits do not touch the object yet."""
-SENSORS = {
+SENSOR_SETS = {
     "load cells and joint encoders": (True, True),
     "load cells": (True, False),
     "joint encoders": (False, True),
     "neither": (False, False),
 }
-CASES = [
+SENSING_CASES = [
     ("jamia", "load cells"),
     ("jamia", "neither"),
-    *(("n_plus_1", sensors) for sensors in SENSORS),
+    *(("n_plus_1", sensors) for sensors in SENSOR_SETS),
 ]
 """Hand and sensors of each case. There are no cases with joint encoders for jamia, because jamia has none."""
 CONTACT_N = 0.3
 """True force of a digit on the object above which the digit is in contact [N]."""
-MOVING = ("home", "preshape", "open")
+MOVING_PHASES = ("home", "preshape", "open")
 SETTLED_S = 1.0
 """Time from the start of a hold until the tensions have settled [s]."""
-FAULTS = {
+INJECTED_FAULTS = {
     "a tendon tears": "snap tendon={tendon} at=4s",
     "an encoder is stuck": "stuck encoder={motor} at=1.6s",
     "an encoder slips": "offset encoder={motor} size=0.3 at=4s",
@@ -59,9 +59,9 @@ FAULTS = {
 """Name and command of each injected fault. The faults act on parts that every hand of the benchmark has."""
 
 
-def hand_with(name: str, sensors: str) -> Hand:
+def hand_with_sensors(name: str, sensors: str) -> Hand:
     """Return a packaged hand with only the given sensors."""
-    cells, encoders = SENSORS[sensors]
+    cells, encoders = SENSOR_SETS[sensors]
     content: dict[str, Any] = hand_content(name)
     if not cells and not encoders:
         del content["sensor_node"]
@@ -73,7 +73,7 @@ def hand_with(name: str, sensors: str) -> Hand:
     return hand_from_content(content, name)
 
 
-def task_of(hand: Hand) -> Task:
+def grasp_task_of(hand: Hand) -> Task:
     """Return the task with which a hand grasps the cylinder."""
     finger, thumb = PRESHAPE_DEG[hand.name]
     preshape = {name: thumb if name == "thumb" else finger for name in hand.digit_names}
@@ -102,7 +102,7 @@ def task_of(hand: Hand) -> Task:
     )
 
 
-def scene_of(name: str) -> str:
+def cylinder_scene_of(name: str) -> str:
     """Return a scene with a cylinder in front of the palm, on a table that sinks when the hand holds the cylinder."""
     diameter = DIAMETER_M[name]
     return (
@@ -126,7 +126,7 @@ class SensingRun:
     moved_mm: float = float("nan")
 
 
-def run(model: HandModel, scene: str, task: Task, seed: int, fault: str = "") -> SensingRun:
+def run_grasp(model: HandModel, scene: str, task: Task, seed: int, fault: str = "") -> SensingRun:
     """Run the grasp on a homed hand."""
     record = SensingRun()
     names = model.hand.digit_names
@@ -166,7 +166,7 @@ def rms(values: Any) -> float:
     return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float("nan")
 
 
-def figures(records: list[SensingRun], period: float) -> dict[str, float]:
+def case_figures(records: list[SensingRun], period: float) -> dict[str, float]:
     """Return the figures of all runs of one case."""
     moving = []
     held = []
@@ -178,7 +178,7 @@ def figures(records: list[SensingRun], period: float) -> dict[str, float]:
         phase = np.array(record.phase)
         error = np.array(record.error)
         width = np.array(record.sigma)
-        in_motion = np.isin(phase, MOVING)
+        in_motion = np.isin(phase, MOVING_PHASES)
         holding = np.flatnonzero(phase == "hold")[round(SETTLED_S / period) :]
         moving.append(error[in_motion])
         held.append(error[holding])
@@ -208,24 +208,39 @@ def figures(records: list[SensingRun], period: float) -> dict[str, float]:
     }
 
 
-def measure(seeds: int) -> dict[str, Any]:
+def measure_sensing(seeds: int) -> dict[str, Any]:
     """Measure all cases without faults, and the injected faults on jamia with and without load cells."""
     result: dict[str, Any] = {"seeds": seeds, "cases": [], "faults": {}}
-    for name, sensors in CASES:
-        model = HandModel.from_hand(hand_with(name, sensors), Gains(), RATE_HZ[name])
-        records = [run(model, scene_of(name), task_of(model.hand), seed) for seed in range(seeds)]
-        result["cases"].append({"hand": name, "sensors": sensors, **figures(records, model.period)})
+    for name, sensors in SENSING_CASES:
+        model = HandModel.from_hand(
+            hand_with_sensors(name, sensors), Gains(), RATE_BY_HAND_HZ[name]
+        )
+        records = [
+            run_grasp(model, cylinder_scene_of(name), grasp_task_of(model.hand), seed)
+            for seed in range(seeds)
+        ]
+        result["cases"].append(
+            {"hand": name, "sensors": sensors, **case_figures(records, model.period)}
+        )
     names = {"tendon": "index_tendon", "motor": "index_motor", "other": "middle_motor"}
     for sensors in ("load cells", "neither"):
-        model = HandModel.from_hand(hand_with("jamia", sensors), Gains(), RATE_HZ["jamia"])
-        for title, text in FAULTS.items():
-            record = run(model, scene_of("jamia"), task_of(model.hand), 0, text.format(**names))
+        model = HandModel.from_hand(
+            hand_with_sensors("jamia", sensors), Gains(), RATE_BY_HAND_HZ["jamia"]
+        )
+        for title, text in INJECTED_FAULTS.items():
+            record = run_grasp(
+                model,
+                cylinder_scene_of("jamia"),
+                grasp_task_of(model.hand),
+                0,
+                text.format(**names),
+            )
             found = list(dict.fromkeys(record.faults))
             result["faults"].setdefault(title, {})[sensors] = found
     return result
 
 
-TEXT = """\
+INTRODUCTION_TEXT = """\
 Written by `python benchmarks/sensing.py --page`, from runs in lockstep with the simulated hand. Nothing on this page
 was measured on hardware. In each run the hand moves freely, closes on a cylinder, holds it while the table sinks, and
 releases it.
@@ -252,7 +267,7 @@ without load cells. The other detectors use the estimated tension. Without load 
 two times sigma.""".splitlines()
 
 
-def page(result: dict[str, Any]) -> str:
+def page_text(result: dict[str, Any]) -> str:
     """Return the text of the page for the results of a measurement."""
     rows = [
         f"| {c['hand']}, {c['sensors']} | {c['moving_N']:.2f} | {c['holding_N']:.2f} | {c['sigma_N']:.2f} | "
@@ -267,7 +282,7 @@ def page(result: dict[str, Any]) -> str:
         [
             "# Without load cells",
             "",
-            *TEXT,
+            *INTRODUCTION_TEXT,
             "",
             f"Seeds: {result['seeds']}.",
             "",
@@ -294,13 +309,13 @@ def main() -> None:
     )
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument(
-        "--page", action="store_true", help=f"write the results into docs/evidence/{PAGE.name}"
+        "--page", action="store_true", help=f"write the results into docs/evidence/{PAGE_FILE.name}"
     )
     args = parser.parse_args()
-    result = measure(args.seeds)
+    result = measure_sensing(args.seeds)
     if args.page:
-        PAGE.write_text(page(result), "utf-8")
-    print(json.dumps(result, indent=1) if args.json else page(result))
+        PAGE_FILE.write_text(page_text(result), "utf-8")
+    print(json.dumps(result, indent=1) if args.json else page_text(result))
 
 
 if __name__ == "__main__":

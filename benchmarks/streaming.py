@@ -31,14 +31,14 @@ from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.report.truth import TruthRecord, read_truth
 
-DIGIT = "index"
+STREAMED_DIGIT = "index"
 RATE_HZ = 100.0
 MIDDLE_DEG = 30.0
 SWING_DEG = 20.0
-READY_S = 120.0
-HEALTHY_S = 0.5
+READY_TIMEOUT_S = 120.0
+GOOD_STREAM_S = 0.5
 """Duration of a good stream before and after a misbehaviour, in the time of the simulated hand [s]."""
-BAD_S = 0.4
+MISBEHAVIOUR_S = 0.4
 """Duration of a misbehaviour, in the time of the simulated hand [s]."""
 TRACKED_S = 4.0
 """Duration of the streamed motion and of the motion in the task [s]. The first second does not count."""
@@ -47,22 +47,22 @@ KNOT_S = 0.04
 
 A spline between these angles differs from the sine by less than 0.001 deg.
 """
-LOST_S = 2.0
+AFTER_KILL_S = 2.0
 """Time in which a hand relaxes after its client was killed, in the time of the simulated hand [s]."""
-STACKED = 5
+TARGET_REPEATS = 5
 """Number of times that a repeating client sends each target."""
 LATENCY_S = 10.0
 QUICK_LATENCY_S = 2.0
 """Duration of a quick measurement of the latency [s]. An ordinary measurement lasts ``LATENCY_S``."""
-PARTS = ("clients", "tracking", "latency")
-SIMULATOR = ["-m", "firmware_sim"]
+BENCHMARK_PARTS = ("clients", "tracking", "latency")
+SIMULATOR_ARGUMENTS = ["-m", "firmware_sim"]
 """Arguments of Python that start a simulated hand."""
-INTERPOLATIONS = ("linear", "minimum_jerk")
-Homed = tuple[Path, tuple[str, ...]]
+INTERPOLATION_NAMES = ("linear", "minimum_jerk")
+CommissionedHand = tuple[Path, tuple[str, ...]]
 """Calibration file of a simulated hand that is already commissioned, and options of its simulator."""
 
 
-def sine(t: float) -> float:
+def sine_angle_deg(t: float) -> float:
     """Return the angle of the streamed motion at a time [deg]. The motion is a sine of 1 Hz."""
     return MIDDLE_DEG + SWING_DEG * math.sin(2.0 * math.pi * t)
 
@@ -101,10 +101,10 @@ class BadClient:
         values = np.full(space, value)
         self.stream._sender.send(self.number if number is None else number, sent_ns, values)
 
-    def good(self, seconds: float) -> None:
+    def send_good_targets(self, seconds: float) -> None:
         """Stream the correct motion for a time [s]."""
         for _ in self.periods(seconds):
-            self.send(sine(self.t_s + self.stream.horizon_s))
+            self.send(sine_angle_deg(self.t_s + self.stream.horizon_s))
 
     def periods(self, seconds: float) -> Iterator[int]:
         """Yield the number of each period of the stream, and sleep until the next period."""
@@ -113,89 +113,91 @@ class BadClient:
             self.stream.sleep()
 
 
-def paused(client: BadClient) -> None:
+def stream_while_paused(client: BadClient) -> None:
     """Stream the correct motion, while the parent process stops or kills this process."""
     print("pause", flush=True)
-    client.good(2.0 * BAD_S)
+    client.send_good_targets(2.0 * MISBEHAVIOUR_S)
 
 
-def flooding(client: BadClient) -> None:
+def flood_with_targets(client: BadClient) -> None:
     """Send 10,000 targets of the correct motion a second."""
-    end = client.t_s + BAD_S
+    end = client.t_s + MISBEHAVIOUR_S
     while client.t_s < end:
         began = time.monotonic_ns()
-        client.send(sine(client.t_s + client.stream.horizon_s))
+        client.send(sine_angle_deg(client.t_s + client.stream.horizon_s))
         while time.monotonic_ns() < began + 100_000 / client.scale:
             pass
 
 
-def constant(value: float) -> Any:
+def send_constant(value: float) -> Any:
     """Return a misbehaviour that sends one value in place of all targets."""
 
     def misbehave(client: BadClient) -> None:
-        for _ in client.periods(BAD_S):
+        for _ in client.periods(MISBEHAVIOUR_S):
             client.send(value)
 
     return misbehave
 
 
-def late(seconds: float) -> Any:
+def send_late_targets(seconds: float) -> Any:
     """Return a misbehaviour that sends old targets with an old time of sending."""
 
     def misbehave(client: BadClient) -> None:
-        for _ in client.periods(BAD_S):
-            client.send(sine(client.t_s + client.stream.horizon_s - seconds), age_s=seconds)
+        for _ in client.periods(MISBEHAVIOUR_S):
+            client.send(
+                sine_angle_deg(client.t_s + client.stream.horizon_s - seconds), age_s=seconds
+            )
 
     return misbehave
 
 
-def repeating(client: BadClient) -> None:
+def repeat_targets(client: BadClient) -> None:
     """Send each target five times with the same number."""
-    for _ in client.periods(BAD_S):
-        value = sine(client.t_s + client.stream.horizon_s)
+    for _ in client.periods(MISBEHAVIOUR_S):
+        value = sine_angle_deg(client.t_s + client.stream.horizon_s)
         client.send(value)
-        for _ in range(STACKED - 1):
+        for _ in range(TARGET_REPEATS - 1):
             client.send(value, number=client.number)
 
 
-def overtaking(client: BadClient) -> None:
+def swap_targets(client: BadClient) -> None:
     """Send the two targets of every two periods in the wrong order."""
-    for i in client.periods(BAD_S):
+    for i in client.periods(MISBEHAVIOUR_S):
         if i % 2:
             client.number += 2
-            value = sine(client.t_s + client.stream.horizon_s)
+            value = sine_angle_deg(client.t_s + client.stream.horizon_s)
             client.send(value, number=client.number)
             client.send(value, number=client.number - 1, age_s=1.0 / RATE_HZ)
 
 
-def jumping(client: BadClient) -> None:
+def jump_randomly(client: BadClient) -> None:
     """Send random angles, some beyond the range of the joints, like a faulty policy."""
     draw = random.Random(0)
-    for _ in client.periods(BAD_S):
+    for _ in client.periods(MISBEHAVIOUR_S):
         client.send(draw.uniform(-30.0, 130.0))
 
 
-def straining(client: BadClient) -> None:
+def exceed_tension_limit(client: BadClient) -> None:
     """Send a target tension far beyond the limit."""
-    for _ in client.periods(BAD_S):
+    for _ in client.periods(MISBEHAVIOUR_S):
         client.send(1000.0)
 
 
-CLIENTS: dict[str, tuple[str, Any]] = {
-    "good": ("no misbehaviour", lambda client: client.good(BAD_S)),
-    "paused-50": ("stopped for 50 ms", paused),
-    "paused-500": ("stopped for 500 ms", paused),
-    "flooding": ("10,000 targets a second", flooding),
-    "nan": ("NaN in place of targets", constant(math.nan)),
-    "1e308": ("1e308 in place of targets", constant(1e308)),
-    "late-30": ("each target 30 ms late", late(0.03)),
-    "late-150": ("each target 150 ms late", late(0.15)),
-    "repeating": ("each target five times", repeating),
-    "overtaking": ("targets in pairs, in the wrong order", overtaking),
-    "jumping": ("random angles from -30 to 130 deg", jumping),
-    "straining": ("1000 N, in a stream of tensions", straining),
-    "killed": ("killed", paused),
-    "killed-owner": ("killed, had started the controller", paused),
+CLIENT_BEHAVIOURS: dict[str, tuple[str, Any]] = {
+    "good": ("no misbehaviour", lambda client: client.send_good_targets(MISBEHAVIOUR_S)),
+    "paused-50": ("stopped for 50 ms", stream_while_paused),
+    "paused-500": ("stopped for 500 ms", stream_while_paused),
+    "flooding": ("10,000 targets a second", flood_with_targets),
+    "nan": ("NaN in place of targets", send_constant(math.nan)),
+    "1e308": ("1e308 in place of targets", send_constant(1e308)),
+    "late-30": ("each target 30 ms late", send_late_targets(0.03)),
+    "late-150": ("each target 150 ms late", send_late_targets(0.15)),
+    "repeating": ("each target five times", repeat_targets),
+    "overtaking": ("targets in pairs, in the wrong order", swap_targets),
+    "jumping": ("random angles from -30 to 130 deg", jump_randomly),
+    "straining": ("1000 N, in a stream of tensions", exceed_tension_limit),
+    "killed": ("killed", stream_while_paused),
+    "killed-owner": ("killed, had started the controller", stream_while_paused),
 }
 """For each client, the description of its misbehaviour, and its function. A killed client ends the run."""
 
@@ -203,22 +205,22 @@ CLIENTS: dict[str, tuple[str, Any]] = {
 def run_client(name: str, bus: str, scale: float, words: list[str]) -> None:
     """Stream as one of the clients. Print first and last tick of its misbehaviour and the counts of its targets."""
     with handctl.connect("jamia", bus, *words) as hand:
-        hand.move({DIGIT: MIDDLE_DEG}, duration_s=0.5)
+        hand.move({STREAMED_DIGIT: MIDDLE_DEG}, duration_s=0.5)
         space = "tension" if name == "straining" else "digit"
-        names = [hand.description.tendon_names[0]] if name == "straining" else [DIGIT]
+        names = [hand.description.tendon_names[0]] if name == "straining" else [STREAMED_DIGIT]
         with hand.stream(RATE_HZ, space, names, interpolation="linear") as stream:
             client = BadClient(hand, stream, scale)
             if name != "straining":
-                client.good(HEALTHY_S)
+                client.send_good_targets(GOOD_STREAM_S)
             start = hand.observe().k
-            CLIENTS[name][1](client)
+            CLIENT_BEHAVIOURS[name][1](client)
             seen = hand.observe()
             print(json.dumps({"from": start, "to": seen.k, **seen.stream._asdict()}), flush=True)
             if name != "straining":
-                client.good(HEALTHY_S)
+                client.send_good_targets(GOOD_STREAM_S)
 
 
-class Stage:
+class HandProcess:
     """Simulated hand in a separate process that stores its files in a folder.
 
     Attributes:
@@ -227,8 +229,10 @@ class Stage:
         words: options of ``handctl run``.
     """
 
-    def __init__(self, folder: Path, bus: str, scale: float, homed: Homed | None) -> None:
-        """Start the hand. The arguments are those of ``stage``."""
+    def __init__(
+        self, folder: Path, bus: str, scale: float, homed: CommissionedHand | None
+    ) -> None:
+        """Start the hand. The arguments are those of ``hand_process``."""
         self.bus = bus
         self.scale = scale
         self.folder = folder
@@ -242,7 +246,16 @@ class Stage:
             str(self.log),
             *scaled,
         ]
-        command = [*SIMULATOR, "--hand", "jamia", "--bus", bus, "--scene", "none", *scaled]
+        command = [
+            *SIMULATOR_ARGUMENTS,
+            "--hand",
+            "jamia",
+            "--bus",
+            bus,
+            "--scene",
+            "none",
+            *scaled,
+        ]
         command += homed[1] if homed else ()
         self._process = subprocess.Popen(
             [sys.executable, *command, "--truth", str(self.truth)],
@@ -250,7 +263,9 @@ class Stage:
             text=True,
         )
         assert self._process.stdout
-        assert select.select([self._process.stdout], [], [], READY_S)[0], "no simulated hand"
+        assert select.select([self._process.stdout], [], [], READY_TIMEOUT_S)[0], (
+            "no simulated hand"
+        )
 
     def connect(self) -> HandClient:
         """Return a client that is not open yet. When it is opened, it starts the controller."""
@@ -260,11 +275,13 @@ class Stage:
         """End the simulated hand, which then completes the file of the plant's truth."""
         if self._process.poll() is None:
             self._process.terminate()
-        self._process.communicate(timeout=READY_S)
+        self._process.communicate(timeout=READY_TIMEOUT_S)
 
 
 @contextmanager
-def stage(bus: str, scale: float, homed: Homed | None = None) -> Iterator[Stage]:
+def hand_process(
+    bus: str, scale: float, homed: CommissionedHand | None = None
+) -> Iterator[HandProcess]:
     """Run a simulated hand within a ``with`` block.
 
     Args:
@@ -273,7 +290,7 @@ def stage(bus: str, scale: float, homed: Homed | None = None) -> Iterator[Stage]
         homed: calibration and options of a commissioned hand. With None, the hand is commissioned first.
     """
     with tempfile.TemporaryDirectory(prefix="h-") as folder:
-        one = Stage(Path(folder), bus, scale, homed)
+        one = HandProcess(Path(folder), bus, scale, homed)
         try:
             yield one
         finally:
@@ -284,7 +301,7 @@ def stage(bus: str, scale: float, homed: Homed | None = None) -> Iterator[Stage]
 
 
 def measure_clients(
-    names: list[str], bus: str, scale: float, homed: Homed | None = None
+    names: list[str], bus: str, scale: float, homed: CommissionedHand | None = None
 ) -> dict[str, Any]:
     """Let clients stream to a hand, one after another. Return a row of the printed table for each client.
 
@@ -297,31 +314,32 @@ def measure_clients(
     groups = [shared, [name for name in names if name == "killed-owner"]]
     rows: dict[str, Any] = {}
     for group in filter(None, groups):
-        with stage(bus, scale, homed) as place:
-            windows, start_ns = _windows(place, group)
+        with hand_process(bus, scale, homed) as place:
+            windows, start_ns = _run_clients(place, group)
             place.close()
             truth = read_truth(place.truth)
             with RunLog(place.log) as log:
                 rows |= {
-                    name: _row(log, truth, window, start_ns) for name, window in windows.items()
+                    name: _client_row(log, truth, window, start_ns)
+                    for name, window in windows.items()
                 }
     return rows
 
 
-def _windows(place: Stage, names: list[str]) -> tuple[dict[str, Any], int]:
+def _run_clients(place: HandProcess, names: list[str]) -> tuple[dict[str, Any], int]:
     """Run clients on one hand.
 
     The result is the ticks and counts of each misbehaviour, and the start of the run on the hand's
     clock [ns].
     """
     if names == ["killed-owner"]:
-        window, start_ns = _one(place, names[0], None)
+        window, start_ns = _run_one_client(place, names[0], None)
         return {names[0]: window}, start_ns
     windows: dict[str, Any] = {}
     hand = place.connect().open()
     try:
         for name in names:
-            windows[name], start_ns = _one(place, name, hand)
+            windows[name], start_ns = _run_one_client(place, name, hand)
     finally:
         try:
             hand.close()
@@ -333,32 +351,34 @@ def _windows(place: Stage, names: list[str]) -> tuple[dict[str, Any], int]:
     return windows, start_ns
 
 
-def _one(place: Stage, name: str, owner: HandClient | None) -> tuple[dict[str, Any], int]:
+def _run_one_client(
+    place: HandProcess, name: str, owner: HandClient | None
+) -> tuple[dict[str, Any], int]:
     """Run one client in a separate process, which is paused or killed if the name says so."""
     words = place.words if owner is None else []
     command = [sys.executable, __file__, "--client", name, place.bus, f"{place.scale:g}", *words]
     child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert child.stdout
     try:
-        if CLIENTS[name][1] is not paused:
-            out = child.communicate(timeout=READY_S)[0]
+        if CLIENT_BEHAVIOURS[name][1] is not stream_while_paused:
+            out = child.communicate(timeout=READY_TIMEOUT_S)[0]
             assert child.returncode == 0, f"{name}: the client failed"
-            return json.loads(out), start_of(owner, place.scale)
+            return json.loads(out), run_start_ns(owner, place.scale)
         assert child.stdout.readline() == "pause\n", f"{name}: no stream"
         watcher = owner or handctl.connect("jamia", place.bus).open()
         time.sleep(0.1 / place.scale)
         window = {"from": watcher.observe().k, "to": None}
-        start_ns = start_of(watcher, place.scale)
+        start_ns = run_start_ns(watcher, place.scale)
         if name.startswith("killed"):
             child.kill()
-            time.sleep(LOST_S / place.scale)
+            time.sleep(AFTER_KILL_S / place.scale)
             if owner is None:
                 watcher.close()
             return window, start_ns
         child.send_signal(signal.SIGSTOP)
         time.sleep(float(name.partition("-")[2]) / 1e3 / place.scale)
         child.send_signal(signal.SIGCONT)
-        out = child.communicate(timeout=READY_S)[0]
+        out = child.communicate(timeout=READY_TIMEOUT_S)[0]
         assert child.returncode == 0, f"{name}: the client failed"
         return json.loads(out), start_ns
     finally:
@@ -366,7 +386,7 @@ def _one(place: Stage, name: str, owner: HandClient | None) -> tuple[dict[str, A
         child.wait()
 
 
-def start_of(hand: HandClient | None, scale: float) -> int:
+def run_start_ns(hand: HandClient | None, scale: float) -> int:
     """Return the time at which the run has t = 0, on the clock of the simulated hand [ns].
 
     A tick publishes its observation at its end, so that the result is too late by the duration of a
@@ -377,14 +397,16 @@ def start_of(hand: HandClient | None, scale: float) -> int:
     return min(round(one.published_ns * scale) - one.t_ns - one.late_ns for one in seen)
 
 
-def _row(log: RunLog, truth: TruthRecord, window: dict[str, Any], start_ns: int) -> dict[str, Any]:
+def _client_row(
+    log: RunLog, truth: TruthRecord, window: dict[str, Any], start_ns: int
+) -> dict[str, Any]:
     """Return one row of the table: mode, faults, largest true tension and largest speeds during a misbehaviour."""
     last = int(log.k[-1]) if window["to"] is None else window["to"]
     inside = (log.k >= window["from"]) & (log.k <= last)
     first_ns, last_ns = log.t_ns[inside][[0, -1]]
     rows = truth.values[(truth.t_ns >= first_ns + start_ns) & (truth.t_ns <= last_ns + start_ns)]
     tensions = [i for i, name in enumerate(truth.columns) if name.startswith("tension/")]
-    rates = [i for i, name in enumerate(truth.columns) if name.startswith(f"dq/{DIGIT}")]
+    rates = [i for i, name in enumerate(truth.columns) if name.startswith(f"dq/{STREAMED_DIGIT}")]
     events = [one.event for one in log.events if first_ns <= one.t_ns <= last_ns]
     return {
         "mode": HandMode(int(log.mode[inside][-1])).name,
@@ -403,24 +425,26 @@ def _row(log: RunLog, truth: TruthRecord, window: dict[str, Any], start_ns: int)
 # Part 2: tracking of a streamed motion
 
 
-def measure_tracking(bus: str, scale: float, homed: Homed | None = None) -> dict[str, Any]:
+def measure_tracking(
+    bus: str, scale: float, homed: CommissionedHand | None = None
+) -> dict[str, Any]:
     """Compare a streamed sine with the same motion as a task, by the true angle of the digit.
 
     The errors are RMS values [deg]. The result includes the lateness of the ticks, which shows how
     busy the machine was.
     """
     began_ns: dict[str, int] = {}
-    with stage(bus, scale, homed) as place:
+    with hand_process(bus, scale, homed) as place:
         task = place.folder / "sine.toml"
-        task.write_text(_task(), "utf-8")
+        task.write_text(_sine_task(), "utf-8")
         with place.connect() as hand:
-            for interpolation in INTERPOLATIONS:
-                hand.move({DIGIT: MIDDLE_DEG}, duration_s=0.5)
-                with hand.stream(RATE_HZ, "digit", [DIGIT], interpolation) as stream:
+            for interpolation in INTERPOLATION_NAMES:
+                hand.move({STREAMED_DIGIT: MIDDLE_DEG}, duration_s=0.5)
+                with hand.stream(RATE_HZ, "digit", [STREAMED_DIGIT], interpolation) as stream:
                     client = BadClient(hand, stream, scale)
-                    client.good(TRACKED_S)
+                    client.send_good_targets(TRACKED_S)
                 began_ns[interpolation] = round(client.began_s * 1e9 * scale)
-            start_ns = start_of(hand, scale)
+            start_ns = run_start_ns(hand, scale)
             hand.grasp(task)
         place.close()
         truth = read_truth(place.truth)
@@ -430,15 +454,20 @@ def measure_tracking(bus: str, scale: float, homed: Homed | None = None) -> dict
             )
             late_ms = float(np.percentile(log.late_ns, 99)) / 1e6
     errors = {name: _tracking_error(truth, began) for name, began in began_ns.items()}
-    ratios = {f"{name}_ratio": errors[name] / errors["trajectory"] for name in INTERPOLATIONS}
+    ratios = {f"{name}_ratio": errors[name] / errors["trajectory"] for name in INTERPOLATION_NAMES}
     return errors | ratios | {"tick_late_p99_ms": late_ms}
 
 
-def _task() -> str:
+def _sine_task() -> str:
     """Return a task that has the same motion as the stream."""
     times = np.arange(0.0, TRACKED_S + 1e-9, KNOT_S).round(3).tolist()
-    stay = {"kind": "move", "name": "stay", "angle_deg": {DIGIT: MIDDLE_DEG}, "duration_s": 0.5}
-    angles = {DIGIT: [round(sine(t), 4) for t in times]}
+    stay = {
+        "kind": "move",
+        "name": "stay",
+        "angle_deg": {STREAMED_DIGIT: MIDDLE_DEG},
+        "duration_s": 0.5,
+    }
+    angles = {STREAMED_DIGIT: [round(sine_angle_deg(t), 4) for t in times]}
     follow = {"kind": "follow", "name": "follow", "time_s": times, "angle_deg": angles}
     return toml_text({"schema": 1, "name": "sine", "phase": [stay, follow]})
 
@@ -447,7 +476,7 @@ def _tracking_error(truth: TruthRecord, began_ns: int) -> float:
     """Return the RMS of the true minus the intended angle, without the first second [deg]."""
     t = (truth.t_ns - began_ns) / 1e9
     counted = (t > 1.0) & (t < TRACKED_S - 0.05)
-    joints = [i for i, name in enumerate(truth.columns) if name.startswith(f"q/{DIGIT}")]
+    joints = [i for i, name in enumerate(truth.columns) if name.startswith(f"q/{STREAMED_DIGIT}")]
     true = np.degrees(truth.values[counted][:, joints]).mean(axis=1)
     return float(
         np.sqrt(np.mean((true - MIDDLE_DEG - SWING_DEG * np.sin(2.0 * math.pi * t[counted])) ** 2))
@@ -459,12 +488,12 @@ def _tracking_error(truth: TruthRecord, began_ns: int) -> float:
 
 def measure_latency(bus: str, seconds: float) -> dict[str, Any]:
     """Measure the percentiles p50 and p99 of delays in unscaled time [ms]."""
-    with stage(bus, 1.0) as place, place.connect() as hand:
+    with hand_process(bus, 1.0) as place, place.connect() as hand:
         rows = {
-            "tick to client, observations": _observed(hand, seconds),
-            "tick to client, status socket": _states(hand, seconds),
-            "goal to wire, stream of targets": _targets(hand, seconds),
-            "goal to confirmation, request socket": _moves(hand, seconds),
+            "tick to client, observations": _observation_ages_ms(hand, seconds),
+            "tick to client, status socket": _status_ages_ms(hand, seconds),
+            "goal to wire, stream of targets": _target_delays_ms(hand, seconds),
+            "goal to confirmation, request socket": _move_delays_ms(hand, seconds),
         }
     return {
         name: {
@@ -475,7 +504,7 @@ def measure_latency(bus: str, seconds: float) -> dict[str, Any]:
     }
 
 
-def _observed(hand: HandClient, seconds: float) -> list[float]:
+def _observation_ages_ms(hand: HandClient, seconds: float) -> list[float]:
     """Return the age of each observation at the moment when the client receives it [ms]."""
     ages: list[float] = []
     end = time.monotonic() + seconds
@@ -486,7 +515,7 @@ def _observed(hand: HandClient, seconds: float) -> list[float]:
     return ages
 
 
-def _states(hand: HandClient, seconds: float) -> list[float]:
+def _status_ages_ms(hand: HandClient, seconds: float) -> list[float]:
     """Return the age of each status line when the client receives it [ms]. The controller sends 50 lines a second."""
     ages: list[float] = []
     end = time.monotonic() + seconds
@@ -503,17 +532,17 @@ def _states(hand: HandClient, seconds: float) -> list[float]:
     return ages
 
 
-def _targets(hand: HandClient, seconds: float) -> list[float]:
+def _target_delays_ms(hand: HandClient, seconds: float) -> list[float]:
     """Return the time from the sending of each target until the tick that follows it has sent its frames [ms]."""
     delays: list[float] = []
     draw = random.Random(0)
-    hand.move({DIGIT: MIDDLE_DEG}, duration_s=0.5)
-    with hand.stream(RATE_HZ, "digit", [DIGIT]) as stream:
+    hand.move({STREAMED_DIGIT: MIDDLE_DEG}, duration_s=0.5)
+    with hand.stream(RATE_HZ, "digit", [STREAMED_DIGIT]) as stream:
         began = time.monotonic()
         while (t := time.monotonic() - began) < seconds:
             sent_ns = time.monotonic_ns()
             number = stream.sent
-            stream.send([sine(t + stream.horizon_s)])
+            stream.send([sine_angle_deg(t + stream.horizon_s)])
             seen = hand.observe()
             while seen.stream.number < number:
                 seen = hand.observe(wait=True)
@@ -522,13 +551,13 @@ def _targets(hand: HandClient, seconds: float) -> list[float]:
     return delays
 
 
-def _moves(hand: HandClient, seconds: float) -> list[float]:
+def _move_delays_ms(hand: HandClient, seconds: float) -> list[float]:
     """Return the time from each request of a move over the request socket until its confirmation [ms]."""
     delays: list[float] = []
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         began = time.monotonic()
-        hand.move({DIGIT: MIDDLE_DEG + len(delays) % 2}, duration_s=0.2, wait=False)
+        hand.move({STREAMED_DIGIT: MIDDLE_DEG + len(delays) % 2}, duration_s=0.2, wait=False)
         delays.append((time.monotonic() - began) * 1e3)
         time.sleep(0.02)
     return delays
@@ -537,7 +566,7 @@ def _moves(hand: HandClient, seconds: float) -> list[float]:
 # Output of the results
 
 
-def show(result: dict[str, Any]) -> None:
+def print_results(result: dict[str, Any]) -> None:
     """Print the tables as Markdown."""
     if "clients" in result:
         limit = f"true tension, trip limit {result['tension_trip_N']:g} N"
@@ -551,7 +580,7 @@ def show(result: dict[str, Any]) -> None:
             told = "-" if numbers[0] is None else ", ".join(map(str, numbers))
             faults = ", ".join(sorted({text.split()[0] for text in row["faults"]})) or "none"
             print(
-                f"| {CLIENTS[name][0]} | {told} | {faults} | {row['mode']} | {row['tension_N']:.1f} N "
+                f"| {CLIENT_BEHAVIOURS[name][0]} | {told} | {faults} | {row['mode']} | {row['tension_N']:.1f} N "
                 f"| {row['speed_deg_s']:.0f} deg/s | {row['joint_speed_deg_s']:.0f} deg/s |"
             )
         print()
@@ -559,7 +588,7 @@ def show(result: dict[str, Any]) -> None:
         rows = result["tracking"]
         print("| motion | RMS of true minus intended angle | ratio |\n|---|---|---|")
         print(f"| trajectory | {rows['trajectory']:.3f} deg | 1 |")
-        for name in INTERPOLATIONS:
+        for name in INTERPOLATION_NAMES:
             print(f"| stream, {name} | {rows[name]:.3f} deg | {rows[f'{name}_ratio']:.2f} |")
         print()
     if "latency" in result:
@@ -572,13 +601,15 @@ def main() -> None:
     """Measure the selected parts and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
-        "part", nargs="*", help=f"parts of the benchmark: {', '.join(PARTS)} (default: all)"
+        "part",
+        nargs="*",
+        help=f"parts of the benchmark: {', '.join(BENCHMARK_PARTS)} (default: all)",
     )
     parser.add_argument(
         "--only",
         nargs="+",
-        choices=CLIENTS,
-        default=list(CLIENTS),
+        choices=CLIENT_BEHAVIOURS,
+        default=list(CLIENT_BEHAVIOURS),
         help="clients of the first part (default: all)",
     )
     parser.add_argument(
@@ -598,9 +629,9 @@ def main() -> None:
         name, bus, scale, *words = args.client
         run_client(name, bus, float(scale), words)
         return
-    if wrong := set(args.part) - set(PARTS):
-        parser.error(f"no part {min(wrong)!r}; expected some of {', '.join(PARTS)}")
-    parts = args.part or PARTS
+    if wrong := set(args.part) - set(BENCHMARK_PARTS):
+        parser.error(f"no part {min(wrong)!r}; expected some of {', '.join(BENCHMARK_PARTS)}")
+    parts = args.part or BENCHMARK_PARTS
     with tempfile.TemporaryDirectory(prefix="h-") as short:
         os.environ["HANDCTL_RUN_DIR"] = short
         result: dict[str, Any] = {
@@ -614,7 +645,7 @@ def main() -> None:
             result["latency"] = measure_latency(
                 args.bus, QUICK_LATENCY_S if args.quick else LATENCY_S
             )
-    print(json.dumps(result, indent=2)) if args.json else show(result)
+    print(json.dumps(result, indent=2)) if args.json else print_results(result)
 
 
 if __name__ == "__main__":

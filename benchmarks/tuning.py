@@ -32,7 +32,7 @@ from handctl.tune.search.ensemble import draw_ensemble
 from handctl.tune.search.search import SearchPlan, SearchResult, run_search
 from handctl.tune.search.workers import SearchWorkers, make_workers
 
-PLANT = {
+TRUE_PLANT_FACTORS = {
     "stiffness": 0.7,
     "friction": 1.3,
     "mass": 1.3,
@@ -41,7 +41,7 @@ PLANT = {
     "damping": 1.3,
 }
 """Factors on the parameters of the true plant. They were fixed before anything was tuned."""
-DETUNED = {
+DETUNING_FACTORS = {
     "motion.position_error_m": 3.0,
     "motion.speed_error_m_s": 1.0 / 3.0,
     "tension.tension_error_N": 1.0 / 3.0,
@@ -80,11 +80,11 @@ def main() -> int:
     )
     args = parser.parse_args()
     trials, plants = (10, 2) if args.quick else (args.trials, args.plants)
-    result = compare(args.hand, trials, plants, args.workers, args.into, args.fit)
+    result = compare_searches(args.hand, trials, plants, args.workers, args.into, args.fit)
     if args.json:
         print(json.dumps(result, indent=2))
     else:
-        _print(result)
+        print_results(result)
     return 0
 
 
@@ -92,11 +92,13 @@ def detuned_gains() -> Gains:
     """Return the initial gains, which are detuned."""
     packaged = values_by_key(Gains())
     return with_values(
-        Gains(), {key: factor * packaged[key] for key, factor in DETUNED.items()}, "benchmark"
+        Gains(),
+        {key: factor * packaged[key] for key, factor in DETUNING_FACTORS.items()},
+        "benchmark",
     )
 
 
-def compare(
+def compare_searches(
     hand_name: str, trials: int, plants: int, count: int, into: Path | None, fit: Path | None
 ) -> dict[str, Any]:
     """Run the searches and compare their gains on the true plant. Store the studies in a folder if one is given."""
@@ -112,9 +114,11 @@ def compare(
             blind = SearchPlan(
                 hand.to_toml(), rate, detuned, draw_ensemble(plants, 0), 1, trials, (packaged,)
             )
-            knowing = SearchPlan(blind.hand, rate, detuned, (PLANT,), 1, trials, (packaged,))
-            searches, spent = _searched(blind, folder / "blind", crew)
-            informed, _ = _searched(knowing, folder / "knowing", crew)
+            knowing = SearchPlan(
+                blind.hand, rate, detuned, (TRUE_PLANT_FACTORS,), 1, trials, (packaged,)
+            )
+            searches, spent = _run_timed_search(blind, folder / "blind", crew)
+            informed, _ = _run_timed_search(knowing, folder / "knowing", crew)
             around = SearchPlan(
                 twin.to_toml(),
                 rate,
@@ -124,10 +128,15 @@ def compare(
                 trials,
                 (packaged,),
             )
-            fitted = _searched(around, folder / "identified", crew)[0] if fit else None
+            fitted = _run_timed_search(around, folder / "identified", crew)[0] if fit else None
         jobs = [
-            _judged(knowing, gains)
-            for gains in (detuned, packaged, _best(detuned, searches), _best(detuned, informed))
+            _judge_job(knowing, gains)
+            for gains in (
+                detuned,
+                packaged,
+                _best_gains(detuned, searches),
+                _best_gains(detuned, informed),
+            )
         ]
         scores = [
             GainScore(**score) for _, score in sorted(crew.scores(jobs), key=lambda pair: pair[0])
@@ -137,7 +146,9 @@ def compare(
     names = ["detuned", "packaged", "tuned", "tuned_knowing_the_plant"]
     if fitted:
         names.append("tuned_as_identified")
-        scores.append(_with_model(hand, HandModel.from_hand(twin, _best(detuned, fitted), rate)))
+        scores.append(
+            _with_model(hand, HandModel.from_hand(twin, _best_gains(detuned, fitted), rate))
+        )
     costs = [score.cost(scores[0]) for score in scores]
     return {
         "hand": hand_name,
@@ -157,10 +168,12 @@ def compare(
     }
 
 
-def _searched(plan: SearchPlan, storage: Path, crew: SearchWorkers) -> tuple[SearchResult, float]:
+def _run_timed_search(
+    plan: SearchPlan, storage: Path, crew: SearchWorkers
+) -> tuple[SearchResult, float]:
     began = time.monotonic()
 
-    def show(result: SearchResult) -> None:
+    def print_progress(result: SearchResult) -> None:
         best = f"{result.cost(result.best):.3f}" if result.best else "none good yet"
         print(
             f"\r{storage.name}: trial {len(result.trials)} of {plan.trials}, best {best}   ",
@@ -168,18 +181,18 @@ def _searched(plan: SearchPlan, storage: Path, crew: SearchWorkers) -> tuple[Sea
             file=sys.stderr,
         )
 
-    result = run_search(plan, storage, crew, show)
+    result = run_search(plan, storage, crew, print_progress)
     print(file=sys.stderr)
     return result, time.monotonic() - began
 
 
-def _best(base: Gains, result: SearchResult) -> Gains:
+def _best_gains(base: Gains, result: SearchResult) -> Gains:
     if result.best is None:
         raise SystemExit("no trial kept its margins; expected more --trials")
     return with_values(base, result.best.values, "study") if result.best.number else base
 
 
-def _judged(plan: SearchPlan, gains: Gains) -> dict[str, Any]:
+def _judge_job(plan: SearchPlan, gains: Gains) -> dict[str, Any]:
     """Return a job that scores gains on the true plant, even if their margins are too small.
 
     The job uses noise that no search has used.
@@ -193,12 +206,14 @@ def _judged(plan: SearchPlan, gains: Gains) -> dict[str, Any]:
 
 
 def _with_model(hand: Hand, model: HandModel) -> GainScore:
-    """GainScore the controller of the identified hand on the true plant, and compute its margins."""
-    margins = worst_margins(model, (linear_factors(dict.fromkeys(PLANT, 1.0)),))
-    return replace(score_exercise(hand, model, PLANT, JUDGE_SEED), shortfall=margins.shortfall)
+    """Score the controller of the identified hand on the true plant, and compute its margins."""
+    margins = worst_margins(model, (linear_factors(dict.fromkeys(TRUE_PLANT_FACTORS, 1.0)),))
+    return replace(
+        score_exercise(hand, model, TRUE_PLANT_FACTORS, JUDGE_SEED), shortfall=margins.shortfall
+    )
 
 
-def _print(result: dict[str, Any]) -> None:
+def print_results(result: dict[str, Any]) -> None:
     print(
         f"{result['hand']} at {result['rate_hz']:g} Hz, {result['trials']} trials, judged on the real plant"
     )

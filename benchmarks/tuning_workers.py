@@ -20,12 +20,12 @@ from handctl.hand.hand_loading import load_hand
 from handctl.tune.search.ensemble import draw_ensemble
 from handctl.tune.search.workers import ProcessPool
 
-Row = dict[str, Any]
+ResultRow = dict[str, Any]
 
 RATE_HZ = 500.0
 
 
-def jobs(count: int) -> list[Row]:
+def scoring_jobs(count: int) -> list[ResultRow]:
     """Return trials with slightly different gains. Equal trials would be computed only once."""
     changed = [
         with_values(Gains(), {"tension.integral_per_s": 2.0 + 0.1 * i}, "benchmark")
@@ -46,7 +46,7 @@ def cpu_s(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def timed(count: int, work: list[Row]) -> tuple[Row, list[Row]]:
+def measure_search(count: int, work: list[ResultRow]) -> tuple[ResultRow, list[ResultRow]]:
     """Measure the times of a search with a number of workers.
 
     Return the times, and the scores in the order of the jobs.
@@ -82,8 +82,8 @@ def main() -> int:
         help="number of workers that are compared with one worker (default: 2)",
     )
     args = parser.parse_args()
-    work = jobs(4 if args.quick else args.trials)
-    (one, first), (several, second) = timed(1, work), timed(args.workers, work)
+    work = scoring_jobs(4 if args.quick else args.trials)
+    (one, first), (several, second) = measure_search(1, work), measure_search(args.workers, work)
     result = {
         "trials": len(work),
         "one": one,

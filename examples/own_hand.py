@@ -13,30 +13,30 @@ from handctl.programs.default_task import default_task
 from handctl.programs.task_program import TaskProgram
 from handctl.session.simulate import SimulatorSettings, simulate
 
-mine = Path("mine.toml")
-text = hand_path("jamia").read_text("utf-8").replace('name = "jamia"', 'name = "mine"', 1)
-mine.write_text(text.replace("link_length_m", "link_lenght_m", 1), "utf-8")
+own_hand_path = Path("mine.toml")
+own_hand_text = hand_path("jamia").read_text("utf-8").replace('name = "jamia"', 'name = "mine"', 1)
+own_hand_path.write_text(own_hand_text.replace("link_length_m", "link_lenght_m", 1), "utf-8")
 try:
-    load_hand(mine)
+    load_hand(own_hand_path)
 except ConfigError as error:
     print("refused:", error)
 
-mine.write_text(text, "utf-8")
-hand = load_hand(mine)
+own_hand_path.write_text(own_hand_text, "utf-8")
+hand = load_hand(own_hand_path)
 print(
     f"{hand.name}: {len(hand.joints)} joints, {len(hand.tendon)} tendons, {len(hand.motor)} motors"
 )
 
 task, _ = default_task(hand)  # close until contact, hold, release, open
 controller = make_controller(hand, Gains(), 500.0, TaskProgram(task), None, arm_at_once=True)
-touching: set[str] = set()
+touching_digits: set[str] = set()
 
 
-def see(entry, out):
+def note_contacts(entry, out):
     """Collect the digits that have been in contact."""
-    touching.update(event.where for event in out.events if event.name == "contact")
+    touching_digits.update(event.where for event in out.events if event.name == "contact")
 
 
-state = simulate(controller, SimulatorSettings(hand, "cylinder", homed=True), see)
-print("in contact:", ", ".join(sorted(touching)))
+state = simulate(controller, SimulatorSettings(hand, "cylinder", homed=True), note_contacts)
+print("in contact:", ", ".join(sorted(touching_digits)))
 print("result:", state.failure or "complete, relaxed and disarmed")

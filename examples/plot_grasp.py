@@ -14,15 +14,15 @@ import numpy as np
 
 from handctl.log.read.reader import RunLog
 
-ROWS = (
+PLOT_ROWS = (
     ("q", "angle [deg]", 180.0 / np.pi),
     ("tension", "tension [N]", 1.0),
     ("tip_force", "tip force [N]", 1.0),
 )
 
 with RunLog(sys.argv[1]) as log:
-    figure, axes = plt.subplots(len(ROWS), sharex=True, figsize=(8, 7), layout="constrained")
-    for axis, (field, label, factor) in zip(axes, ROWS, strict=True):
+    figure, axes = plt.subplots(len(PLOT_ROWS), sharex=True, figsize=(8, 7), layout="constrained")
+    for axis, (field, label, factor) in zip(axes, PLOT_ROWS, strict=True):
         for name, values in zip(log.names(field), log.field(field).T, strict=True):
             axis.plot(log.times, factor * values, label=name, linewidth=1.0)
         axis.set_ylabel(label)

@@ -16,7 +16,7 @@ from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
 from handctl.session.simulate import SimulatorSettings
 
-SCENE = """
+PUSH_SCENE = """
 name = "push"
 [object]
 shape = "cylinder"
@@ -35,7 +35,7 @@ rate_N_per_s = 8.0
 START_S, RATE_N_PER_S, LARGEST_N, SHOWN_MM = 3.5, 8.0, 8.0, 3.0
 
 
-def task(stiffness_N_per_mm):
+def push_task(stiffness_N_per_mm):
     """Return a task that closes the hand and holds.
 
     In the hold, a tension rises when the object pulls its tendon out.
@@ -56,10 +56,10 @@ figure, axes = plt.subplots(figsize=(6, 4), layout="constrained")
 hand = load_hand("jamia")
 for stiffness in (0.0, 30.0):
     controller = make_controller(
-        hand, Gains(), 500.0, TaskProgram(task(stiffness)), None, arm_at_once=True
+        hand, Gains(), 500.0, TaskProgram(push_task(stiffness)), None, arm_at_once=True
     )
     force, place = [], []
-    with SimulatorSettings(hand, SCENE, homed=True).against(controller) as run:
+    with SimulatorSettings(hand, PUSH_SCENE, homed=True).against(controller) as run:
         for entry, _ in run.ticks(START_S + LARGEST_N / RATE_N_PER_S):
             force.append(max(0.0, RATE_N_PER_S * (entry.t_ns / 1e9 - START_S)))
             place.append(run.peer.world.plant.engine.object_pose()[0])

@@ -23,9 +23,9 @@ from handctl.hand.kinematics import to_palm_frame
 from handctl.log.read.reader import RunLog
 
 RATE_HZ = 50.0
-SECONDS = 6.0
+DURATION_S = 6.0
 HAND_LENGTH_M = 0.189
-SEGMENTS = {  # proximal, middle and distal segment as fractions of the hand's length
+SEGMENT_FRACTIONS = {  # proximal, middle and distal segment as fractions of the hand's length
     "index": (0.245, 0.143, 0.097),
     "middle": (0.266, 0.170, 0.108),
     "ring": (0.244, 0.165, 0.107),
@@ -41,34 +41,40 @@ CLOSED_DEG = {
 
 def human_tip(name, t):
     """Return the position of a human fingertip from the knuckle [m]: x along the straight finger, y to the palm."""
-    delay = 0.4 * list(SEGMENTS).index(name)
+    delay = 0.4 * list(SEGMENT_FRACTIONS).index(name)
     phase = np.clip((t - 0.5 - delay) / 3.5, 0.0, 1.0)
     knuckle = (
         np.radians(CLOSED_DEG[name]) * 0.5 * (1.0 - np.cos(2.0 * np.pi * phase))
     )  # closes and opens
-    turns = [knuckle, 1.1 * knuckle, 2.0 / 3.0 * 1.1 * knuckle][: len(SEGMENTS[name])]
+    turns = [knuckle, 1.1 * knuckle, 2.0 / 3.0 * 1.1 * knuckle][: len(SEGMENT_FRACTIONS[name])]
     angles = np.cumsum(turns)
-    lengths = HAND_LENGTH_M * np.array(SEGMENTS[name])
+    lengths = HAND_LENGTH_M * np.array(SEGMENT_FRACTIONS[name])
     return np.array([lengths @ np.cos(angles), lengths @ np.sin(angles), 0.0])
 
 
-def retarget(digit, name, t):
+def retargeted_tip(digit, name, t):
     """Return the position of a human fingertip in the robot's palm frame, scaled by the lengths of both fingers [m]."""
-    scale = sum(digit.lengths) / (HAND_LENGTH_M * sum(SEGMENTS[name]))
+    scale = sum(digit.lengths) / (HAND_LENGTH_M * sum(SEGMENT_FRACTIONS[name]))
     return to_palm_frame(digit, scale * human_tip(name, t))
 
 
 with handctl.connect("jamia11", "local:lab", *sys.argv[1:]) as hand:
-    digits = {name: DigitModel.from_hand(hand.description, name) for name in SEGMENTS}
-    tips = Fingertips(hand.description, list(SEGMENTS))
-    hand.move(tips.angles_deg({name: retarget(digits[name], name, 0.0) for name in SEGMENTS}))
+    digits = {name: DigitModel.from_hand(hand.description, name) for name in SEGMENT_FRACTIONS}
+    tips = Fingertips(hand.description, list(SEGMENT_FRACTIONS))
+    hand.move(
+        tips.angles_deg(
+            {name: retargeted_tip(digits[name], name, 0.0) for name in SEGMENT_FRACTIONS}
+        )
+    )
     first = hand.observe().k
     distances_m = []
-    with hand.stream(RATE_HZ, "fingertip", list(SEGMENTS)) as stream:
+    with hand.stream(RATE_HZ, "fingertip", list(SEGMENT_FRACTIONS)) as stream:
         began_s = hand.observe().t_s
-        for tick in range(round(SECONDS * RATE_HZ)):
+        for tick in range(round(DURATION_S * RATE_HZ)):
             t = tick / RATE_HZ + stream.horizon_s  # the moment at which the hand shall be there
-            stream.send(np.array([retarget(digits[name], name, t) for name in SEGMENTS]))
+            stream.send(
+                np.array([retargeted_tip(digits[name], name, t) for name in SEGMENT_FRACTIONS])
+            )
             distances_m.append(stream.fingertips.distances_m.copy())
             stream.sleep()
         print(stream.status)
@@ -89,11 +95,11 @@ reached = np.array(
     [tips.tips(dict(zip(names, row, strict=True))) for row in q]
 )  # (ticks, digits, 3)
 
-figure, axes = plt.subplots(1, len(SEGMENTS), figsize=(11, 3.4), layout="constrained")
+figure, axes = plt.subplots(1, len(SEGMENT_FRACTIONS), figsize=(11, 3.4), layout="constrained")
 errors = []
-for d, (name, ax) in enumerate(zip(SEGMENTS, axes, strict=True)):
+for d, (name, ax) in enumerate(zip(SEGMENT_FRACTIONS, axes, strict=True)):
     digit = digits[name]
-    human = np.array([retarget(digit, name, t) for t in times - began_s])
+    human = np.array([retargeted_tip(digit, name, t) for t in times - began_s])
     path = [
         (points - digit.mount_position) @ digit.mount_rotation * 1e3
         for points in (human, reached[:, d])

@@ -14,19 +14,19 @@ from handctl.runtime.clocks.real import RealClock
 from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
 from handctl.runtime.mailbox import bus_lock
 
-BUS, LIMIT_N_M, WATCHDOG_MS = "local:bench", 0.1, 100
+BUS_SPEC, LIMIT_N_M, WATCHDOG_MS = "local:bench", 0.1, 100
 STIFFNESS_N_M_PER_RAD, DAMPING_N_M_S_PER_RAD = 0.5, 0.02
-MOTOR = Motor.model_validate({
+MOTOR_SPEC = Motor.model_validate({
     "name": "motor", "protocol": "mit", "bus": "bench", "node_id": 1, "direction": 1, "zero_rad": 0.0,
     "spool_radius_m": 0.005, "inertia_kg_m2": 1e-4, "viscous_N_m_s_per_rad": 0.0, "coulomb_N_m": 0.0,
     "torque_constant_N_m_per_A": 0.1, "torque_max_N_m": LIMIT_N_M, "torque_peak_N_m": LIMIT_N_M,
     "position_range_rad": 12.5, "velocity_range_rad_s": 30.0, "watchdog_ms": WATCHDOG_MS,
 })  # fmt: skip
 
-with bus_lock(BUS):  # one host at a time
+with bus_lock(BUS_SPEC):  # one host at a time
     clock = RealClock(PERIOD_NS)
-    bus = open_bus(BUS, 0, 1_000_000, stamp=clock.of)
-    rig = DriveRig(make_drive(MOTOR, 0), bus, clock)
+    bus = open_bus(BUS_SPEC, 0, 1_000_000, stamp=clock.of)
+    rig = DriveRig(make_drive(MOTOR_SPEC, 0), bus, clock)
     try:
         if not rig.until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0):
             raise SystemExit(

@@ -16,13 +16,13 @@ import numpy as np
 import handctl
 from handctl.log.read.reader import RunLog
 
-MIDDLE_DEG, SWING_DEG, SECONDS = 30.0, 20.0, 3.0
+MIDDLE_DEG, SWING_DEG, DURATION_S = 30.0, 20.0, 3.0
 
 with handctl.connect("jamia", "local:lab", *sys.argv[1:]) as hand:
     hand.move(index=MIDDLE_DEG)
     first = hand.observe().k
     with hand.stream(rate_Hz=100, space="digit", names=["index"]) as stream:
-        for tick in range(round(SECONDS * stream.rate_Hz)):
+        for tick in range(round(DURATION_S * stream.rate_Hz)):
             t = (
                 tick / stream.rate_Hz + stream.horizon_s
             )  # time at which the hand reaches the target

@@ -19,7 +19,7 @@ import handctl
 SPEED_DEG_S = 60.0
 
 
-def lines():
+def arrived_lines():
     """Yield the lines that have arrived since the last step, without waiting. Stop at the end of the input."""
     rest = b""
     while True:
@@ -38,7 +38,7 @@ with handctl.connect("jamia", "local:lab", *sys.argv[1:]) as hand:
     with hand.stream(rate_Hz=50, space="digit") as stream:
         angles = np.zeros(len(names))
         largest = SPEED_DEG_S / stream.rate_Hz
-        source = lines()
+        source = arrived_lines()
         new = next(source, None)
         while new is not None or not np.allclose(angles, list(targets.values())):
             for word in " ".join(new or []).split():

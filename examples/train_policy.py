@@ -24,8 +24,8 @@ import numpy as np
 import handctl.gym
 
 ITERATIONS = int(sys.argv[1]) if len(sys.argv) > 1 else 25
-DIRECTIONS, BEST, STEP, DECAY, NOISE = 4, 4, 0.12, 0.93, 0.05
-INPUTS = ("reference_ahead_rad", "reference_rad", "q_rad")
+DIRECTION_COUNT, BEST_COUNT, STEP_SIZE, STEP_DECAY, NOISE_SIZE = 4, 4, 0.12, 0.93, 0.05
+INPUT_NAMES = ("reference_ahead_rad", "reference_rad", "q_rad")
 TEST_SEEDS = range(1001, 1006)
 COLORS = (
     "#3b6fb6",
@@ -39,46 +39,49 @@ assert isinstance(env, handctl.gym.TrackEnv)
 names = np.array([name.partition("[")[0] for name in env.layout.names])
 
 
-def act(policy, seen):
+def policy_action(policy, seen):
     """Return the action of a policy with weights (inputs + 1,). The last weight belongs to the constant 1."""
-    parts = [np.degrees(seen[names == name]) for name in INPUTS]
+    parts = [np.degrees(seen[names == name]) for name in INPUT_NAMES]
     parts[-1] = env.values_of(parts[-1])  # angles of the digits from those of the joints
     scaled = [2.0 * (part - env.low_deg) / (env.high_deg - env.low_deg) - 1.0 for part in parts]
     return np.clip(policy @ [*scaled, np.ones(len(env.names))], -1.0, 1.0).astype(np.float32)
 
 
-def episode(policy, seed):
+def run_episode(policy, seed):
     """Run an episode. Return the mean reward, and the angles and references of the digits in each step [deg]."""
     seen, _ = env.reset(seed=seed)
     rewards, rows, ended, truncated = [], [], False, False
     while not (ended or truncated):
-        seen, reward, ended, truncated, _ = env.step(act(policy, seen))
+        seen, reward, ended, truncated, _ = env.step(policy_action(policy, seen))
         rewards.append(reward)
         rows.append([np.degrees(env.values_of(env.true_q)), env.reference_deg(env.t_s)])
     return sum(rewards) / env.longest, np.array(rows)
 
 
 rng = np.random.default_rng(0)
-policy = np.zeros(len(INPUTS) + 1)
+policy = np.zeros(len(INPUT_NAMES) + 1)
 first = policy.copy()
 curve = []
 for iteration in range(ITERATIONS):
-    directions = rng.standard_normal((DIRECTIONS, len(policy)))
+    directions = rng.standard_normal((DIRECTION_COUNT, len(policy)))
     seed = int(rng.integers(1000))  # both signs get the same episode
     scores = np.array(
-        [[episode(policy + sign * NOISE * d, seed)[0] for sign in (1, -1)] for d in directions]
+        [
+            [run_episode(policy + sign * NOISE_SIZE * d, seed)[0] for sign in (1, -1)]
+            for d in directions
+        ]
     )
-    best = np.argsort(scores.max(axis=1))[-BEST:]
+    best = np.argsort(scores.max(axis=1))[-BEST_COUNT:]
     slope = sum((scores[i, 0] - scores[i, 1]) * directions[i] for i in best)
-    policy += STEP * DECAY**iteration / (BEST * scores[best].std() + 1e-9) * slope
-    curve.append(np.mean([episode(policy, seed)[0] for seed in TEST_SEEDS]))
+    policy += STEP_SIZE * STEP_DECAY**iteration / (BEST_COUNT * scores[best].std() + 1e-9) * slope
+    curve.append(np.mean([run_episode(policy, seed)[0] for seed in TEST_SEEDS]))
     print(
         f"iteration {iteration + 1}: mean reward {curve[-1]:.3f} of 1, weights {policy.round(2)}",
         flush=True,
     )
 
 np.save("policy.npy", policy)
-before, after = (episode(p, TEST_SEEDS[0])[1] for p in (first, policy))
+before, after = (run_episode(p, TEST_SEEDS[0])[1] for p in (first, policy))
 figure, axes = plt.subplots(1, 3, figsize=(11, 3.4), layout="constrained")
 axes[0].plot(range(1, ITERATIONS + 1), curve)
 axes[0].set(xlabel="iteration", ylabel="mean reward", ylim=(0, 1), title="Test episodes")

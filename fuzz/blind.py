@@ -11,14 +11,14 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from fuzz.targets import TARGET_FACTORIES, seeds
+from fuzz.targets import TARGET_FACTORIES, seed_inputs
 
 REPORT_PERIOD_S = 30.0
 INPUTS_PER_CLOCK_READ = 256
 """Number of inputs from one reading of the clock to the next."""
 
 
-def changed_inputs(chance: random.Random, corpus: list[bytes], longest: int) -> Iterator[bytes]:
+def changed_inputs(chance: random.Random, corpus: list[bytes], max_bytes: int) -> Iterator[bytes]:
     """Yield changed inputs of the corpus.
 
     Bytes are changed, removed or inserted, or the end is from another input.
@@ -28,7 +28,7 @@ def changed_inputs(chance: random.Random, corpus: list[bytes], longest: int) -> 
     while True:
         kind = bits(4)
         if kind == 0:
-            yield chance.randbytes(bits(16) % longest)
+            yield chance.randbytes(bits(16) % max_bytes)
             continue
         data = bytearray(pick(corpus))
         for _ in range(1 + (kind & 3)):
@@ -44,10 +44,10 @@ def changed_inputs(chance: random.Random, corpus: list[bytes], longest: int) -> 
                 data[at:at] = chance.randbytes(1 + bits(3))
             else:
                 data[at:] = pick(corpus)[at:]
-        yield bytes(data[:longest])
+        yield bytes(data[:max_bytes])
 
 
-def fuzz(
+def feed_inputs(
     target: Callable[[bytes], bool],
     inputs: Iterator[bytes],
     crashes: Path,
@@ -88,10 +88,10 @@ def main() -> None:
     shared = Path("/dev/shm")
     folder = Path(tempfile.mkdtemp(prefix="fuzz-", dir=shared if shared.is_dir() else None))
     corpus_inputs = [path.read_bytes()[: int(longest)] for path in sorted(Path(corpus).iterdir())]
-    corpus_inputs += [seed[: int(longest)] for seed in seeds(name, folder)] or [bytes(8)]
+    corpus_inputs += [seed[: int(longest)] for seed in seed_inputs(name, folder)] or [bytes(8)]
     start = time.monotonic()
     inputs = changed_inputs(random.Random(time.time_ns()), corpus_inputs, int(longest))
-    number, taken = fuzz(
+    number, taken = feed_inputs(
         TARGET_FACTORIES[name](folder), inputs, Path(crashes), float(seconds), int(runs)
     )
     took = round(time.monotonic() - start)

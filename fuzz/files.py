@@ -45,23 +45,23 @@ def construct_all(hand: Hand) -> None:
     bus_loads(hand)
 
 
-def hand(folder: Path) -> FuzzTarget:
+def hand_target(folder: Path) -> FuzzTarget:
     """Return the target for a packaged hand with up to four changes."""
     contents = [hand_content(name) for name in packaged_hands()]
     paths = [list(paths_of_values(content)) for content in contents]
 
     def target(data: bytes) -> bool:
         source = ByteSource(data)
-        i = source.number(len(contents))
+        i = source.take_number(len(contents))
         content = mutated_content(contents[i], paths[i], source)
         return _is_accepted(lambda: construct_all(hand_from_content(content, "fuzzed")))
 
     return target
 
 
-def hand_text(folder: Path) -> FuzzTarget:
+def hand_text_target(folder: Path) -> FuzzTarget:
     """Return the target for a hand file that consists of any bytes."""
-    return _text(folder / "hand.toml", lambda path: construct_all(load_hand(str(path))))
+    return _text_target(folder / "hand.toml", lambda path: construct_all(load_hand(str(path))))
 
 
 def check_one_line(error: Exception) -> None:
@@ -70,7 +70,7 @@ def check_one_line(error: Exception) -> None:
     assert "\n" not in str(error), str(error)
 
 
-def _text(path: Path, load: Callable[[Path], object]) -> FuzzTarget:
+def _text_target(path: Path, load: Callable[[Path], object]) -> FuzzTarget:
     def target(data: bytes) -> bool:
         path.write_bytes(data)
         return _is_accepted(lambda: load(path))
@@ -95,26 +95,26 @@ In all other inputs, a parsed document is changed, because parsing is slow.
 """
 
 
-def _document(
-    path: Path, contents: list[FileContent], use: Callable[[FileContent], object]
+def _document_target(
+    path: Path, contents: list[FileContent], use_content: Callable[[FileContent], object]
 ) -> FuzzTarget:
     """Return the target for a document.
 
     Inputs are any bytes, or a valid document with up to four changes.
     """
     paths = [list(paths_of_values(content)) for content in contents]
-    noise = _text(path, lambda file: use(read_toml(file)))
+    noise = _text_target(path, lambda file: use_content(read_toml(file)))
 
     def target(data: bytes) -> bool:
         source = ByteSource(data)
-        kind = source.number(DOCUMENTS_PER_TEXT)
+        kind = source.take_number(DOCUMENTS_PER_TEXT)
         if kind == 1:
             return noise(data[source.at :])
-        i = source.number(len(contents))
+        i = source.take_number(len(contents))
         content = mutated_content(contents[i], paths[i], source)
         if kind == 2:
             return noise(toml_text(content).encode("utf-8", "surrogatepass"))
-        return _is_accepted(lambda: use(content))
+        return _is_accepted(lambda: use_content(content))
 
     return target
 
@@ -123,7 +123,7 @@ def task_target(folder: Path) -> FuzzTarget:
     """Return the target for a task that must fit a hand."""
     jamia = load_hand("jamia")
     contents = [tomllib.loads(path.read_text()) for path in sorted(TASKS_FOLDER.glob("*.toml"))]
-    return _document(
+    return _document_target(
         folder / "task.toml",
         list(contents),
         lambda content: check_task_for_hand(
@@ -133,7 +133,7 @@ def task_target(folder: Path) -> FuzzTarget:
 
 
 def trajectory_target(folder: Path) -> FuzzTarget:
-    """Return the fuzz target that reads a trajectory_target file and checks it against a hand."""
+    """Return the fuzz target that reads a trajectory file and checks it against a hand."""
     jamia = load_hand("jamia")
     angles = [30.0 * math.sin(0.5 * i) ** 2 for i in range(8)]
     content = {
@@ -142,7 +142,7 @@ def trajectory_target(folder: Path) -> FuzzTarget:
         "time_s": [0.3 * i for i in range(8)],
         "angle_deg": {"index": angles},
     }
-    return _document(
+    return _document_target(
         folder / "trajectory.toml",
         [content],
         lambda content: check_task_for_hand(trajectory_from(content, "fuzzed"), jamia, "fuzzed"),
@@ -157,7 +157,7 @@ def gains_target(folder: Path) -> FuzzTarget:
     }
     del content["provenance"]["restores"]
     validate_content(content, GainsFile, "packaged")
-    return _document(
+    return _document_target(
         folder / "gains.toml",
         [content],
         lambda content: validate_content(content, GainsFile, "fuzzed").gains,
@@ -183,9 +183,9 @@ def calibration_target(folder: Path) -> FuzzTarget:
         "identified": {jamia.tendon_names[0]: identified},
     }
 
-    def use(content: FileContent) -> None:
+    def use_calibration(content: FileContent) -> None:
         loaded = calibration_from(content, jamia, "fuzzed")
         loaded.tare(jamia), loaded.zero(jamia)
         identified_hand(jamia, loaded.identified)
 
-    return _document(folder / "calibration.toml", [content], use)
+    return _document_target(folder / "calibration.toml", [content], use_calibration)

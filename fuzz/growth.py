@@ -12,7 +12,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from fuzz.soak import SIZE_MIB_PER_H, SOAK_TASK, MemorySample, memory_sample, memory_slope
+from fuzz.soak import MAX_GROWTH_MIB_PER_H, SOAK_TASK, MemorySample, memory_sample, memory_slope
 from handctl.controller.run_setup import make_controller
 from handctl.core.gains.gains import Gains
 from handctl.core.tick_types import TickIn, TickOut
@@ -24,8 +24,8 @@ from handctl.session.plan import RunPlan
 from handctl.session.run import run_lockstep
 from handctl.session.simulate import SimulatorSettings
 
-EVERY_S = 30.0
-WARM_S = 600.0
+SAMPLE_PERIOD_S = 30.0
+WARM_UP_S = 600.0
 """Time until the buffer with the lateness of the ticks is full [s]. The buffer takes 2 MiB."""
 
 
@@ -39,14 +39,14 @@ class MemorySampler:
 
     def poll_requests(self) -> tuple[str, ...]:
         """Return a request to stop once the time of the run is over."""
-        return (STOP_REQUEST,) if self.samples and self.samples[-1].t >= self.until_s else ()
+        return (STOP_REQUEST,) if self.samples and self.samples[-1].time_s >= self.until_s else ()
 
     def on_tick(self, entry: TickIn, out: TickOut) -> None:
-        """Take a sample of the memory every ``EVERY_S``."""
+        """Take a sample of the memory every ``SAMPLE_PERIOD_S``."""
         t = entry.t_ns / 1e9
-        if not self.samples or t - self.samples[-1].t >= EVERY_S:
+        if not self.samples or t - self.samples[-1].time_s >= SAMPLE_PERIOD_S:
             self.samples.append(memory_sample(os.getpid(), t))
-            print(f"{t:8.0f} s  {self.samples[-1].rss:.2f} MiB", file=sys.stderr, flush=True)
+            print(f"{t:8.0f} s  {self.samples[-1].rss_mib:.2f} MiB", file=sys.stderr, flush=True)
 
 
 def main() -> int:
@@ -69,7 +69,7 @@ def main() -> int:
         looks = MemorySampler(args.hours * 3600)
         controller = make_controller(hand, plan.gains, 500.0, program, None, arm_at_once=True)
         outcome = run_lockstep(plan, controller, Path(folder) / "long.mcap", clock, looks)
-    grows = memory_slope(looks.samples, WARM_S)
+    grows = memory_slope(looks.samples, WARM_UP_S)
     print(
         json.dumps(
             {
@@ -79,7 +79,7 @@ def main() -> int:
             }
         )
     )
-    return int(bool(outcome.state.failure) or grows is None or grows > SIZE_MIB_PER_H)
+    return int(bool(outcome.state.failure) or grows is None or grows > MAX_GROWTH_MIB_PER_H)
 
 
 if __name__ == "__main__":

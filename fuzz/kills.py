@@ -3,7 +3,7 @@
 import argparse
 import sys
 
-from tests.runtime.kills import KillVerdict, batches, summary
+from tests.runtime.killed_controllers import KillVerdict, disturb_in_batches, kill_summary
 
 
 def main() -> int:
@@ -24,13 +24,13 @@ def main() -> int:
     )
     args = parser.parse_args()
     runs: list[KillVerdict] = []
-    for batch in batches(args.times, args.seed, args.time_scale):
+    for batch in disturb_in_batches(args.times, args.seed, args.time_scale):
         for run in batch:
-            if not (run.safe and run.complete):
+            if not (run.torque_ended_in_time and run.has_complete_log):
                 print(run, flush=True)
         runs += batch
-        print(summary(runs), flush=True)
-    return 0 if all(run.safe and run.complete for run in runs) else 1
+        print(kill_summary(runs), flush=True)
+    return 0 if all(run.torque_ended_in_time and run.has_complete_log for run in runs) else 1
 
 
 if __name__ == "__main__":

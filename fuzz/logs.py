@@ -22,7 +22,7 @@ from handctl.log.read.recover import recover_log
 from handctl.log.topics.chain import CHAIN_TOPIC as CHAIN_TOPIC
 from handctl.log.topics.clock_pairs import CLOCK_PAIRS_TOPIC as CLOCK_TOPIC
 from handctl.log.topics.topic_set import TICK_TOPIC, VALUES_TOPIC
-from tests.log import synthetic
+from tests.log import synthetic_run
 
 FuzzTarget = Callable[[bytes], bool]
 MAX_EDITS = 4
@@ -60,11 +60,13 @@ def read_all(path: Path) -> None:
 def small_log(folder: Path, seconds: float = 0.3) -> Path:
     """Write a small but complete log with a few ticks."""
     path = folder / "small.mcap"
-    synthetic.write(path, synthetic.header(rate_hz=10, attachments={}), seconds)
+    synthetic_run.write_synthetic_run(
+        path, synthetic_run.synthetic_header(rate_hz=10, attachments={}), seconds
+    )
     return path
 
 
-def _read(path: Path) -> bool:
+def _is_readable(path: Path) -> bool:
     try:
         read_all(path)
     except LogError as error:
@@ -73,12 +75,12 @@ def _read(path: Path) -> bool:
     return True
 
 
-def log(folder: Path) -> FuzzTarget:
+def log_target(folder: Path) -> FuzzTarget:
     """Return the target for a log with changed records, inside and outside of chunks.
 
     Most have a valid length.
     """
-    parts = _parts(small_log(folder))
+    parts = _log_parts(small_log(folder))
     joined = [_join_records(i, part) for i, part in enumerate(parts)]
     path = folder / "log.mcap"
 
@@ -86,11 +88,11 @@ def log(folder: Path) -> FuzzTarget:
         source = ByteSource(data)
         changed = dict[int, list[bytes]]()
         for _ in range(MAX_EDITS):
-            if source.empty:
+            if source.is_empty:
                 break
-            i = source.number(len(parts))
+            i = source.take_number(len(parts))
             records = changed.setdefault(i, parts[i].copy())
-            at = source.number(len(records))
+            at = source.take_number(len(records))
             records[at] = _changed_record(records[at], source)
         path.write_bytes(
             b"".join(
@@ -100,12 +102,12 @@ def log(folder: Path) -> FuzzTarget:
                 ]
             )
         )
-        return _read(path)
+        return _is_readable(path)
 
     return target
 
 
-def _parts(path: Path) -> list[list[bytes]]:
+def _log_parts(path: Path) -> list[list[bytes]]:
     """Split a log into lists of records without checksums: before the chunks, in each chunk, and after the chunks."""
     file = LogFile(path)
     result = RecordScan()
@@ -116,11 +118,11 @@ def _parts(path: Path) -> list[list[bytes]]:
     channels = schemas_and_channels(contents[0]).channels
     schemas = {number: schema for number, schema, topic, _, _ in channels if topic in KEPT_TOPICS}
     chunks = [
-        [record for record in _records(content) if _is_of_channels(record, schemas)]
+        [record for record in _split_records(content) if _is_of_channels(record, schemas)]
         for content in contents
     ]
-    head = list(_records(raw[8 : result.chunks[0].offset]))
-    tail = list(_records(raw[result.chunks[-1].end : -8]))
+    head = list(_split_records(raw[8 : result.chunks[0].offset]))
+    tail = list(_split_records(raw[result.chunks[-1].end : -8]))
     named = [
         record
         for record in tail
@@ -133,7 +135,7 @@ def _parts(path: Path) -> list[list[bytes]]:
     ]
 
 
-def _records(data: bytes) -> Iterator[bytes]:
+def _split_records(data: bytes) -> Iterator[bytes]:
     at = 0
     while at < len(data):
         end = at + 9 + struct.unpack_from("<Q", data, at + 1)[0]
@@ -160,29 +162,33 @@ def _join_records(i: int, records: list[bytes]) -> bytes:
     content = b"".join(records)
     if i == 0:
         return MCAP_MAGIC + content
-    return content + MCAP_MAGIC if records[-1][:1] == bytes([Opcode.FOOTER]) else _chunk(content)
+    return (
+        content + MCAP_MAGIC
+        if records[-1][:1] == bytes([Opcode.FOOTER])
+        else _chunk_record(content)
+    )
 
 
 def _changed_record(record: bytes, source: ByteSource) -> bytes:
     """Return a record with changed content. The length of one in eight records is wrong."""
     body = bytearray(record[9:])
-    kind = source.number(8)
+    kind = source.take_number(8)
     if kind == 0:
         body = bytearray(record)
-    at = source.number(1 << 16) % max(
-        1, len(body) if source.number(2) else min(len(body), NUMERIC_START_BYTES)
+    at = source.take_number(1 << 16) % max(
+        1, len(body) if source.take_number(2) else min(len(body), NUMERIC_START_BYTES)
     )
     new = (
-        UNUSUAL_BYTES[source.number(len(UNUSUAL_BYTES))]
-        if source.number(2)
-        else source.take(1 + source.number(8))
+        UNUSUAL_BYTES[source.take_number(len(UNUSUAL_BYTES))]
+        if source.take_number(2)
+        else source.take_bytes(1 + source.take_number(8))
     )
-    end = at if kind == 1 else at + source.number(64) if kind == 2 else at + len(new)
+    end = at if kind == 1 else at + source.take_number(64) if kind == 2 else at + len(new)
     body[at:end] = b"" if kind == 2 else new
     return bytes(body) if kind == 0 else struct.pack("<BQ", record[0], len(body)) + body
 
 
-def _chunk(content: bytes) -> bytes:
+def _chunk_record(content: bytes) -> bytes:
     body = (
         struct.pack("<QQQII", 0, 1 << 40, len(content), 0, 0)
         + struct.pack("<Q", len(content))
@@ -191,7 +197,7 @@ def _chunk(content: bytes) -> bytes:
     return struct.pack("<BQ", Opcode.CHUNK, len(body)) + body
 
 
-def log_bytes(folder: Path) -> FuzzTarget:
+def log_bytes_target(folder: Path) -> FuzzTarget:
     """Return the target for any bytes as a log.
 
     The reader and the recovery of logs get the bytes.
@@ -204,6 +210,6 @@ def log_bytes(folder: Path) -> FuzzTarget:
         out.unlink(missing_ok=True)
         with contextlib.suppress(LogError):
             recover_log(path, out)
-        return _read(path)
+        return _is_readable(path)
 
     return target

@@ -43,33 +43,33 @@ class ByteSource:
         self.data = data
         self.at = 0
 
-    def take(self, size: int) -> bytes:
+    def take_bytes(self, size: int) -> bytes:
         """Consume and return a number of bytes."""
         self.at += size
         return self.data[self.at - size : self.at].ljust(size, b"\0")
 
-    def number(self, below: int) -> int:
+    def take_number(self, below: int) -> int:
         """Consume bytes, and return a number from 0 to ``below`` - 1."""
-        return int.from_bytes(self.take(2), "little") % below
+        return int.from_bytes(self.take_bytes(2), "little") % below
 
     @property
-    def empty(self) -> bool:
+    def is_empty(self) -> bool:
         """Return True if all bytes are consumed."""
         return self.at >= len(self.data)
 
 
-def value(source: ByteSource, old: Any) -> Any:
+def replacement_value(source: ByteSource, old: Any) -> Any:
     """Return a replacement for a value: an unusual value, random bits, or the scaled old value."""
-    kind = source.number(5)
+    kind = source.take_number(5)
     if kind == 0:
-        return struct.unpack("<d", source.take(8))[0]
+        return struct.unpack("<d", source.take_bytes(8))[0]
     if kind == 1:
-        return source.take(source.number(12)).decode("latin-1")
+        return source.take_bytes(source.take_number(12)).decode("latin-1")
     if kind == 2 and isinstance(old, int | float) and -1e300 < old < 1e300:
-        return old * (1000.0, 0.001, -1.0, 1.0001, 2.0)[source.number(5)]
+        return old * (1000.0, 0.001, -1.0, 1.0001, 2.0)[source.take_number(5)]
     if kind == 3:
-        return int.from_bytes(source.take(3), "little", signed=True)
-    return UNUSUAL_VALUES[source.number(len(UNUSUAL_VALUES))]
+        return int.from_bytes(source.take_bytes(3), "little", signed=True)
+    return UNUSUAL_VALUES[source.take_number(len(UNUSUAL_VALUES))]
 
 
 def mutated_content(
@@ -85,9 +85,9 @@ def mutated_content(
     """
     made: dict[str, Any] = dict(content)
     for _ in range(max_changes):
-        if source.empty:
+        if source.is_empty:
             break
-        path = paths[source.number(len(paths))]
+        path = paths[source.take_number(len(paths))]
         parent = _copied_node(made, path[:-1])
         if parent is not None:
             _change_entry(parent, path[-1], source)
@@ -118,14 +118,14 @@ def _change_entry(parent: Any, key: Any, source: ByteSource) -> None:
         old = parent[key]
     except (LookupError, TypeError):
         return
-    operation = source.number(OPERATION_COUNT)
+    operation = source.take_number(OPERATION_COUNT)
     if operation == 0:
         del parent[key]
     elif operation == 1 and isinstance(parent, dict):
-        parent[str(key) + chr(97 + source.number(26))] = parent.pop(key)
+        parent[str(key) + chr(97 + source.take_number(26))] = parent.pop(key)
     elif operation == 2 and isinstance(parent, list):
         parent.insert(key, old)
     elif operation == 3 and isinstance(parent, list):
         parent.reverse()
     else:
-        parent[key] = value(source, old)
+        parent[key] = replacement_value(source, old)

@@ -26,31 +26,38 @@ from firmware_sim.hand_description import load_hand as load_simulated
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.runtime.mailbox import StatusWatcher
-from tests.runtime.processes import BUS, LONG, end, handctl, start_handctl, write_homed
+from tests.runtime.processes import (
+    LOCAL_BUS,
+    LONG_TASK,
+    end_process,
+    run_handctl,
+    start_handctl,
+    write_homed_calibration,
+)
 
-SIZE_MIB_PER_H = 1.0
+MAX_GROWTH_MIB_PER_H = 1.0
 """Largest growth of the memory that passes [MiB/h]."""
-WARM_S = 300.0
+WARM_UP_S = 300.0
 """Duration of the warm-up, in which a process still allocates its working memory [s]."""
-WINDOW_S = 300.0
+PEAK_WINDOW_S = 300.0
 """Length of the time windows whose peaks of memory are compared [s]."""
 MIN_SLOPE_TIME_S = 1800.0
 """Shortest time of samples from which a growth per hour is computed [s]."""
-ACCEPTED_EXITS = (0, 1, 71)
+ACCEPTED_EXIT_CODES = (0, 1, 71)
 """Accepted exit codes of a controller: done, ended by a named fault, or ended without confirmation from all drives."""
-SOAK_TASK = LONG.replace("duration_s = 60.0", "duration_s = 3600.0")
+SOAK_TASK = LONG_TASK.replace("duration_s = 60.0", "duration_s = 3600.0")
 
 
 class MemorySample(NamedTuple):
     """Time [s], memory [MiB] and number of open descriptors of a process together with its children."""
 
-    t: float
-    rss: float
+    time_s: float
+    rss_mib: float
     descriptors: int
 
 
-def memory_sample(pid: int, t: float) -> MemorySample:
-    """Sample the memory and descriptors of a process and its children at time ``t`` [s]."""
+def memory_sample(pid: int, time_s: float) -> MemorySample:
+    """Sample the memory and descriptors of a process and its children at time ``time_s`` [s]."""
     pids = [pid, *map(int, Path(f"/proc/{pid}/task/{pid}/children").read_text().split())]
     rss = descriptors = 0
     for one in pids:
@@ -59,22 +66,24 @@ def memory_sample(pid: int, t: float) -> MemorySample:
             (int(line.split()[1]) for line in status.splitlines() if line.startswith("VmRSS")), 0
         )
         descriptors += len(os.listdir(f"/proc/{one}/fd"))
-    return MemorySample(t, rss / 1024, descriptors)
+    return MemorySample(time_s, rss / 1024, descriptors)
 
 
-def memory_slope(samples: list[MemorySample], warm_s: float = WARM_S) -> float | None:
+def memory_slope(samples: list[MemorySample], warm_up_s: float = WARM_UP_S) -> float | None:
     """Return the growth of the memory after the warm-up [MiB/h], or None if the samples cover too short a time.
 
-    The slope is fitted to the largest value in each window of ``WINDOW_S``. Memory that is freed
+    The slope is fitted to the largest value in each window of ``PEAK_WINDOW_S``. Memory that is freed
     and allocated again thus does not count as growth.
     """
-    warm = [one for one in samples if one.t - samples[0].t >= warm_s]
-    if not warm or warm[-1].t - warm[0].t < MIN_SLOPE_TIME_S:
+    warm = [one for one in samples if one.time_s - samples[0].time_s >= warm_up_s]
+    if not warm or warm[-1].time_s - warm[0].time_s < MIN_SLOPE_TIME_S:
         return None
-    whole = (warm[-1].t - warm[0].t) // WINDOW_S
-    windows = groupby(warm, lambda one: (one.t - warm[0].t) // WINDOW_S)
-    peaks = [max(part, key=lambda one: one.rss) for number, part in windows if number < whole]
-    return float(np.polyfit([one.t / 3600 for one in peaks], [one.rss for one in peaks], 1)[0])
+    whole = (warm[-1].time_s - warm[0].time_s) // PEAK_WINDOW_S
+    windows = groupby(warm, lambda one: (one.time_s - warm[0].time_s) // PEAK_WINDOW_S)
+    peaks = [max(part, key=lambda one: one.rss_mib) for number, part in windows if number < whole]
+    return float(
+        np.polyfit([one.time_s / 3600 for one in peaks], [one.rss_mib for one in peaks], 1)[0]
+    )
 
 
 class SoakTest:
@@ -87,36 +96,39 @@ class SoakTest:
         """
         self.chance = random.Random(seed)
         self.scale = str(scale)
-        self.lives: dict[str, list[list[MemorySample]]] = {"simulator": [], "controller": []}
+        self.samples_by_process: dict[str, list[list[MemorySample]]] = {
+            "simulator": [],
+            "controller": [],
+        }
         self.counts = Counter[str]()
-        self.wrong: list[str] = []
-        self.number = 0
+        self.errors: list[str] = []
+        self.run_number = 0
         self.simulator: subprocess.Popen[str] | None = None
         self.controller: subprocess.Popen[str] | None = None
 
     def start_simulator(self) -> None:
         """Start a new simulated hand without faults, in place of the old one."""
         if self.simulator:
-            end(self.simulator)
-        words = ("--bus", BUS, "--homed", "--hand", "jamia", "--time-scale", self.scale)
+            end_process(self.simulator)
+        words = ("--bus", LOCAL_BUS, "--homed", "--hand", "jamia", "--time-scale", self.scale)
         command = [sys.executable, "-m", "firmware_sim", *words]
         self.simulator = subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
         )
         assert self.simulator.stdout
         assert self.simulator.stdout.readline().startswith("firmware_sim: ready")
-        self.lives["simulator"].append([])
+        self.samples_by_process["simulator"].append([])
         self.counts["simulators"] += 1
 
     def start_controller(self) -> bool:
         """Start a controller. Return True once it has armed and holds the hand bent."""
-        self.number += 1
-        write_homed(Path("c.toml"), load_hand("jamia"))
+        self.run_number += 1
+        write_homed_calibration(Path("c.toml"), load_hand("jamia"))
         words = (
             "--hand",
             "jamia",
             "--bus",
-            BUS,
+            LOCAL_BUS,
             "--calibration",
             "c.toml",
             "--task",
@@ -124,11 +136,11 @@ class SoakTest:
             "--clear",
             "--json",
         )
-        log = ("--log", f"{self.number}.mcap", "--time-scale", self.scale)
+        log = ("--log", f"{self.run_number}.mcap", "--time-scale", self.scale)
         self.controller = start_handctl("run", *words, *log)
-        self.lives["controller"].append([])
+        self.samples_by_process["controller"].append([])
         self.counts["controllers"] += 1
-        watcher = StatusWatcher(BUS)
+        watcher = StatusWatcher(LOCAL_BUS)
         until = time.monotonic() + 60.0
         while time.monotonic() < until and self.controller.poll() is None:
             line = watcher.fresh_line(0.2)
@@ -146,22 +158,22 @@ class SoakTest:
             self.controller.send_signal(signal.SIGTERM)
         out, err = self.controller.communicate(timeout=600.0)  # the controller checks its whole log
         code = self.controller.returncode
-        path = Path(f"{self.number}.mcap")
+        path = Path(f"{self.run_number}.mcap")
         self.controller = None
         self.counts[f"exit {code}"] += 1
-        if code not in ACCEPTED_EXITS or "Traceback" in err:
-            self.wrong.append(f"run {self.number}: exit code {code}: {err[-300:]}")
+        if code not in ACCEPTED_EXIT_CODES or "Traceback" in err:
+            self.errors.append(f"run {self.run_number}: exit code {code}: {err[-300:]}")
         if path.exists():
             with RunLog(path) as log:
                 self.counts["ticks"] += len(list(log.ticks()))
                 if log.warning:
-                    self.wrong.append(f"run {self.number}: log {log.warning}")
+                    self.errors.append(f"run {self.run_number}: log {log.warning}")
         elif code == 0:
-            self.wrong.append(f"run {self.number}: no log; {out[-100:]}")
-        for left in Path().glob(f"{self.number}.*"):
+            self.errors.append(f"run {self.run_number}: no log; {out[-100:]}")
+        for left in Path().glob(f"{self.run_number}.*"):
             left.unlink()
 
-    def ready(self) -> None:
+    def ensure_controller(self) -> None:
         """Ensure that a controller holds the hand.
 
         If no controller can arm, start a new simulator.
@@ -173,9 +185,9 @@ class SoakTest:
             self.end_controller()
             self.start_simulator()
             if not self.start_controller():
-                self.wrong.append("a new simulator and a new controller did not arm")
+                self.errors.append("a new simulator and a new controller did not arm")
 
-    def fault(self) -> str:
+    def inject_random_fault(self) -> str:
         """Inject a random fault, and return the text of the fault."""
         hand = load_simulated("jamia")
         kind = self.chance.choice(
@@ -192,42 +204,43 @@ class SoakTest:
         ]
         component, name = self.chance.choice(places)
         text = f"{kind} {component}={name} for={self.chance.choice((1, 20, 200, 2000))}ms"
-        if handctl("fault", "inject", text, "--bus", BUS).returncode:
-            self.wrong.append(f"refused: {text}")
+        if run_handctl("fault", "inject", text, "--bus", LOCAL_BUS).returncode:
+            self.errors.append(f"refused: {text}")
         self.counts["faults"] += 1
         return text
 
-    def look(self, t: float) -> None:
+    def sample_memory(self, t: float) -> None:
         """Sample memory and descriptors of simulator and controller."""
         for name, process in (("simulator", self.simulator), ("controller", self.controller)):
             if process is not None and process.poll() is None:
-                self.lives[name][-1].append(memory_sample(process.pid, t))
+                self.samples_by_process[name][-1].append(memory_sample(process.pid, t))
 
-    def judged(self) -> dict[str, object]:
+    def soak_result(self) -> dict[str, object]:
         """Return the result of the soak: counts, growth of memory, numbers of descriptors, and all errors."""
         slopes = {
-            name: [memory_slope(one) for one in lives if one] for name, lives in self.lives.items()
+            name: [memory_slope(one) for one in lives if one]
+            for name, lives in self.samples_by_process.items()
         }
         known_slopes = {
             name: [one for one in found if one is not None] for name, found in slopes.items()
         }
         for name, found in known_slopes.items():
-            self.wrong += [
-                f"{name} grows by {one:.2f} MiB/h" for one in found if one > SIZE_MIB_PER_H
+            self.errors += [
+                f"{name} grows by {one:.2f} MiB/h" for one in found if one > MAX_GROWTH_MIB_PER_H
             ]
-        rose = {name: max((one[-1].rss - one[0].rss for one in lives if one), default=0) for name, lives in
-                self.lives.items()}  # fmt: skip
+        rose = {name: max((one[-1].rss_mib - one[0].rss_mib for one in lives if one), default=0) for name, lives in
+                self.samples_by_process.items()}  # fmt: skip
         descriptors = {name: sorted({s.descriptors for one in lives for s in one}) for name, lives in
-                       self.lives.items()}  # fmt: skip
-        simulators = [one for one in self.lives["simulator"] if one]
+                       self.samples_by_process.items()}  # fmt: skip
+        simulators = [one for one in self.samples_by_process["simulator"] if one]
         if any(max(s.descriptors for s in one) > one[0].descriptors + 4 for one in simulators):
-            self.wrong.append("the simulator's descriptors grow")
+            self.errors.append("the simulator's descriptors grow")
         return {
             "counts": dict(self.counts),
             "rss_rise_mib": rose,
             "rss_slope_mib_per_h": known_slopes,
             "descriptors": descriptors,
-            "wrong": self.wrong,
+            "wrong": self.errors,
         }
 
 
@@ -263,18 +276,18 @@ def main() -> int:
         try:
             soak.start_simulator()
             while (passed := time.monotonic() - start) < args.hours * 3600:
-                soak.ready()
-                soak.look(passed)
-                text = "no fault" if args.calm else soak.fault()
+                soak.ensure_controller()
+                soak.sample_memory(passed)
+                text = "no fault" if args.calm else soak.inject_random_fault()
                 print(f"{passed:8.0f} s  {text}", file=sys.stderr, flush=True)
                 time.sleep(args.every)
             soak.end_controller()
         finally:
             for process in (soak.controller, soak.simulator):
                 if process:
-                    end(process)
-        print(json.dumps(soak.judged(), indent=2))
-        return 1 if soak.wrong else 0
+                    end_process(process)
+        print(json.dumps(soak.soak_result(), indent=2))
+        return 1 if soak.errors else 0
 
 
 if __name__ == "__main__":

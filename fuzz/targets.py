@@ -11,20 +11,20 @@ FuzzTarget = Callable[[bytes], bool]
 TARGET_FACTORIES: dict[str, Callable[[Path], FuzzTarget]] = {
     **{name: wire.drive_target_factory(name) for name in FUZZED_DRIVES},
     "sensor-node": wire.sensor_target,
-    "hand": files.hand,
-    "hand-text": files.hand_text,
+    "hand": files.hand_target,
+    "hand-text": files.hand_text_target,
     "task": files.task_target,
     "trajectory": files.trajectory_target,
     "gains": files.gains_target,
     "calibration": files.calibration_target,
-    "log": logs.log,
-    "log-bytes": logs.log_bytes,
+    "log": logs.log_target,
+    "log-bytes": logs.log_bytes_target,
     "request": texts.request_target,
     "fault": texts.fault_target,
 }
 
 
-def seeds(name: str, folder: Path) -> list[bytes]:
+def seed_inputs(name: str, folder: Path) -> list[bytes]:
     """Return valid inputs with which the corpus of a target starts."""
     if name in FUZZED_DRIVES:
         return wire.recorded_inputs(name, folder)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from firmware_sim.faults.fault_text import FAULT_KINDS, parse_fault
 from firmware_sim.hand_description import SimulatorError
-from firmware_sim.hand_description import load_hand as load_simulated
+from firmware_sim.hand_description import load_hand as load_simulated_hand
 from fuzz.files import check_one_line
 from fuzz.mutate import ByteSource
 from handctl.programs.requests import parse_request
@@ -36,17 +36,17 @@ def fault_target(folder: Path) -> FuzzTarget:
 
     Inputs are any bytes, or words that such texts have.
     """
-    hand = load_simulated("jamia")
+    hand = load_simulated_hand("jamia")
 
     def target(data: bytes) -> bool:
         source = ByteSource(data)
-        if source.number(2):
+        if source.take_number(2):
             text = data[source.at :].decode("utf-8", "replace")
         else:
-            text = list(FAULT_KINDS)[source.number(len(FAULT_KINDS))]
-            while not source.empty:
-                key = FAULT_TEXT_WORDS[source.number(len(FAULT_TEXT_WORDS))]
-                text += f" {key}={FAULT_TEXT_WORDS[source.number(len(FAULT_TEXT_WORDS))]}"
+            text = list(FAULT_KINDS)[source.take_number(len(FAULT_KINDS))]
+            while not source.is_empty:
+                key = FAULT_TEXT_WORDS[source.take_number(len(FAULT_TEXT_WORDS))]
+                text += f" {key}={FAULT_TEXT_WORDS[source.take_number(len(FAULT_TEXT_WORDS))]}"
         try:
             parse_fault(text, hand)
         except SimulatorError as error:

@@ -31,7 +31,9 @@ CLEAR_BIT = 0x40
 MAX_PAYLOAD_BYTES = 64
 
 
-def frames_of_input(data: bytes, ours: Sequence[int], t_ns: int) -> Iterator[tuple[Frame, int]]:
+def frames_of_input(
+    data: bytes, selectable_ids: Sequence[int], t_ns: int
+) -> Iterator[tuple[Frame, int]]:
     """Yield the frames of an input, each with its third byte.
 
     Most have an identifier of the node.
@@ -42,7 +44,9 @@ def frames_of_input(data: bytes, ours: Sequence[int], t_ns: int) -> Iterator[tup
         if at + 3 > end:
             return
         pick, shape, more = data[at : at + 3]
-        can_id = ours[pick % len(ours)] if pick < 240 else (pick << 3 ^ more) & 0x7FF
+        can_id = (
+            selectable_ids[pick % len(selectable_ids)] if pick < 240 else (pick << 3 ^ more) & 0x7FF
+        )
         size = 8 if shape & 3 else more % (MAX_PAYLOAD_BYTES + 1)
         payload = data[at + 3 : at + 3 + size]
         t_ns += LONG_SILENCE_NS if more >= SILENCE_BYTE else STEP_NS
@@ -118,14 +122,14 @@ def _payload_header(payload: bytes) -> tuple[int, int]:
 def drive_target_factory(name: str) -> Callable[[Path], FuzzTarget]:
     """Return the function that makes the target for a drive of ``FUZZED_DRIVES``."""
 
-    def make(folder: Path) -> FuzzTarget:
+    def make_target(folder: Path) -> FuzzTarget:
         motor, seen = path_to_torque(name, folder)
         ours = selectable_identifiers(motor, seen)
         return lambda data: _feed_drive(
             motor, seen[data[0] % len(seen)] if data else seen[0], ours, data
         )
 
-    return make
+    return make_target
 
 
 def _feed_drive(motor: Drive, begin: RecordedState, ours: Sequence[int], data: bytes) -> bool:

@@ -24,7 +24,7 @@ LANGUAGE_TERMS = tomllib.loads(
 )
 LIMITS_FILE = Path(__file__).with_name("language_limits.toml")
 COUNTED_FOLDERS = ("src", "firmware_sim", "tests", "benchmarks", "fuzz", "tools")
-DOCUMENTS = "documents"
+DOCUMENTS_NAME = "documents"
 """Name under which all Markdown files are counted together."""
 
 QUANTITY_PER_COUNT = {
@@ -46,14 +46,16 @@ A count without such a quantity is absolute.
 LONG_LINE_CHARACTERS = 100
 """Number of characters above which a line counts as long."""
 LIMITS_PER_UNIT = 2
-"""Limits are multiples of 1 / ROUNDING, so that a single sentence does not exceed a limit."""
+"""Limits are multiples of 1 / LIMITS_PER_UNIT, so that a single sentence does not exceed a limit."""
 
-_WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+")
-_PROSE = {
+_WORD_PATTERN = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+")
+_PROSE_PATTERNS = {
     name: re.compile(pattern, re.IGNORECASE) for name, pattern in LANGUAGE_TERMS["prose"].items()
 }
-_VERBS = set(LANGUAGE_TERMS["verbs"]["words"].split())
-_CODE = re.compile(r"^```.*?^```|`[^`\n]*`|^\|.*?$|\*\*[^*\n]+:\*\*", re.MULTILINE | re.DOTALL)
+_DOCSTRING_VERBS = set(LANGUAGE_TERMS["verbs"]["words"].split())
+_CODE_PATTERN = re.compile(
+    r"^```.*?^```|`[^`\n]*`|^\|.*?$|\*\*[^*\n]+:\*\*", re.MULTILINE | re.DOTALL
+)
 """Parts of a Markdown document that are not prose: blocks of code, quoted code, rows of tables, labels in bold."""
 
 
@@ -90,7 +92,7 @@ class FolderTally:
 def count_prose(tally: FolderTally, text: str, place: str) -> None:
     """Count the words and the patterns of dialect in a docstring or document."""
     tally.totals["words"] += len(re.findall(r"[A-Za-z']+", text))
-    for name, pattern in _PROSE.items():
+    for name, pattern in _PROSE_PATTERNS.items():
         matches = pattern.findall(text)
         tally.add(name, place, f"{len(matches)} in the text", len(matches))
 
@@ -115,8 +117,8 @@ def count_module(tally: FolderTally, tree: ast.Module, text: str, name: str) -> 
         )
     for node in ast.walk(tree):
         place = f"{name}:{getattr(node, 'lineno', 1)}"
-        for defined in _defined(node):
-            words = [word.lower() for word in _WORD.findall(defined)]
+        for defined in _defined_names(node):
+            words = [word.lower() for word in _WORD_PATTERN.findall(defined)]
             tally.totals["name words"] += len(words)
             for word in words:
                 tally.add(
@@ -131,7 +133,7 @@ def count_module(tally: FolderTally, tree: ast.Module, text: str, name: str) -> 
         count_prose(tally, text, name)
 
 
-def _defined(node: ast.AST) -> list[str]:
+def _defined_names(node: ast.AST) -> list[str]:
     """Return the names that a node defines."""
     match node:
         case ast.FunctionDef(name=name) | ast.AsyncFunctionDef(name=name) | ast.ClassDef(name=name):
@@ -167,7 +169,10 @@ def _count_docstring(tally: FolderTally, node: ast.AST, place: str) -> None:
         word = first[1].lower()
         tally.totals["docstrings"] += 1
         tally.add(
-            "openers", place, f"begins with {word!r}", not {word, word.removesuffix("s")} & _VERBS
+            "openers",
+            place,
+            f"begins with {word!r}",
+            not {word, word.removesuffix("s")} & _DOCSTRING_VERBS,
         )
 
 
@@ -217,7 +222,7 @@ def count_documents(root: Path) -> FolderTally:
     for path in sorted([*root.glob("*.md"), *root.glob("docs/**/*.md")]):
         count_prose(
             tally,
-            _CODE.sub(" ", path.read_text(encoding="utf-8")),
+            _CODE_PATTERN.sub(" ", path.read_text(encoding="utf-8")),
             path.relative_to(root).as_posix(),
         )
     return tally
@@ -228,10 +233,10 @@ def count_all(root: Path) -> dict[str, FolderTally]:
     folders = {
         name: count_folder(root / name) for name in COUNTED_FOLDERS if (root / name).is_dir()
     }
-    return folders | {DOCUMENTS: count_documents(root)}
+    return folders | {DOCUMENTS_NAME: count_documents(root)}
 
 
-def ratios(tally: FolderTally) -> dict[str, float]:
+def count_ratios(tally: FolderTally) -> dict[str, float]:
     """Return all ratios whose quantity a tally has, each rounded up to a multiple of one half."""
     measured = [
         count
@@ -247,13 +252,13 @@ def ratios(tally: FolderTally) -> dict[str, float]:
 Limits = dict[str, dict[str, float]]
 
 
-def excesses(tallies: dict[str, FolderTally], limits: Limits) -> Iterator[str]:
+def limit_excesses(tallies: dict[str, FolderTally], limits: Limits) -> Iterator[str]:
     """Yield a line for each count above its limit.
 
     If a folder has no limits in the file, its limits are zero.
     """
     for name, tally in tallies.items():
-        for count, ratio in ratios(tally).items():
+        for count, ratio in count_ratios(tally).items():
             limit = limits.get(name, {}).get(count, 0.0)
             if ratio > limit:
                 unit = (
@@ -270,7 +275,7 @@ def lowered_limits(tallies: dict[str, FolderTally], limits: Limits) -> Limits:
     return {
         name: {
             count: min(ratio, limits.get(name, {}).get(count, ratio))
-            for count, ratio in ratios(tally).items()
+            for count, ratio in count_ratios(tally).items()
         }
         for name, tally in tallies.items()
     }
@@ -292,7 +297,7 @@ def print_table(tallies: dict[str, FolderTally]) -> None:
     for count, (quantity, factor) in QUANTITY_PER_COUNT.items():
         label = f"{count} / {factor} {quantity}" if quantity else count
         cells = (
-            f"{tally.ratio(count):.1f}" if count in ratios(tally) else "-"
+            f"{tally.ratio(count):.1f}" if count in count_ratios(tally) else "-"
             for tally in tallies.values()
         )
         print(f"{label:30}" + "".join(f"{cell:>13}" for cell in cells))
@@ -331,7 +336,7 @@ def main(words: list[str] | None = None) -> int:
     if args.tighten:
         LIMITS_FILE.write_text(to_toml(lowered_limits(tallies, limits)), encoding="utf-8")
         return 0
-    lines = list(excesses(tallies, limits))
+    lines = list(limit_excesses(tallies, limits))
     print(*lines, sep="\n", end="\n" * bool(lines), file=sys.stderr)
     return 1 if lines else 0
 

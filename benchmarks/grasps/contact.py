@@ -6,18 +6,18 @@ from typing import Any
 
 import numpy as np
 
-from grasps.trial import Run, hand_model, simulate
+from grasps.trial import GraspRun, hand_model, simulate_grasp
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
 
 CONTACT_N = 1.0
-WITHIN_S = 0.020
+DETECTION_LIMIT_S = 0.020
 SPEED_DEG_S = (20.0, 100.0)
 """Smallest and largest speed of closing [deg/s]. The packaged tasks close with 40 to 50 deg/s."""
 TOUCHED_N = 0.01
 MOVING_FRACTION = 0.85
 """Fraction of a run of free motion in which the digits are moving."""
-WALL = """name = "wall"
+WALL_SCENE = """name = "wall"
 [object]
 shape = "box"
 size_m = [0.04, 0.02, 0.093]
@@ -30,7 +30,7 @@ drop_when = "never"
 """A heavy wall at a position where only the last link of each digit can touch it."""
 
 
-def task_of(phases: list[dict[str, Any]]) -> TaskProgram:
+def program_of_phases(phases: list[dict[str, Any]]) -> TaskProgram:
     """Return the program of a task that consists of these phases."""
     return TaskProgram(
         Task.model_validate_json(json.dumps({"schema": 1, "name": "contact", "phase": phases}))
@@ -45,7 +45,7 @@ def find_contacts(job: tuple[str, int]) -> list[float]:
     """
     hand, seed = job
     chance = random.Random(f"wall {seed}")
-    wall = WALL.format(x=0.045 + chance.uniform(-3e-3, 3e-3), y=chance.uniform(-4e-3, 2e-3))
+    wall = WALL_SCENE.format(x=0.045 + chance.uniform(-3e-3, 3e-3), y=chance.uniform(-4e-3, 2e-3))
     speed = chance.uniform(*SPEED_DEG_S)
     phases = [
         {
@@ -56,11 +56,13 @@ def find_contacts(job: tuple[str, int]) -> list[float]:
         {"kind": "close", "angle_deg": 60.0, "speed_deg_s": speed},
         {"kind": "hold", "tension_N": 20.0, "duration_s": 0.3},
     ]
-    run = simulate(hand, task_of(phases), wall, seed=seed, until="end", timeout=12.0)
-    return _latencies(run, hand_model(hand)[0].hand.digit_names)
+    run = simulate_grasp(
+        hand, program_of_phases(phases), wall, seed=seed, until="end", timeout=12.0
+    )
+    return _detection_latencies(run, hand_model(hand)[0].hand.digit_names)
 
 
-def _latencies(run: Run, digits: tuple[str, ...]) -> list[float]:
+def _detection_latencies(run: GraspRun, digits: tuple[str, ...]) -> list[float]:
     contact_times = {
         event.where: float(run.t[k]) for k, event in run.events if event.name == "contact"
     }
@@ -102,7 +104,9 @@ def free_motion(job: tuple[str, float, int]) -> dict[str, float]:
             {"kind": "close", "angle_deg": goal, "speed_deg_s": speed},
         ]
         planned += 0.8 + 35.0 / speed * 1.875
-    run = simulate(hand, task_of(phases), None, seed=seed, until="end", timeout=seconds)
+    run = simulate_grasp(
+        hand, program_of_phases(phases), None, seed=seed, until="end", timeout=seconds
+    )
     assert run.force.max() < TOUCHED_N, "the digits touched each other"
     alarms = sum(event.name == "contact" for _, event in run.events)
     moving = np.isin(run.phase, ("move", "close")).sum() * (run.t[1] - run.t[0])

@@ -9,13 +9,13 @@ import random
 from dataclasses import dataclass
 
 TURN_S = 0.5
-LAST_S = 5.0
+STAGE_S = 5.0
 PUSH_N = 1.0
 PUSH_AT_S = 2.0
 PUSH_S = 1.0
 MAX_MOTION_M = 2e-3
 """Largest motion of a held object within a stage [m]. A grasp whose object moves further has failed."""
-DOWN = {
+GRAVITY_DIRECTIONS = {
     "power": ((0, 0, -1), (1, 0, 0), (0, -1, 0)),
     "pinch": ((0, 0, -1), (1, 0, 0), (0, -1, 0)),
     "hook": ((1, 0, 0), (0, -1, 0), (0, 1, 0)),
@@ -25,11 +25,11 @@ DOWN = {
 For power and pinch they are along the hinges, out of the palm, and towards the thumb. For a hook
 they are across its bar.
 """
-SHAKE_M = (1e-3, 2e-3)
+PLACEMENT_SHIFT_M = (1e-3, 2e-3)
 
 
 @dataclass(frozen=True)
-class Case:
+class GraspCase:
     """One object for one grasp: grasp, shape, full width [m], friction, mass [kg], and x and y of its centre [m]."""
 
     grasp: str
@@ -44,12 +44,12 @@ class Case:
         """Return a name such as ``cylinder 35 mm, friction 0.5``."""
         return f"{self.shape} {1e3 * self.width:g} mm, friction {self.friction:g}"
 
-    def scene(self, seed: int, stages: bool = True) -> str:
+    def scene_text(self, seed: int, stages: bool = True) -> str:
         """Return the text of the scene file. With seed 0 the object is at its nominal position."""
         chance = random.Random(f"{self} {seed}")
         x, y = (
             v + (chance.uniform(-s, s) if seed else 0.0)
-            for v, s in zip(self.place, SHAKE_M, strict=True)
+            for v, s in zip(self.place, PLACEMENT_SHIFT_M, strict=True)
         )
         digits, opposed = (
             (2, "false") if self.grasp == "hook" else (2 if self.grasp == "pinch" else 3, "true")
@@ -71,42 +71,42 @@ class Case:
         ]
         lines += ['drop_when = "grasped"', "drop_hold_s = 1.0", "sink_speed_m_s = 0.1"]
         lines += [f"drop_digits = {digits}", f"drop_opposed = {opposed}"]
-        for down in DOWN[self.grasp] if stages else ():
+        for down in GRAVITY_DIRECTIONS[self.grasp] if stages else ():
             push = [PUSH_N * v for v in down]
             lines += [
                 "[[stage]]",
                 f"down = {list(down)}",
                 f"turn_s = {TURN_S}",
-                f"last_s = {LAST_S}",
+                f"last_s = {STAGE_S}",
             ]
             lines += [f"push_N = {push}", f"push_at_s = {PUSH_AT_S}", f"push_s = {PUSH_S}"]
         return "\n".join(lines) + "\n"
 
 
-def _power(shape: str, millimetres: float, friction: float, mass: float) -> Case:
+def _power_grasp_case(shape: str, width_mm: float, friction: float, mass: float) -> GraspCase:
     """Return an object for a power grasp, 2 mm in front of the palm and midway between fingers and thumb."""
-    return Case(
-        "power", shape, millimetres * 1e-3, friction, mass, (millimetres * 0.5e-3 + 2e-3, 0.0)
+    return GraspCase(
+        "power", shape, width_mm * 1e-3, friction, mass, (width_mm * 0.5e-3 + 2e-3, 0.0)
     )
 
 
-CASES = (
-    _power("cylinder", 30, 0.5, 0.15),
-    _power("cylinder", 35, 0.5, 0.15),
-    _power("cylinder", 40, 0.5, 0.15),
-    _power("cylinder", 35, 0.3, 0.15),
-    _power("cylinder", 35, 0.8, 0.15),
-    _power("sphere", 36, 0.5, 0.05),
-    _power("sphere", 40, 0.5, 0.05),
-    _power("box", 30, 0.5, 0.15),
-    _power("box", 34, 0.5, 0.15),
-    _power("box", 38, 0.5, 0.15),
-    Case("pinch", "cylinder", 0.020, 0.5, 0.05, (0.025, 0.0)),
-    Case("pinch", "cylinder", 0.025, 0.8, 0.05, (0.025, 0.0)),
-    Case("pinch", "sphere", 0.025, 0.5, 0.02, (0.025, 0.0)),
-    Case("pinch", "box", 0.020, 0.5, 0.05, (0.025, 0.0)),
-    Case("pinch", "box", 0.024, 0.8, 0.05, (0.025, 0.0)),
-    Case("hook", "cylinder", 0.012, 0.5, 0.3, (0.012, 0.010)),
-    Case("hook", "cylinder", 0.016, 0.5, 0.3, (0.013, 0.008)),
-    Case("hook", "box", 0.012, 0.3, 0.3, (0.012, 0.010)),
+GRASP_CASES = (
+    _power_grasp_case("cylinder", 30, 0.5, 0.15),
+    _power_grasp_case("cylinder", 35, 0.5, 0.15),
+    _power_grasp_case("cylinder", 40, 0.5, 0.15),
+    _power_grasp_case("cylinder", 35, 0.3, 0.15),
+    _power_grasp_case("cylinder", 35, 0.8, 0.15),
+    _power_grasp_case("sphere", 36, 0.5, 0.05),
+    _power_grasp_case("sphere", 40, 0.5, 0.05),
+    _power_grasp_case("box", 30, 0.5, 0.15),
+    _power_grasp_case("box", 34, 0.5, 0.15),
+    _power_grasp_case("box", 38, 0.5, 0.15),
+    GraspCase("pinch", "cylinder", 0.020, 0.5, 0.05, (0.025, 0.0)),
+    GraspCase("pinch", "cylinder", 0.025, 0.8, 0.05, (0.025, 0.0)),
+    GraspCase("pinch", "sphere", 0.025, 0.5, 0.02, (0.025, 0.0)),
+    GraspCase("pinch", "box", 0.020, 0.5, 0.05, (0.025, 0.0)),
+    GraspCase("pinch", "box", 0.024, 0.8, 0.05, (0.025, 0.0)),
+    GraspCase("hook", "cylinder", 0.012, 0.5, 0.3, (0.012, 0.010)),
+    GraspCase("hook", "cylinder", 0.016, 0.5, 0.3, (0.013, 0.008)),
+    GraspCase("hook", "box", 0.012, 0.3, 0.3, (0.012, 0.010)),
 )

@@ -9,33 +9,37 @@ from grasps import payload, slip
 from grasps.objects import MAX_MOTION_M
 from handctl.output import save_figure
 
-DOCS = Path(__file__).parents[2] / "docs"
-PAGE = DOCS / "evidence" / "control-grasps.md"
-PICTURE = DOCS / "figures" / "grasps.png"
-MARKS = "<!-- {}: written by benchmarks/grasp.py -->", "<!-- end of {} -->"
+DOCS_FOLDER = Path(__file__).parents[2] / "docs"
+PAGE_FILE = DOCS_FOLDER / "evidence" / "control-grasps.md"
+PICTURE_FILE = DOCS_FOLDER / "figures" / "grasps.png"
+TABLE_MARKS = "<!-- {}: written by benchmarks/grasp.py -->", "<!-- end of {} -->"
 
 
-def text(result: dict[str, Any]) -> str:
+def tables_text(result: dict[str, Any]) -> str:
     """Return all tables as text."""
-    return "\n\n".join(write(result[key]) for key, write in PARTS.items() if result.get(key))
+    return "\n\n".join(
+        write(result[key]) for key, write in TABLE_FUNCTIONS.items() if result.get(key)
+    )
 
 
-def _table(head: list[str], rows: list[list[str]]) -> str:
+def _markdown_table(head: list[str], rows: list[list[str]]) -> str:
     lines = ["| " + " | ".join(row) + " |" for row in [head, ["---"] * len(head), *rows]]
     return "\n".join(lines)
 
 
-def _groups(rows: list[dict[str, Any]], *keys: str) -> dict[tuple[str, ...], list[dict[str, Any]]]:
+def _grouped_rows(
+    rows: list[dict[str, Any]], *keys: str
+) -> dict[tuple[str, ...], list[dict[str, Any]]]:
     groups: dict[tuple[str, ...], list[dict[str, Any]]] = {}
     for row in rows:
         groups.setdefault(tuple(row[key] for key in keys), []).append(row)
     return groups
 
 
-def _success(rows: list[dict[str, Any]]) -> str:
+def _success_table(rows: list[dict[str, Any]]) -> str:
     hands = list(dict.fromkeys(row["hand"] for row in rows))
     table = []
-    for (grasp, thing), tried in _groups(rows, "grasp", "object").items():
+    for (grasp, thing), tried in _grouped_rows(rows, "grasp", "object").items():
         cells = []
         for hand in hands:
             selected = [row for row in tried if row["hand"] == hand]
@@ -55,10 +59,10 @@ def _success(rows: list[dict[str, Any]]) -> str:
                 f"{hand} {grasp} {100 * np.mean([row['ok'] for row in selected]):.0f} % of {len(selected)}"
             )
     failures = []
-    for (hand, grasp, thing), failed in _groups(
+    for (hand, grasp, thing), failed in _grouped_rows(
         [row for row in rows if row["why"]], "hand", "grasp", "object"
     ).items():
-        by_reason = _groups(failed, "why")
+        by_reason = _grouped_rows(failed, "why")
         reasons = [
             f"{reason} (seed {', '.join(str(row['seed']) for row in selected)})"
             for (reason,), selected in by_reason.items()
@@ -67,12 +71,12 @@ def _success(rows: list[dict[str, Any]]) -> str:
     named = "\n\nFailed runs:\n\n" + "\n".join(failures) if failures else "\n\nNo failures."
     head = ["grasp", "object", *[f"{hand}: objects held, largest motion" for hand in hands]]
     fractions = f"Fraction of the runs in which the hand held the object: {'; '.join(totals)}."
-    return f"{_table(head, table)}\n\n{fractions}{named}"
+    return f"{_markdown_table(head, table)}\n\n{fractions}{named}"
 
 
-def _payload(rows: list[dict[str, Any]]) -> str:
+def _payload_table(rows: list[dict[str, Any]]) -> str:
     table = []
-    for (hand, direction), selected in _groups(rows, "hand", "direction").items():
+    for (hand, direction), selected in _grouped_rows(rows, "hand", "direction").items():
         masses = [row["mass_kg"] for row in selected]
         normal = np.mean([row["normal_N"] for row in selected], axis=0)
         over = "" if all(row["slid"] for row in selected) else "over "
@@ -82,12 +86,13 @@ def _payload(rows: list[dict[str, Any]]) -> str:
         ])  # fmt: skip
     head = ["hand", "load", "smallest payload, kg", "mean payload, kg", "seeds", "normal forces before the load, N",
             "friction x sum of the normal forces, kg"]  # fmt: skip
-    return f"{_table(head, table)}\n\nThe paper states {payload.PAPER_KG} kg at 6 N per finger and friction 0.5."
+    paper = f"The paper states {payload.PAPER_PAYLOAD_KG} kg at 6 N per finger and friction 0.5."
+    return f"{_markdown_table(head, table)}\n\n{paper}"
 
 
-def _tip(rows: list[dict[str, Any]]) -> str:
+def _tip_force_table(rows: list[dict[str, Any]]) -> str:
     table = []
-    for (hand, digit, command), selected in _groups(rows, "hand", "digit", "asked").items():
+    for (hand, digit, command), selected in _grouped_rows(rows, "hand", "digit", "asked").items():
         true, estimated = (np.array([row[name] for row in selected]) for name in ("felt", "told"))
         error = estimated - true
         table.append([
@@ -97,10 +102,10 @@ def _tip(rows: list[dict[str, Any]]) -> str:
         ])  # fmt: skip
     head = ["hand", "digit", "command, N", "true force, N", "estimate, N", "error of the estimate, RMS, N",
             "noise of the estimate, N", "runs"]  # fmt: skip
-    return _table(head, table)
+    return _markdown_table(head, table)
 
 
-def _contact(rows: list[dict[str, Any]]) -> str:
+def _contact_table(rows: list[dict[str, Any]]) -> str:
     table = [
         [row["hand"], str(row["contacts"]), f"{100 * row['within_20_ms']:.0f} %", f"{100 * row['before_1_N']:.0f} %",
          f"{row['p95_ms']:.0f} ms", f"{row['worst_ms']:.0f} ms", f"{row['free_minutes']:.1f}", str(row["false_alarms"])]
@@ -117,20 +122,20 @@ def _contact(rows: list[dict[str, Any]]) -> str:
         "minutes of free motion",
         "false alarms",
     ]
-    return _table(head, table)
+    return _markdown_table(head, table)
 
 
-def _slip(rows: list[dict[str, Any]]) -> str:
+def _slip_table(rows: list[dict[str, Any]]) -> str:
     table = []
-    for (hand, answered), tried in _groups(rows, "hand", "answered").items():
+    for (hand, answered), tried in _grouped_rows(rows, "hand", "answered").items():
         lost = [row["lost_at_N"] for row in tried if row["lost_at_N"] is not None]
         noticed = [row["first_event_mm"] for row in tried if row["first_event_mm"] is not None]
         table.append([
-            hand, f"up to {slip.LIMIT_N:g} N" if answered else "no",
+            hand, f"up to {slip.SLIP_LIMIT_N:g} N" if answered else "no",
             f"{len(lost)} of {len(tried)}" + (f", from {min(lost):.1f} N" if lost else ""),
-            _range([min(row["motion_mm"], 99.0) for row in tried], 1),
-            _range(noticed, 2) or "never",
-            _range([row["tension_end_N"] for row in tried], 0),
+            _range_text([min(row["motion_mm"], 99.0) for row in tried], 1),
+            _range_text(noticed, 2) or "never",
+            _range_text([row["tension_end_N"] for row in tried], 0),
         ])  # fmt: skip
     load = max(row["load_end_N"] for row in rows)
     head = [
@@ -141,35 +146,41 @@ def _slip(rows: list[dict[str, Any]]) -> str:
         "motion at the first slip event, mm",
         "tension at the end, N",
     ]
-    return _table(head, table)
+    return _markdown_table(head, table)
 
 
-def _range(values: list[float], digits: int) -> str:
+def _range_text(values: list[float], digits: int) -> str:
     """Format the range of values. Return one number if smallest and largest value have the same text."""
     ends = [f"{end:.{digits}f}" for end in (min(values), max(values))] if values else []
     return " to ".join(dict.fromkeys(ends))
 
 
-PARTS = {"success": _success, "payload": _payload, "contact": _contact, "tip": _tip, "slip": _slip}
+TABLE_FUNCTIONS = {
+    "success": _success_table,
+    "payload": _payload_table,
+    "contact": _contact_table,
+    "tip": _tip_force_table,
+    "slip": _slip_table,
+}
 """For each part of the benchmark, the function that writes its table."""
 
 
-def write(result: dict[str, Any]) -> None:
+def write_page(result: dict[str, Any]) -> None:
     """Write each measured table into the page, between the marks of its part. Draw the picture if there are grasps."""
-    page = PAGE.read_text("utf-8")
-    for key, table in PARTS.items():
+    page = PAGE_FILE.read_text("utf-8")
+    for key, table in TABLE_FUNCTIONS.items():
         if result.get(key):
-            start = MARKS[0].format(key)
-            end = MARKS[1].format(key)
+            start = TABLE_MARKS[0].format(key)
+            end = TABLE_MARKS[1].format(key)
             before, _, rest = page.partition(start)
             _, _, after = rest.partition(end)
             page = f"{before}{start}\n{table(result[key])}\n{end}{after}"
-    PAGE.write_text(page, "utf-8")
+    PAGE_FILE.write_text(page, "utf-8")
     if result.get("success"):
-        draw(result)
+        draw_picture(result)
 
 
-def draw(result: dict[str, Any]) -> None:
+def draw_picture(result: dict[str, Any]) -> None:
     """Draw a picture of the largest motion of each object, and of the effect of the reaction to slip."""
     import matplotlib as mpl
 
@@ -204,6 +215,6 @@ def draw(result: dict[str, Any]) -> None:
             right.plot(*row["curve"], style, color=color, label=label)
     right.set(xlabel="pull out of the palm [N]", ylabel="motion of the cylinder [mm]", ylim=(0, 12))
     right.legend(fontsize=8, loc="upper left")
-    PICTURE.parent.mkdir(exist_ok=True)
-    save_figure(figure, PICTURE)
+    PICTURE_FILE.parent.mkdir(exist_ok=True)
+    save_figure(figure, PICTURE_FILE)
     plt.close(figure)

@@ -4,52 +4,55 @@ from typing import Any
 
 import numpy as np
 
-from grasps.objects import CASES
-from grasps.trial import simulate, task_program
+from grasps.objects import GRASP_CASES
+from grasps.trial import simulate_grasp, task_program
 from handctl.programs.task import HoldPhase
 from handctl.programs.task_program import TaskProgram
 
-PAPER_KG = 0.915
+PAPER_PAYLOAD_KG = 0.915
 """Payload in the source paper [kg], from 18 N and friction 0.5. Source: section 5 of the paper."""
 TENSION_N = {"jamia": 33.0, "jamia11": 28.0}
 """Tension of every tendon of a hand [N]. At this tension each finger presses with about 6 N."""
-ALONG = {
+LOAD_DIRECTIONS = {
     "along the hinges": (0.0, 0.0, -1.0),
     "out of the palm": (1.0, 0.0, 0.0),
     "towards the thumb": (0.0, -1.0, 0.0),
 }
-START_S = 6.0
-RATE_N_PER_S = 2.0
-SLIDES_M_S = 1e-3
-LAST_S = 20.0
+LOAD_START_S = 6.0
+LOAD_RATE_N_PER_S = 2.0
+SLIDING_SPEED_M_S = 1e-3
+RUN_S = 20.0
 
 
-def try_load(job: tuple[str, str, int]) -> dict[str, Any]:
+def measure_payload(job: tuple[str, str, int]) -> dict[str, Any]:
     """Measure the payload of a hand in a direction, with a seed [kg].
 
     Along the hinges the payload includes the mass of the object, because its weight acts in this
     direction.
     """
     hand, direction, seed = job
-    case = CASES[1]
-    load = f"[load]\ndirection = {list(ALONG[direction])}\nstart_s = {START_S}\nrate_N_per_s = {RATE_N_PER_S}\n"
-    run = simulate(
-        hand,
-        _at(hand, TENSION_N[hand]),
-        case.scene(seed, stages=False) + load,
-        seed=seed,
-        timeout=LAST_S,
+    case = GRASP_CASES[1]
+    load = (
+        f"[load]\ndirection = {list(LOAD_DIRECTIONS[direction])}\n"
+        f"start_s = {LOAD_START_S}\nrate_N_per_s = {LOAD_RATE_N_PER_S}\n"
     )
-    before = run.t < START_S
-    settled = run.t > START_S - 0.5
+    run = simulate_grasp(
+        hand,
+        _grasp_at_tension(hand, TENSION_N[hand]),
+        case.scene_text(seed, stages=False) + load,
+        seed=seed,
+        timeout=RUN_S,
+    )
+    before = run.t < LOAD_START_S
+    settled = run.t > LOAD_START_S - 0.5
     normal = run.normal[before & settled].mean(axis=0)
     window = max(1, int(0.2 / (run.t[1] - run.t[0])))
     speed = np.linalg.norm(run.place[window:] - run.place[:-window], axis=1) / (
         run.t[window] - run.t[0]
     )
-    sliding = np.flatnonzero((speed > SLIDES_M_S) & (run.t[window:] > START_S))
+    sliding = np.flatnonzero((speed > SLIDING_SPEED_M_S) & (run.t[window:] > LOAD_START_S))
     slid_at = float(run.t[window + sliding[0]]) if len(sliding) else float(run.t[-1])
-    newtons = RATE_N_PER_S * (slid_at - START_S) + (
+    newtons = LOAD_RATE_N_PER_S * (slid_at - LOAD_START_S) + (
         case.mass * 9.81 if direction == "along the hinges" else 0.0
     )
     return {
@@ -59,7 +62,7 @@ def try_load(job: tuple[str, str, int]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _at(hand: str, tension: float) -> TaskProgram:
+def _grasp_at_tension(hand: str, tension: float) -> TaskProgram:
     """Return the packaged power grasp with another tension and without the reaction to slip."""
     program = task_program("grasp", hand, hold_s=60.0)
     phases = [

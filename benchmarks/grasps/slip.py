@@ -4,57 +4,57 @@ from typing import Any
 
 import numpy as np
 
-from grasps.objects import CASES
-from grasps.trial import simulate, task_program
+from grasps.objects import GRASP_CASES
+from grasps.trial import simulate_grasp, task_program
 from handctl.programs.task import HoldPhase
 from handctl.programs.task_program import TaskProgram
 
-START_S = 6.0
-RATE_N_PER_S = 2.0
-LAST_S = 14.0
-SLIPPERY = {"jamia": 0.3, "jamia11": 0.2}
+LOAD_START_S = 6.0
+LOAD_RATE_N_PER_S = 2.0
+RUN_S = 14.0
+CYLINDER_FRICTION = {"jamia": 0.3, "jamia11": 0.2}
 """Friction of the cylinder, so low that a grasp with 20 N per tendon loses it within the range of the load."""
 TENSION_N = 20.0
-LIMIT_N = 60.0
-LOST_M = 10e-3
+SLIP_LIMIT_N = 60.0
+LOST_MOTION_M = 10e-3
 
 
-def pull(job: tuple[str, bool, int]) -> dict[str, Any]:
+def measure_slip(job: tuple[str, bool, int]) -> dict[str, Any]:
     """Measure the curve of load [N] and motion [mm], and the load at which the cylinder is lost [N].
 
     The job consists of hand, reaction to slip, and seed.
     """
     hand, answered, seed = job
     scene = (
-        CASES[1].scene(seed, stages=False).replace("friction = 0.5", f"friction = {SLIPPERY[hand]}")
+        GRASP_CASES[1]
+        .scene_text(seed, stages=False)
+        .replace("friction = 0.5", f"friction = {CYLINDER_FRICTION[hand]}")
     )
-    scene += (
-        f"[load]\ndirection = [1.0, 0.0, 0.0]\nstart_s = {START_S}\nrate_N_per_s = {RATE_N_PER_S}\n"
-    )
+    scene += f"[load]\ndirection = [1.0, 0.0, 0.0]\nstart_s = {LOAD_START_S}\nrate_N_per_s = {LOAD_RATE_N_PER_S}\n"
     program = task_program("grasp", hand, hold_s=60.0)
-    change = {"tension_N": TENSION_N, "slip_limit_N": LIMIT_N if answered else None}
+    change = {"tension_N": TENSION_N, "slip_limit_N": SLIP_LIMIT_N if answered else None}
     phases = [
         phase.model_copy(update=change) if isinstance(phase, HoldPhase) else phase
         for phase in program.task.phase
     ]
     program = TaskProgram(program.task.model_copy(update={"phase": tuple(phases)}))
-    run = simulate(hand, program, scene, seed=seed, timeout=LAST_S)
-    after = np.flatnonzero(run.t >= START_S)
+    run = simulate_grasp(hand, program, scene, seed=seed, timeout=RUN_S)
+    after = np.flatnonzero(run.t >= LOAD_START_S)
     motion = np.linalg.norm(run.place[after] - run.place[after[0]], axis=1)
-    load = RATE_N_PER_S * (run.t[after] - START_S)
-    lost = np.flatnonzero(motion > LOST_M)
+    load = LOAD_RATE_N_PER_S * (run.t[after] - LOAD_START_S)
+    lost = np.flatnonzero(motion > LOST_MOTION_M)
     every = slice(None, None, 10)
     return {
         "hand": hand, "answered": answered, "seed": seed,
         "lost_at_N": round(float(load[lost[0]]), 1) if len(lost) else None,
         "motion_mm": round(1e3 * float(motion[-1]), 2), "load_end_N": round(float(load[-1]), 1),
         "tension_end_N": round(float(run.tension[-1].max()), 1),
-        "first_event_mm": _first(run, motion, after),
+        "first_event_mm": _motion_at_first_slip(run, motion, after),
         "curve": np.round([load[every], 1e3 * np.minimum(motion[every], 0.05)], 3).tolist(),
     }  # fmt: skip
 
 
-def _first(run: Any, motion: np.ndarray, after: np.ndarray) -> float | None:
+def _motion_at_first_slip(run: Any, motion: np.ndarray, after: np.ndarray) -> float | None:
     """Return the motion of the object at the first slip event [mm], or None if there is no such event."""
     ticks = [k for k, event in run.events if event.name == "slip" and k >= after[0]]
     return round(1e3 * float(motion[ticks[0] - after[0]]), 2) if ticks else None

@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from grasps.objects import CASES, DOWN, MAX_MOTION_M, Case
-from grasps.trial import Run, simulate, stage_motion, task_program
+from grasps.objects import GRASP_CASES, GRAVITY_DIRECTIONS, MAX_MOTION_M, GraspCase
+from grasps.trial import GraspRun, simulate_grasp, stage_motions, task_program
 
-TASKS = {
+TASK_BY_GRASP = {
     ("jamia", "power"): "grasp",
     ("jamia", "pinch"): "pinch",
     ("jamia", "hook"): "hook",
@@ -21,24 +21,26 @@ GIVE_UP_S = 10.0
 """Time in the run after which a grasp has failed if the hand does not hold the object [s]."""
 
 
-def try_case(job: tuple[str, int, int]) -> dict[str, Any]:
+def measure_grasp(job: tuple[str, int, int]) -> dict[str, Any]:
     """Measure the largest motion of an object in each stage [mm].
 
     If the grasp failed, the result also has the reason.
     """
     hand, number, seed = job
-    case = CASES[number]
-    program = task_program(TASKS[hand, case.grasp], hand, hold_s=60.0)
-    run = simulate(hand, program, case.scene(seed), seed=seed, until="release", give_up=GIVE_UP_S)
-    motion = [round(1e3 * value, 2) for value in stage_motion(run)]
-    reason = failure(run, case, motion)
+    case = GRASP_CASES[number]
+    program = task_program(TASK_BY_GRASP[hand, case.grasp], hand, hold_s=60.0)
+    run = simulate_grasp(
+        hand, program, case.scene_text(seed), seed=seed, until="release", give_up=GIVE_UP_S
+    )
+    motion = [round(1e3 * value, 2) for value in stage_motions(run)]
+    reason = failure_reason(run, case, motion)
     return {
         "hand": hand, "grasp": case.grasp, "object": case.name, "seed": seed, "motion_mm": motion,
         "ok": not reason, "why": reason, "force_N": np.round(run.force[-1], 1).tolist(),
     }  # fmt: skip
 
 
-def failure(run: Run, case: Case, motion: list[float]) -> str:
+def failure_reason(run: GraspRun, case: GraspCase, motion: list[float]) -> str:
     """Describe why a grasp failed. Return an empty string for a successful grasp."""
     if run.failure:
         return run.failure
@@ -46,10 +48,8 @@ def failure(run: Run, case: Case, motion: list[float]) -> str:
         return "not grasped: too few digits press"
     if max(motion) >= 1e3 * MAX_MOTION_M:
         stage = int(np.argmax([value >= 1e3 * MAX_MOTION_M for value in motion]))
-        return (
-            f"the object moves {motion[stage]:.1f} mm with gravity along {DOWN[case.grasp][stage]}"
-        )
-    if len(motion) < len(DOWN[case.grasp]):
+        return f"the object moves {motion[stage]:.1f} mm with gravity along {GRAVITY_DIRECTIONS[case.grasp][stage]}"
+    if len(motion) < len(GRAVITY_DIRECTIONS[case.grasp]):
         return "ended early"
     if case.grasp == "pinch" and run.place[-1, 0] - case.width / 2 < PALM_GAP_M:
         return "drawn to the palm: held, but not pinched"

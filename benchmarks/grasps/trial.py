@@ -21,12 +21,12 @@ from handctl.session.simulate import SimulatorSettings, homed_controller
 from handctl.session.tasks import find_task
 
 TIMEOUT_S = 120.0
-LOST_M = 0.3
-DEFAULT = Gains()
+LOST_DISTANCE_M = 0.3
+DEFAULT_GAINS = Gains()
 
 
 @cache
-def hand_model(hand: str, gains: Gains = DEFAULT) -> tuple[HandModel, float]:
+def hand_model(hand: str, gains: Gains = DEFAULT_GAINS) -> tuple[HandModel, float]:
     """Return the model of a hand at its default rate. Each process designs a model only once."""
     described = load_hand(hand)
     rate = default_rate(described)
@@ -34,7 +34,7 @@ def hand_model(hand: str, gains: Gains = DEFAULT) -> tuple[HandModel, float]:
 
 
 @dataclass
-class Run:
+class GraspRun:
     """Record of a run, one row per tick.
 
     Attributes:
@@ -88,7 +88,7 @@ def task_program(task: str, hand: str, hold_s: float | None = None) -> TaskProgr
     return TaskProgram(packaged_task.model_copy(update={"phase": tuple(phases)}))
 
 
-def simulate(
+def simulate_grasp(
     hand: str,
     program: Program,
     scene: str | None,
@@ -96,10 +96,10 @@ def simulate(
     seed: int = 0,
     perturb: dict[str, float] | None = None,
     until: str = "",
-    gains: Gains = DEFAULT,
+    gains: Gains = DEFAULT_GAINS,
     timeout: float = TIMEOUT_S,
     give_up: float = TIMEOUT_S,
-) -> Run:
+) -> GraspRun:
     """Run a program on a homed hand.
 
     Args:
@@ -140,19 +140,19 @@ def simulate(
             if state.mode == HandMode.RELAX or (until and out.phase == until):
                 break
             if (
-                _over(plant)
+                _is_over(plant)
                 or _is_lost(plant)
                 or (k / rate > give_up and plant.table and plant.table.dropped_at is None)
             ):
                 break
     columns = [np.array(column) for column in zip(*rows, strict=True)]
-    return Run(
+    return GraspRun(
         columns[0], phases, np.array(stages), columns[1][:, :3], *columns[2:11], columns[1][:, 3:],
         events, state.failure or state.progress.failure, plant.table.dropped_at if plant.table else None,
     )  # fmt: skip
 
 
-def _over(plant: Plant) -> bool:
+def _is_over(plant: Plant) -> bool:
     """Return True if the run has passed all stages of the scene."""
     dropped = plant.table.dropped_at if plant.table else None
     return (
@@ -166,11 +166,11 @@ def _is_lost(plant: Plant) -> bool:
     """Return True if the object has left the hand."""
     return (
         plant.scene.grasp_object is not None
-        and np.linalg.norm(plant.engine.object_pose()[:3]) > LOST_M
+        and np.linalg.norm(plant.engine.object_pose()[:3]) > LOST_DISTANCE_M
     )
 
 
-def stage_motion(run: Run) -> list[float]:
+def stage_motions(run: GraspRun) -> list[float]:
     """Return the largest motion of the object in each stage, from its position at the start of the stage [m]."""
     motions = []
     for stage in range(int(run.stage.max(initial=-1)) + 1):

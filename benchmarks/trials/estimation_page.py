@@ -3,9 +3,9 @@
 import numpy as np
 
 from handctl.output import save_figure
-from trials.page import FIGURES, table
+from trials.page import FIGURES_FOLDER, markdown_table
 
-COLUMNS = {
+KEY_BY_COLUMN = {
     "at the sample: filter": "filtered",
     "load cell": "raw",
     "reference": "limit",
@@ -22,17 +22,17 @@ COLUMNS = {
     "whiteness": "whiteness",
 }
 """Heading of each column of the tables, and the key of its values in a result."""
-LEGEND = (
+FIGURE_LEGEND = (
     "In the figure, *raw* and *filtered* are the load cell and the filter at the sample. *raw now*, *reference now* "
     "and *estimate* (of the filter) are the values at present."
 )
-WRONG = ("filtered / raw", "estimate / raw now")
+WRONG_PLANT_RATIOS = ("filtered / raw", "estimate / raw now")
 MAX_RATIO = 1.3
 NIS_RANGE = (0.8, 1.3)
 
 
-def section(result: dict) -> str:
-    """Return the Markdown section of a result of ``estimation.measure``."""
+def page_section(result: dict) -> str:
+    """Return the Markdown section of a result of ``estimation.measure_estimators``."""
     parts = ["## The tension estimate", ""]
     few = min(result["seeds"].values())
     many = max(result["seeds"].values())
@@ -63,10 +63,10 @@ def section(result: dict) -> str:
     ]
     for hand, plants in result["hands"].items():
         rows = [
-            [regime, *(f"{row[c]:.2f}" for c in COLUMNS.values())]
+            [regime, *(f"{row[c]:.2f}" for c in KEY_BY_COLUMN.values())]
             for regime, row in plants["as known"].items()
         ]
-        parts += ["", table([hand, *COLUMNS], rows)]
+        parts += ["", markdown_table([hand, *KEY_BY_COLUMN], rows)]
         others = [plant for plant in plants if plant != "as known"]
         if others:
             regimes = [
@@ -79,21 +79,26 @@ def section(result: dict) -> str:
                 for regime in regimes
             ]
             head = [f"{hand}, wrong parameter", *columns, "NIS free", "NIS hold"]
-            parts += ["", table(head, [_wrong(plant, plants[plant], regimes) for plant in others])]
+            parts += [
+                "",
+                markdown_table(
+                    head, [_wrong_plant_row(plant, plants[plant], regimes) for plant in others]
+                ),
+            ]
     parts += [
         "",
         _conclusion(result),
         "",
-        LEGEND,
+        FIGURE_LEGEND,
         "",
         "![Tension errors by regime](../figures/control-estimation.png)",
     ]
     return "\n".join(parts)
 
 
-def _wrong(plant: str, regimes_table: dict, regimes: list[str]) -> list[str]:
+def _wrong_plant_row(plant: str, regimes_table: dict, regimes: list[str]) -> list[str]:
     cells = [
-        f"{row['estimate']:.2f} N, {' and '.join(f'{row[ratio]:.2f}' for ratio in WRONG)}"
+        f"{row['estimate']:.2f} N, {' and '.join(f'{row[ratio]:.2f}' for ratio in WRONG_PLANT_RATIOS)}"
         for row in (regimes_table[regime] for regime in regimes)
     ]
     return [
@@ -131,13 +136,13 @@ def _conclusion(result: dict) -> str:
         "sample, "
         f"although the two belong to different instants. The ratios are: {', '.join(strict)}. "
     )
-    raw = "\n".join(f"- {_regimes_worse_than_raw(result, ratio)}" for ratio in WHEN)
+    raw = "\n".join(f"- {_regimes_worse_than_raw(result, ratio)}" for ratio in RATIO_INSTANT_TEXTS)
     heading = "Comparison of the filter with the load cell alone:"
-    parts = (text.strip(), heading, raw, _otherwise_wrong(result), *EXPLANATION)
+    parts = (text.strip(), heading, raw, _otherwise_wrong(result), *EXPLANATION_TEXTS)
     return "\n\n".join(part for part in parts if part)
 
 
-EXPLANATION = (
+EXPLANATION_TEXTS = (
     "The prediction of the filter and the reading of the load cell come from the same sample, which is one "
     "period old. "
     "Prediction and reading are compared with the true tension at present, because a control loop without a filter "
@@ -157,7 +162,7 @@ EXPLANATION = (
     "than the "
     "filter in some regimes.",
 )
-WHEN = {
+RATIO_INSTANT_TEXTS = {
     "filtered / raw": "At the sample",
     "estimate / raw now": "At present",
     "estimate / raw": "When the filter is judged at present and the load cell at the sample,",
@@ -180,12 +185,12 @@ def _regimes_worse_than_raw(result: dict, ratio: str) -> str:
     worst, name = max(rows)
     if not above:
         return (
-            f"{WHEN[ratio]} the filter is never worse than the load cell, even if the stiffness in the hand "
-            f"file is wrong "
+            f"{RATIO_INSTANT_TEXTS[ratio]} the filter is never worse than the load cell, even if the "
+            f"stiffness in the hand file is wrong "
             f"by 50 %. The largest ratio of the errors is {worst:.2f} ({name})."
         )
     return (
-        f"{WHEN[ratio]} the filter is worse than the load cell in these cases (ratio of the errors): "
+        f"{RATIO_INSTANT_TEXTS[ratio]} the filter is worse than the load cell in these cases (ratio of the errors): "
         f"{'; '.join(above)}."
     )
 
@@ -216,7 +221,7 @@ def _otherwise_wrong(result: dict) -> str:
     )
 
 
-def picture(result: dict) -> None:
+def draw_picture(result: dict) -> None:
     """Draw the errors of the estimators as bars, by regime."""
     import matplotlib
 
@@ -253,5 +258,5 @@ def picture(result: dict) -> None:
     axes[0][-1].legend(fontsize=8, loc="upper left", ncols=2)
     axes[0][0].set_ylim(top=0.9)
     figure.tight_layout()
-    FIGURES.mkdir(exist_ok=True)
-    save_figure(figure, FIGURES / "control-estimation.png")
+    FIGURES_FOLDER.mkdir(exist_ok=True)
+    save_figure(figure, FIGURES_FOLDER / "control-estimation.png")

@@ -15,9 +15,9 @@ from handctl.document import validate_content
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
 from trials import plants
-from trials.jobs import Plan, collect
+from trials.job_runner import JobPlan, collect_results
 from trials.laws import force_scale, on_raw_tension
-from trials.lockstep import RATES_HZ, Trial, TrialRecord, run, unchanged
+from trials.lockstep import RATES_HZ, LockstepTrial, TrialRecord, run_trial, unchanged_controller
 from trials.plants import PHASES_TO_CONTACT
 
 LOW_N = 15.0
@@ -26,7 +26,7 @@ RATE_N_PER_S = 5000.0
 HOLD_S = 0.6
 STEADY_S, BAND_N = 0.2, 2.0
 """Time at the end of a hold that gives the steady error [s], and largest error of a settled force [N]."""
-TASK = {
+FORCE_TASK = {
     "schema": 1,
     "name": "force",
     "phase": [
@@ -36,7 +36,9 @@ TASK = {
         {"kind": "hold", "name": "down", "tension_N": LOW_N, "rate_N_per_s": RATE_N_PER_S, "duration_s": HOLD_S},
     ],
 }  # fmt: skip
-PLANTS = {plant: wrong for plant, wrong in plants.PLANTS.items() if "mass" not in wrong}
+FORCE_PLANTS = {
+    plant: wrong for plant, wrong in plants.PLANT_FACTORS.items() if "mass" not in wrong
+}
 """Plants of the force step. Plants with a wrong mass are left out, because the hand hardly moves."""
 WEIGHT_N, FORCE_N, INTEGRAL_PER_S = 4.0, 15.0, 3.0
 """Gains of both force loops: tension error and motor force of equal cost [N], and the integral gain [1/s].
@@ -46,7 +48,7 @@ These gains were not tuned.
 
 
 @dataclass(frozen=True)
-class Loop:
+class ForceLoop:
     """Configuration of a force loop: gains that differ from the defaults, and raw sensor or estimate as input."""
 
     motion: dict[str, float] = field(default_factory=dict)
@@ -54,8 +56,8 @@ class Loop:
     raw: bool = False
 
 
-LOOPS = {
-    "set-point alone": Loop(
+FORCE_LOOPS = {
+    "set-point alone": ForceLoop(
         motion={"disturbance_rejection": 0.0},
         tension={
             "tension_error_N": 100.0,
@@ -64,14 +66,14 @@ LOOPS = {
             "integral_per_s": 0.0,
         },
     ),
-    "loop on the raw sensor": Loop(raw=True),
-    "loop on the estimate": Loop(),
+    "loop on the raw sensor": ForceLoop(raw=True),
+    "loop on the estimate": ForceLoop(),
 }
 
 
-def trial(hand: str, law: str, seed: int, plant: str) -> Trial:
+def force_trial(hand: str, law: str, seed: int, plant: str) -> LockstepTrial:
     """Return the trial of a hand with a force loop, on a plant with a seed."""
-    loop = LOOPS[law]
+    loop = FORCE_LOOPS[law]
     fixed = {
         "force_N": FORCE_N * force_scale(RATES_HZ[hand]),
         "integral_per_s": INTEGRAL_PER_S,
@@ -79,19 +81,19 @@ def trial(hand: str, law: str, seed: int, plant: str) -> Trial:
     }
     motion = {"disturbance_rejection": 1.0} | loop.motion
     gains = Gains(motion=MotionGains(**motion), tension=TensionGains(**(fixed | loop.tension)))
-    program = TaskProgram(validate_content(TASK, Task, "benchmark"))
-    return Trial(
+    program = TaskProgram(validate_content(FORCE_TASK, Task, "benchmark"))
+    return LockstepTrial(
         hand,
         program,
         seed,
         "cylinder",
-        PLANTS[plant],
+        FORCE_PLANTS[plant],
         gains,
-        change=on_raw_tension if loop.raw else unchanged,
+        change=on_raw_tension if loop.raw else unchanged_controller,
     )
 
 
-def judge(record: TrialRecord) -> dict[str, float]:
+def force_figures(record: TrialRecord) -> dict[str, float]:
     """Return the figures of both force steps, as means over the tendons.
 
     The figures are overshoot [N], settling time [s], steady error [N], ripple [N], and RMSE [N].
@@ -121,15 +123,17 @@ def judge(record: TrialRecord) -> dict[str, float]:
     }
 
 
-def work(job: tuple) -> dict[str, Any]:
+def run_force_trial(job: tuple) -> dict[str, Any]:
     """Run one trial and return its figures. If the trial ended early, the figures include the reason."""
-    record = run(trial(*job))
-    return judge(record) | {"why": record.failure}
+    record = run_trial(force_trial(*job))
+    return force_figures(record) | {"why": record.failure}
 
 
-def measure(hands: tuple[str, ...], seeds: int, wrong_seeds: int, plan: Plan) -> dict[str, Any]:
+def measure_force(
+    hands: tuple[str, ...], seeds: int, wrong_seeds: int, plan: JobPlan
+) -> dict[str, Any]:
     """Measure the mean of each figure over the seeds and the spread of the RMSE, by hand, plant and law."""
-    cases = [(hand, law, plant) for plant in PLANTS for hand in hands for law in LOOPS]
+    cases = [(hand, law, plant) for plant in FORCE_PLANTS for hand in hands for law in FORCE_LOOPS]
     counts = [seeds if plant == "as known" else wrong_seeds for _, _, plant in cases]
     jobs = [
         (hand, law, k, plant)
@@ -137,7 +141,7 @@ def measure(hands: tuple[str, ...], seeds: int, wrong_seeds: int, plan: Plan) ->
         for (hand, law, plant), n in zip(cases, counts, strict=True)
         if k < n
     ]
-    results = collect(work, jobs, plan)
+    results = collect_results(run_force_trial, jobs, plan)
     result: dict[str, Any] = {"hands": {}}
     for hand, law, plant in cases:
         rows = [

@@ -2,9 +2,9 @@
 
 from typing import Any
 
-from trials.page import table
+from trials.page import markdown_table
 
-COLUMNS = {
+COLUMN_BY_FIGURE = {
     "rmse_N": "RMSE [N]",
     "overshoot_N": "overshoot [N]",
     "settling_s": "settled within 2 N after [s]",
@@ -13,8 +13,8 @@ COLUMNS = {
 }
 
 
-def section(result: dict[str, Any]) -> str:
-    """Return the Markdown section of a result of ``force.measure``."""
+def page_section(result: dict[str, Any]) -> str:
+    """Return the Markdown section of a result of ``force.measure_force``."""
     parts = ["## A step of force", ""]
     parts += [
         "`python benchmarks/control.py --parts force --page` writes this section. The digits hold a cylinder "
@@ -27,24 +27,27 @@ def section(result: dict[str, Any]) -> str:
         "distance by which the tension exceeds the command, noise included.",
     ]
     for hand, plants in result["hands"].items():
-        rows = [_row(law, row) for law, row in plants.get("as known", {}).items()]
-        parts += ["", table([hand, *COLUMNS.values(), "seeds"], rows)]
+        rows = [_loop_row(law, row) for law, row in plants.get("as known", {}).items()]
+        parts += ["", markdown_table([hand, *COLUMN_BY_FIGURE.values(), "seeds"], rows)]
         others = [plant for plant in plants if plant != "as known"]
         if others:
             laws = list(plants["as known"])
             head = [f"{hand}, wrong parameter, RMSE (steady error) [N]", *laws]
             parts += [
                 "",
-                table(
+                markdown_table(
                     head,
-                    [[plant, *[_cell(plants[plant].get(law)) for law in laws]] for plant in others],
+                    [
+                        [plant, *[_rmse_cell(plants[plant].get(law)) for law in laws]]
+                        for plant in others
+                    ],
                 ),
             ]
     return "\n".join([*parts, "", _conclusion(result)])
 
 
-def _row(law: str, row: dict[str, Any]) -> list[str]:
-    cells = [f"{row[name]:.2f}" for name in COLUMNS]
+def _loop_row(law: str, row: dict[str, Any]) -> list[str]:
+    cells = [f"{row[name]:.2f}" for name in COLUMN_BY_FIGURE]
     cells[0] += f" ± {row['rmse_spread_N']:.2f}"
     return [
         law,
@@ -53,7 +56,7 @@ def _row(law: str, row: dict[str, Any]) -> list[str]:
     ]
 
 
-def _cell(row: dict[str, Any] | None) -> str:
+def _rmse_cell(row: dict[str, Any] | None) -> str:
     return "-" if row is None else f"{row['rmse_N']:.2f} ({row['steady_N']:.2f})"
 
 

@@ -34,7 +34,7 @@ def hand_by_name(name: str) -> Hand:
     """Return the hand that has a name in the benchmarks."""
     if not name.endswith((CLEAR_SUFFIX, SIDE_SUFFIX)):
         return load_hand(name)
-    content = hand_content(packaged(name))
+    content = hand_content(packaged_name(name))
     for i, digit in enumerate(content["digit"]):
         x, y, z = digit["mount_position_m"]
         digit["mount_position_m"] = [x + FORWARD_M, y, z + i * APART_M]
@@ -46,12 +46,12 @@ def hand_by_name(name: str) -> Hand:
     return hand_from_content(content, name)
 
 
-def packaged(name: str) -> str:
+def packaged_name(name: str) -> str:
     """Return the name of the packaged hand from which a hand of the benchmarks is derived."""
     return name.removesuffix(CLEAR_SUFFIX).removesuffix(SIDE_SUFFIX)
 
 
-def file_of(name: str, folder: Path) -> Path:
+def hand_file_of(name: str, folder: Path) -> Path:
     """Return the path of the hand file for the simulator. The file of a variant is written into the folder."""
     if not name.endswith((CLEAR_SUFFIX, SIDE_SUFFIX)):
         return hand_path(name)

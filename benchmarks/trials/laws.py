@@ -27,21 +27,21 @@ def zero_torque(
     return (0.0,) * digit.joint_count
 
 
-def statics(
+def gravity_and_spring_torque(
     digit: DigitModel, q: JointValues, dq: JointValues, ddq: JointValues
 ) -> tuple[float, ...]:
     """Return the feedforward torque that balances gravity and springs."""
     return static_torque(digit, q)
 
 
-def springs(
+def springs_without_gravity(
     digit: DigitModel, q: JointValues, dq: JointValues, ddq: JointValues
 ) -> tuple[float, ...]:
     """Return the feedforward torque that balances the springs, without gravity."""
     return spring_torque(digit, q)
 
 
-def weightless(
+def torque_without_gravity(
     digit: DigitModel, q: JointValues, dq: JointValues, ddq: JointValues
 ) -> tuple[float, ...]:
     """Return the feedforward torque of the inverse dynamics without gravity."""
@@ -54,7 +54,7 @@ def weightless(
     return tuple(whole - static + spring for whole, static, spring in parts)
 
 
-def misprinted(
+def misprinted_torque(
     digit: DigitModel, q: JointValues, dq: JointValues, ddq: JointValues
 ) -> tuple[float, ...]:
     """Return the torque of Eq. 10 to 12 as printed in the paper, instead of the dynamics of the links.
@@ -119,7 +119,7 @@ def on_raw_tension(controller: Controller) -> Controller:
 
 
 @dataclass(frozen=True)
-class Law:
+class AblationLaw:
     """One control law of the ablation.
 
     Attributes:
@@ -148,30 +148,30 @@ class Law:
     @property
     def change(self) -> partial[Controller]:
         """Return the function that changes the controller to this control law."""
-        return partial(_changed, inverse=self.inverse, raw=self.raw)
+        return partial(_with_law, inverse=self.inverse, raw=self.raw)
 
 
-def _changed(controller: Controller, inverse: InverseDynamics, raw: bool) -> Controller:
+def _with_law(controller: Controller, inverse: InverseDynamics, raw: bool) -> Controller:
     other = replace(controller, model=replace(controller.model, inverse=inverse))
     return on_raw_tension(other) if raw else other
 
 
-SPRINGS = {"inertia_share": 0.0, "friction_share": 0.0, **NO_FORCE_LOOP}
-MOTOR = {"friction_share": 0.0, **NO_FORCE_LOOP}
+NO_INERTIA_GAINS = {"inertia_share": 0.0, "friction_share": 0.0, **NO_FORCE_LOOP}
+NO_FRICTION_GAINS = {"friction_share": 0.0, **NO_FORCE_LOOP}
 GRAVITY_LAWS = {
-    "PD and springs": Law(springs, SPRINGS),
-    "PD and springs, + gravity": Law(statics, SPRINGS),
-    "computed torque without gravity": Law(weightless, NO_FORCE_LOOP),
-    "computed torque": Law(required_torque, NO_FORCE_LOOP),
+    "PD and springs": AblationLaw(springs_without_gravity, NO_INERTIA_GAINS),
+    "PD and springs, + gravity": AblationLaw(gravity_and_spring_torque, NO_INERTIA_GAINS),
+    "computed torque without gravity": AblationLaw(torque_without_gravity, NO_FORCE_LOOP),
+    "computed torque": AblationLaw(required_torque, NO_FORCE_LOOP),
 }
 """Two pairs of control laws that differ only in gravity compensation, for a hand that lies on its side."""
-LAWS = {
-    "PD alone": Law(zero_torque, SPRINGS),
-    "+ gravity and springs": Law(statics, SPRINGS),
-    "+ motor inertia": Law(statics, MOTOR),
-    "+ friction": Law(statics, NO_FORCE_LOOP),
-    "+ full computed torque": Law(required_torque, NO_FORCE_LOOP),
-    "+ force loop, raw sensor": Law(required_torque, {}, raw=True),
-    "+ force loop, estimate": Law(required_torque, {}),
-    "the same, Eq. 10-12 as printed": Law(misprinted, {}),
+ABLATION_LAWS = {
+    "PD alone": AblationLaw(zero_torque, NO_INERTIA_GAINS),
+    "+ gravity and springs": AblationLaw(gravity_and_spring_torque, NO_INERTIA_GAINS),
+    "+ motor inertia": AblationLaw(gravity_and_spring_torque, NO_FRICTION_GAINS),
+    "+ friction": AblationLaw(gravity_and_spring_torque, NO_FORCE_LOOP),
+    "+ full computed torque": AblationLaw(required_torque, NO_FORCE_LOOP),
+    "+ force loop, raw sensor": AblationLaw(required_torque, {}, raw=True),
+    "+ force loop, estimate": AblationLaw(required_torque, {}),
+    "the same, Eq. 10-12 as printed": AblationLaw(misprinted_torque, {}),
 }

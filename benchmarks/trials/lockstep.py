@@ -20,24 +20,24 @@ from handctl.hand.description import Hand
 from handctl.programs.program import Program
 from handctl.report.truth import TruthRecord, read_truth
 from handctl.session.simulate import SimulatorSettings
-from trials.hands import file_of, hand_by_name, packaged
+from trials.hands import hand_by_name, hand_file_of, packaged_name
 
 RATES_HZ = {"jamia": 500.0, "jamia_bench": 500.0, "jamia11": 200.0}
 """Default control rates [Hz], which one classical CAN bus can carry."""
-DEFAULTS = Gains()
+DEFAULT_GAINS = Gains()
 Array = NDArray[np.float64]
-Change = Callable[[Controller], Controller]
-Row = tuple[TickIn, TickOut, Array, ControllerState]
+ControllerChange = Callable[[Controller], Controller]
+TickRow = tuple[TickIn, TickOut, Array, ControllerState]
 """Record of one tick: its input and output, the inputs of the filter (N, 2), and the state after the tick."""
 
 
-def unchanged(controller: Controller) -> Controller:
+def unchanged_controller(controller: Controller) -> Controller:
     """Return the controller without a change."""
     return controller
 
 
 @dataclass(frozen=True)
-class Trial:
+class LockstepTrial:
     """Configuration of a trial.
 
     Attributes:
@@ -58,10 +58,10 @@ class Trial:
     seed: int = 0
     scene: str | None = None
     perturb: Mapping[str, float] | None = None
-    gains: Gains = DEFAULTS
+    gains: Gains = DEFAULT_GAINS
     rate_hz: float = 0.0
     limit_s: float = 30.0
-    change: Change = unchanged
+    change: ControllerChange = unchanged_controller
 
 
 @dataclass(frozen=True)
@@ -124,29 +124,29 @@ class TrialRecord:
         return per_digit[:, index]
 
 
-def run(trial: Trial) -> TrialRecord:
+def run_trial(trial: LockstepTrial) -> TrialRecord:
     """Run a trial and return its record. Equal trials give records that are equal to the bit."""
     hand = hand_by_name(trial.hand)
-    rate = trial.rate_hz or RATES_HZ[packaged(trial.hand)]
+    rate = trial.rate_hz or RATES_HZ[packaged_name(trial.hand)]
     controller = trial.change(
         make_controller(hand, trial.gains, rate, trial.program, None, arm_at_once=True)
     )
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "truth"
-        file = file_of(trial.hand, Path(folder))
+        file = hand_file_of(trial.hand, Path(folder))
         twin = SimulatorSettings(
             file, trial.scene, trial.seed, dict(trial.perturb or {}), homed=True, truth=path
         )
-        rows: list[Row] = []
+        rows: list[TickRow] = []
         with twin.against(controller) as run:
             inputs = run.state.tendon[[s.FILTER_FORCE, s.PLANNED_TENSION_RATE]].T
             for entry, out in run.ticks(trial.limit_s):
                 rows.append((entry, out, inputs, run.state))
                 inputs = run.state.tendon[[s.FILTER_FORCE, s.PLANNED_TENSION_RATE]].T
-        return _record(hand, controller, rows, read_truth(path), run.state)
+        return _trial_record(hand, controller, rows, read_truth(path), run.state)
 
 
-def _filtered(design: FilterDesign, inputs: Array, after: ControllerState) -> list[float]:
+def _filtered_tension(design: FilterDesign, inputs: Array, after: ControllerState) -> list[float]:
     """Return the tensions at the instant of the samples (N,) [N], by undoing the prediction to the present.
 
     Args:
@@ -164,8 +164,12 @@ def _filtered(design: FilterDesign, inputs: Array, after: ControllerState) -> li
     return result
 
 
-def _record(
-    hand: Hand, controller: Controller, rows: list[Row], real: TruthRecord, state: ControllerState
+def _trial_record(
+    hand: Hand,
+    controller: Controller,
+    rows: list[TickRow],
+    real: TruthRecord,
+    state: ControllerState,
 ) -> TrialRecord:
     active = [row for row in rows if row[1].mode == HandMode.ACTIVE]
     fields = TELEMETRY_FIELDS
@@ -181,7 +185,7 @@ def _record(
             for name in fields
         },
         np.array([inputs[:, 0] for *_, inputs, _ in active]),
-        np.array([_filtered(design, inputs, after) for *_, inputs, after in active]),
+        np.array([_filtered_tension(design, inputs, after) for *_, inputs, after in active]),
         real,
         state.failure,
         tuple(events),

@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
-PAGE = ROOT / "docs" / "evidence" / "control.md"
-FIGURES = ROOT / "docs" / "figures"
-HEAD = """# Measured benefit of each part of the controller
+REPOSITORY_ROOT = Path(__file__).resolve().parents[2]
+PAGE_FILE = REPOSITORY_ROOT / "docs" / "evidence" / "control.md"
+FIGURES_FOLDER = REPOSITORY_ROOT / "docs" / "figures"
+PAGE_HEAD = """# Measured benefit of each part of the controller
 
 This page shows how much each part of the filter and of the control law improves the simulated hand. A benchmark writes
 each section, and the section names the command of its benchmark. The benchmarks run the real controller in lockstep
@@ -15,19 +15,21 @@ true values of the plant.
 Nothing on this page was measured on hardware. The objects and the physical effects of the plant are fixed in the
 benchmarks, and were not changed to improve a result. Results that are weak or negative are stated as well.
 """
-ORDER = ("estimation", "tracking", "gravity", "force", "tip", "grasps")
+PART_ORDER = ("estimation", "tracking", "gravity", "force", "tip", "grasps")
 
 
-def write(part: str, text: str) -> None:
+def write_part(part: str, text: str) -> None:
     """Replace a part (Markdown) of the page. The other parts stay unchanged."""
-    parts = _parts(PAGE.read_text("utf-8")) if PAGE.exists() else {}
+    parts = _page_parts(PAGE_FILE.read_text("utf-8")) if PAGE_FILE.exists() else {}
     parts[part] = text.strip()
-    ordered = sorted(parts, key=lambda name: ORDER.index(name) if name in ORDER else len(ORDER))
+    ordered = sorted(
+        parts, key=lambda name: PART_ORDER.index(name) if name in PART_ORDER else len(PART_ORDER)
+    )
     blocks = [f"<!-- {name} -->\n{parts[name]}\n<!-- end of {name} -->\n" for name in ordered]
-    PAGE.write_text("\n".join([HEAD, *blocks]), "utf-8")
+    PAGE_FILE.write_text("\n".join([PAGE_HEAD, *blocks]), "utf-8")
 
 
-def _parts(text: str) -> dict[str, str]:
+def _page_parts(text: str) -> dict[str, str]:
     """Split the page into its parts, and return them by name."""
     parts = {}
     for block in text.split("<!-- end of ")[:-1]:
@@ -36,7 +38,7 @@ def _parts(text: str) -> dict[str, str]:
     return parts
 
 
-def table(head: list[str], rows: list[list[str]]) -> str:
+def markdown_table(head: list[str], rows: list[list[str]]) -> str:
     """Format a Markdown table."""
     lines = [head, ["---"] + ["---:"] * (len(head) - 1), *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)

@@ -1,6 +1,6 @@
 """Plants that differ from the controller's model by known factors, and the phases of a task up to a held object."""
 
-PLANTS: dict[str, dict[str, float]] = {
+PLANT_FACTORS: dict[str, dict[str, float]] = {
     "as known": {},
     "stiffness +20 %": {"stiffness": 1.2},
     "stiffness -20 %": {"stiffness": 0.8},
@@ -10,7 +10,7 @@ PLANTS: dict[str, dict[str, float]] = {
     "friction -50 %": {"friction": 0.5},
     "bias 1 N": {"bias": 1.0},
 }
-FURTHER_PLANTS: dict[str, dict[str, float]] = {
+FURTHER_PLANT_FACTORS: dict[str, dict[str, float]] = {
     "stiffness +50 %": {"stiffness": 1.5},
     "stiffness -50 %": {"stiffness": 0.5},
     "friction +100 %": {"friction": 2.0},

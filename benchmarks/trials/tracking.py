@@ -8,7 +8,7 @@ encoder and load-cell resolution, noise, drift, one period of bus delay. These e
 for all control laws.
 
 Each control law, PD included, has two weights. The weights of a law are the best pair of
-``WEIGHTS`` for the fast motion of the nominal plant, with a seed that is not used for the results.
+``WEIGHT_CANDIDATES`` for the fast motion of the nominal plant, with a seed that is not used for the results.
 ``--tune`` searches the weights again. The best weights have hardly any stability margin. Therefore
 the control laws are compared a second time, with the best weights that have the margins of packaged
 gains: 6 dB and 45 degrees on random plants around the hand file.
@@ -28,84 +28,89 @@ from handctl.tune.loops.linear import LoopKind
 from handctl.tune.search.ensemble import draw_ensemble
 from trials import force, force_page, page, tracking_page
 from trials.hands import CLEAR_SUFFIX, hand_by_name
-from trials.jobs import Plan, add_options, collect, plan_of
-from trials.laws import LAWS
-from trials.lockstep import RATES_HZ, Trial, TrialRecord, run
-from trials.plants import PLANTS
-from trials.script import Script, Step
+from trials.job_runner import JobPlan, add_job_options, collect_results, job_plan_of
+from trials.laws import ABLATION_LAWS
+from trials.lockstep import RATES_HZ, LockstepTrial, TrialRecord, run_trial
+from trials.plants import PLANT_FACTORS
+from trials.script_program import ScriptProgram, ScriptStep
 
-HANDS = ("jamia", "jamia11")
-SPEEDS = {"slow": 1.5, "medium": 0.5, "fast": 0.15}
+MEASURED_HANDS = ("jamia", "jamia11")
+MOTION_TIMES_S = {"slow": 1.5, "medium": 0.5, "fast": 0.15}
 """Duration of a minimum-jerk motion of 60 degrees at each speed [s]."""
-ANGLE_DEG = 60.0
+MOTION_ANGLE_DEG = 60.0
 """Angle at the end of a motion [deg]."""
 SETTLE_S = 0.5
 """Time after a motion in which the error may settle [s]."""
-BACK_S = 0.5
+RETURN_S = 0.5
 """Duration of the motion back to 0 degrees [s]."""
 REST_S = 0.2
 """Time of rest after the motion back [s]."""
-AFTER_S = 0.05
+MOTION_TAIL_S = 0.05
 """Time after a motion that still counts as part of the motion [s]."""
-BAND_DEG = 1.0
+SETTLED_BAND_DEG = 1.0
 """Largest error of a settled motion [deg]."""
-WEIGHTS = tuple(
+WEIGHT_CANDIDATES = tuple(
     (p * 1e-4, v * 1e-2)
     for p, v in ((0.2, 1), (0.3, 1.5), (0.5, 2), (0.8, 2), (0.8, 3), (1.2, 3), (1.5, 2), (1.5, 3), (1.5, 6), (2.2, 3),
                  (3, 3), (3, 6), (6, 6), (8, 6), (10, 10), (14, 10))
 )  # fmt: skip
 """Candidates for the two weights of every law: position error [m] and speed error [m/s] of equal cost."""
 TUNING_SEED = 1000
-TUNED = Path(__file__).with_name("tuned.json")
-"""File with the results of ``--tune`` for each pair of ``WEIGHTS``, by hand and control law.
+TUNED_FILE = Path(__file__).with_name("tuned.json")
+"""File with the results of ``--tune`` for each pair of ``WEIGHT_CANDIDATES``, by hand and control law.
 
 For each pair, the file has the RMSE of the fast motion [deg], or null if this motion did not reach
 its end. It also has True if the motion loop keeps its margins, otherwise False. Each run has the
 slow, medium and fast motion, because the best weights for a single motion may end a run with three
 motions.
 """
-PLAIN, SPRINGS_LAW, BEST, MISPRINTED = [list(LAWS)[i] for i in (0, 1, -2, -1)]
-COMPARED = (PLAIN, SPRINGS_LAW, BEST)
+PD_LAW, SPRINGS_LAW, BEST_LAW, MISPRINTED_LAW = [list(ABLATION_LAWS)[i] for i in (0, 1, -2, -1)]
+COMPARED_LAWS = (PD_LAW, SPRINGS_LAW, BEST_LAW)
 """Control laws that are tried on plants with wrong parameters too."""
-CAREFUL = (PLAIN, SPRINGS_LAW, list(LAWS)[-4], BEST)
+MARGIN_LAWS = (PD_LAW, SPRINGS_LAW, list(ABLATION_LAWS)[-4], BEST_LAW)
 """Control laws that are tried a second time, with the best weights that keep the margins."""
-PLANTS_DRAWN = 8
+DRAWN_PLANT_COUNT = 8
 """Number of random plants on which the margins must be kept."""
 
 
-def moves(speeds: tuple[str, ...]) -> Script:
+def motion_script(speeds: tuple[str, ...]) -> ScriptProgram:
     """Return the script of the motions at each speed, to the target angle and back."""
     steps = []
     for speed in speeds:
-        steps.append(Step(f"home {speed}", BACK_S + REST_S, angle_deg=0.0, move_s=BACK_S))
+        steps.append(ScriptStep(f"home {speed}", RETURN_S + REST_S, angle_deg=0.0, move_s=RETURN_S))
         steps.append(
-            Step(speed, SPEEDS[speed] + SETTLE_S, angle_deg=ANGLE_DEG, move_s=SPEEDS[speed])
+            ScriptStep(
+                speed,
+                MOTION_TIMES_S[speed] + SETTLE_S,
+                angle_deg=MOTION_ANGLE_DEG,
+                move_s=MOTION_TIMES_S[speed],
+            )
         )
-    return Script(tuple(steps))
+    return ScriptProgram(tuple(steps))
 
 
-def trial(
+def tracking_trial(
     hand: str,
     law: str,
     weights: tuple[float, float],
     seed: int,
     plant: str,
     speeds: tuple[str, ...],
-) -> Trial:
+) -> LockstepTrial:
     """Return the trial of a law with two weights."""
-    config = LAWS[law]
-    return Trial(
+    config = ABLATION_LAWS[law]
+    return LockstepTrial(
         hand + CLEAR_SUFFIX,
-        moves(speeds),
+        motion_script(speeds),
         seed,
         None,
-        PLANTS[plant],
+        PLANT_FACTORS[plant],
         config.gains(*weights, RATES_HZ[hand]),
         change=config.change,
     )
 
 
-def judge(record: TrialRecord, speeds: tuple[str, ...]) -> dict[str, dict[str, float]]:
+def tracking_figures(record: TrialRecord, speeds: tuple[str, ...]) -> dict[str, dict[str, float]]:
     """Return the figures of each speed for the worst digit in each figure.
 
     The figures are RMSE, peak error and steady error of tracking [deg], and settling time [s].
@@ -115,7 +120,10 @@ def judge(record: TrialRecord, speeds: tuple[str, ...]) -> dict[str, dict[str, f
     result = {}
     for speed in speeds:
         mask = record.phase == speed
-        mask &= record.times <= record.times[mask].min(initial=np.inf) + SPEEDS[speed] + SETTLE_S
+        mask &= (
+            record.times
+            <= record.times[mask].min(initial=np.inf) + MOTION_TIMES_S[speed] + SETTLE_S
+        )
         if not mask.any():
             result[speed] = dict.fromkeys(
                 ("rmse_deg", "peak_deg", "steady_deg", "settling_s"), float("nan")
@@ -123,9 +131,9 @@ def judge(record: TrialRecord, speeds: tuple[str, ...]) -> dict[str, dict[str, f
             continue
         t = record.times[mask] - record.times[mask][0]
         e = error[mask]
-        moving = t <= SPEEDS[speed] + AFTER_S
-        after = t - SPEEDS[speed]
-        late = np.where(np.abs(e) > BAND_DEG, np.maximum(after, 0.0)[:, None], 0.0)
+        moving = t <= MOTION_TIMES_S[speed] + MOTION_TAIL_S
+        after = t - MOTION_TIMES_S[speed]
+        late = np.where(np.abs(e) > SETTLED_BAND_DEG, np.maximum(after, 0.0)[:, None], 0.0)
         result[speed] = {
             "rmse_deg": float(np.sqrt((e[moving] ** 2).mean())),
             "peak_deg": float(np.abs(e[moving]).max()),
@@ -135,33 +143,33 @@ def judge(record: TrialRecord, speeds: tuple[str, ...]) -> dict[str, dict[str, f
     return result
 
 
-def work(job: tuple) -> dict[str, dict[str, float | str]]:
+def run_tracking_trial(job: tuple) -> dict[str, dict[str, float | str]]:
     """Run one trial and return its figures.
 
     For a motion that did not reach its end, all figures are inf, and the reason is added.
     """
-    record = run(trial(*job))
-    result: dict = judge(record, job[-1])
+    record = run_trial(tracking_trial(*job))
+    result: dict = tracking_figures(record, job[-1])
     for speed in job[-1] if record.failure else ():
         lasted = (record.phase == speed).sum() * record.controller.model.period
-        if lasted < SPEEDS[speed] + SETTLE_S - 0.01:
+        if lasted < MOTION_TIMES_S[speed] + SETTLE_S - 0.01:
             result[speed] = dict.fromkeys(result[speed], float("inf")) | {"why": record.failure}
     return result
 
 
-def tune(plan: Plan) -> None:
+def tune_weights(plan: JobPlan) -> None:
     """Try all weights for each law on each hand.
 
     Print the errors of the fast motion and the weights that keep their margins. If all trials have
-    run, write both into the file ``TUNED``.
+    run, write both into the file ``TUNED_FILE``.
     """
     jobs = [
-        (h, law, w, TUNING_SEED, "as known", tuple(SPEEDS))
-        for h in HANDS
-        for law in LAWS
-        for w in WEIGHTS
+        (h, law, w, TUNING_SEED, "as known", tuple(MOTION_TIMES_S))
+        for h in MEASURED_HANDS
+        for law in ABLATION_LAWS
+        for w in WEIGHT_CANDIDATES
     ]
-    results = collect(work, jobs, plan)
+    results = collect_results(run_tracking_trial, jobs, plan)
     table: dict = {"rmse_deg": {}, "keeps_margins": {}}
     for (hand, law, weights, *_), rows in results.items():
         error = rows["fast"]["rmse_deg"]
@@ -175,50 +183,58 @@ def tune(plan: Plan) -> None:
         )
         table["keeps_margins"].setdefault(hand, {}).setdefault(law, []).append(keeps)
     if len(results) == len(jobs):
-        TUNED.write_text(json.dumps(table, indent=1) + "\n", "utf-8")
+        TUNED_FILE.write_text(json.dumps(table, indent=1) + "\n", "utf-8")
 
 
 def keeps_margins(hand: str, law: str, weights: tuple[float, float]) -> bool:
     """Return True if every motion loop has margins of 6 dB and 45 degrees on random plants around the hand file."""
     model = HandModel.from_hand(
-        hand_by_name(hand), LAWS[law].gains(*weights, RATES_HZ[hand]), RATES_HZ[hand]
+        hand_by_name(hand), ABLATION_LAWS[law].gains(*weights, RATES_HZ[hand]), RATES_HZ[hand]
     )
-    plants = tuple(linear_factors(one) for one in draw_ensemble(PLANTS_DRAWN, 0))
+    plants = tuple(linear_factors(one) for one in draw_ensemble(DRAWN_PLANT_COUNT, 0))
     return keeps_required_margins(model, plants, (LoopKind.MOTION,))
 
 
-def tuned(hand: str, law: str, careful: bool = False) -> tuple[float, float]:
+def tuned_weights(hand: str, law: str, with_margins: bool = False) -> tuple[float, float]:
     """Return the best weights of a law.
 
-    If ``careful`` is True, only weights that keep the margins are considered. If no such weights
+    If ``with_margins`` is True, only weights that keep the margins are considered. If no such weights
     complete the motions, the softest weights are returned.
     """
-    table = json.loads(TUNED.read_text("utf-8"))
+    table = json.loads(TUNED_FILE.read_text("utf-8"))
     errors = table["rmse_deg"][hand][law]
     selected = table["keeps_margins"][hand][law]
     usable = [
-        i for i, error in enumerate(errors) if error is not None and (selected[i] or not careful)
+        i
+        for i, error in enumerate(errors)
+        if error is not None and (selected[i] or not with_margins)
     ]
-    return WEIGHTS[min(usable, key=errors.__getitem__, default=len(WEIGHTS) - 1 if careful else 0)]
+    return WEIGHT_CANDIDATES[
+        min(
+            usable,
+            key=errors.__getitem__,
+            default=len(WEIGHT_CANDIDATES) - 1 if with_margins else 0,
+        )
+    ]
 
 
-def measure(
+def measure_tracking(
     seeds: int,
     wrong_seeds: int,
     speeds: tuple[str, ...],
-    plan: Plan,
-    hands: tuple[str, ...] = HANDS,
+    plan: JobPlan,
+    hands: tuple[str, ...] = MEASURED_HANDS,
 ) -> dict:
     """Measure mean and spread of all figures over the seeds that the plan has time for."""
-    cases = [(hand, law, "as known", False) for hand in hands for law in LAWS]
-    cases += [(hand, law, "as known", True) for hand in hands for law in CAREFUL]
-    for plant in list(PLANTS)[1:] if wrong_seeds else []:
-        cases += [(hand, law, plant, True) for hand in hands for law in COMPARED]
+    cases = [(hand, law, "as known", False) for hand in hands for law in ABLATION_LAWS]
+    cases += [(hand, law, "as known", True) for hand in hands for law in MARGIN_LAWS]
+    for plant in list(PLANT_FACTORS)[1:] if wrong_seeds else []:
+        cases += [(hand, law, plant, True) for hand in hands for law in COMPARED_LAWS]
     counts = [seeds if case[2] == "as known" else wrong_seeds for case in cases]
 
     def job(case: tuple[str, str, str, bool], seed: int) -> tuple:
         hand, law, plant, careful = case
-        return hand, law, tuned(hand, law, careful), seed, plant, speeds
+        return hand, law, tuned_weights(hand, law, careful), seed, plant, speeds
 
     jobs = [
         job(case, k)
@@ -226,11 +242,13 @@ def measure(
         for case, n in zip(cases, counts, strict=True)
         if k < n
     ]
-    results = collect(work, list(dict.fromkeys(jobs)), plan)
+    results = collect_results(run_tracking_trial, list(dict.fromkeys(jobs)), plan)
     result: dict = {
-        "weights": {hand: {law: tuned(hand, law) for law in LAWS} for hand in hands},
+        "weights": {
+            hand: {law: tuned_weights(hand, law) for law in ABLATION_LAWS} for hand in hands
+        },
         "careful weights": {
-            hand: {law: tuned(hand, law, True) for law in CAREFUL} for hand in hands
+            hand: {law: tuned_weights(hand, law, True) for law in MARGIN_LAWS} for hand in hands
         },
         "hands": {},
         "careful": {},
@@ -267,10 +285,10 @@ def _over_seeds(rows: list[dict]) -> dict:
     }
 
 
-def show(result: dict) -> None:
+def print_results(result: dict) -> None:
     """Print the result as text."""
     if "force" in result:
-        print(force_page.section(result["force"]))
+        print(force_page.page_section(result["force"]))
     if "tracking" not in result:
         return
     print(
@@ -326,29 +344,37 @@ def main() -> None:
     parser.add_argument(
         "--tune", action="store_true", help="search the weights of the control laws again"
     )
-    add_options(parser)
+    add_job_options(parser)
     parser.add_argument(
         "--page", action="store_true", help="write the results into docs/evidence/control.md"
     )
     args = parser.parse_args()
     start = time.monotonic()
-    plan = plan_of(args)
+    plan = job_plan_of(args)
     result = {}
     if args.tune:
-        tune(plan)
+        tune_weights(plan)
         return
     if "tracking" in args.parts:
-        counts = (1, 0, ("fast",)) if args.quick else (args.seeds, args.wrong_seeds, tuple(SPEEDS))
-        result["tracking"] = measure(*counts, plan, HANDS[:1] if args.quick else HANDS)
-    if "force" in args.parts and not args.quick:
-        result["force"] = force.measure(HANDS, args.seeds, args.wrong_seeds, plan)
-    result["wall_s"] = time.monotonic() - start
-    print(json.dumps(result, indent=2)) if args.json else show(result)
-    if args.page and "tracking" in result:
-        page.write(
-            "tracking",
-            tracking_page.section(result["tracking"], (PLAIN, SPRINGS_LAW, BEST, MISPRINTED)),
+        counts = (
+            (1, 0, ("fast",))
+            if args.quick
+            else (args.seeds, args.wrong_seeds, tuple(MOTION_TIMES_S))
         )
-        tracking_page.picture(result["tracking"])
+        result["tracking"] = measure_tracking(
+            *counts, plan, MEASURED_HANDS[:1] if args.quick else MEASURED_HANDS
+        )
+    if "force" in args.parts and not args.quick:
+        result["force"] = force.measure_force(MEASURED_HANDS, args.seeds, args.wrong_seeds, plan)
+    result["wall_s"] = time.monotonic() - start
+    print(json.dumps(result, indent=2)) if args.json else print_results(result)
+    if args.page and "tracking" in result:
+        page.write_part(
+            "tracking",
+            tracking_page.page_section(
+                result["tracking"], (PD_LAW, SPRINGS_LAW, BEST_LAW, MISPRINTED_LAW)
+            ),
+        )
+        tracking_page.draw_picture(result["tracking"])
     if args.page and "force" in result:
-        page.write("force", force_page.section(result["force"]))
+        page.write_part("force", force_page.page_section(result["force"]))

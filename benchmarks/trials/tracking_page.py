@@ -3,9 +3,9 @@
 import numpy as np
 
 from handctl.output import save_figure
-from trials.page import FIGURES, table
+from trials.page import FIGURES_FOLDER, markdown_table
 
-ENDED = "ended"
+ENDED_TEXT = "ended"
 FAULT_TEXTS = {
     "N04": "with such soft weights, friction may stop a motor while its setpoint moves, which looks like a "
     "stuck encoder",
@@ -13,15 +13,15 @@ FAULT_TEXTS = {
     "T01": "a tendon paid out without tension, which looks like a snapped tendon",
 }
 """Explanation of each fault that has ended runs."""
-MIN_DEG = 0.03
+MIN_SHOWN_ERROR_DEG = 0.03
 """Smallest error on the logarithmic axis of the picture [deg]."""
 
 
-def section(result: dict, named: tuple[str, str, str, str]) -> str:
-    """Return the Markdown section of a result of ``tracking.measure``.
+def page_section(result: dict, named: tuple[str, str, str, str]) -> str:
+    """Return the Markdown section of a result of ``tracking.measure_tracking``.
 
     Args:
-        result: result of ``tracking.measure``.
+        result: result of ``tracking.measure_tracking``.
         named: names of four laws: PD alone, springs and gravity, the whole law, and the misprinted equations.
     """
     parts = ["## Tracking: benefit of each part of the control law", ""]
@@ -55,19 +55,24 @@ def section(result: dict, named: tuple[str, str, str, str]) -> str:
     ]
     for hand, plants in result["hands"].items():
         laws = plants["as known"]
-        parts += ["", _table(hand, laws), "", _conclusion(laws, named)]
+        parts += ["", _laws_table(hand, laws), "", _conclusion(laws, named)]
         careful = result["careful"].get(hand, {})
         if "as known" in careful:
             nominal = careful["as known"]
             heading = f"{hand}, weights that keep their margins"
-            parts += ["", _table(heading, nominal), "", _compared(nominal, named) + "."]
+            parts += [
+                "",
+                _laws_table(heading, nominal),
+                "",
+                _comparison_of_laws(nominal, named) + ".",
+            ]
         if len(careful) > 1:
-            parts += ["", _wrong(hand, careful, named)]
+            parts += ["", _wrong_plants_table(hand, careful, named)]
     parts += ["", "![Tracking error at the fast motion, by law](../figures/control-tracking.png)"]
     return "\n".join(parts)
 
 
-def _table(title: str, laws: dict) -> str:
+def _laws_table(title: str, laws: dict) -> str:
     """Return a Markdown table with a row for each law."""
     speeds = list(next(iter(laws.values())))
     head = [
@@ -81,34 +86,34 @@ def _table(title: str, laws: dict) -> str:
     rows = []
     for law, row in laws.items():
         fast = row["fast"]
-        cells = [_cell(row[speed]) for speed in speeds]
-        numbers = [_number(fast[k]) for k in ("peak_deg", "steady_deg", "settling_s")]
+        cells = [_rmse_cell(row[speed]) for speed in speeds]
+        numbers = [_number_text(fast[k]) for k in ("peak_deg", "steady_deg", "settling_s")]
         rows.append([law, *cells, *numbers, str(fast["seeds"])])
-    return table(head, rows)
+    return markdown_table(head, rows)
 
 
-def _number(value: float) -> str:
-    return f"{value:.2f}" if np.isfinite(value) else ENDED
+def _number_text(value: float) -> str:
+    return f"{value:.2f}" if np.isfinite(value) else ENDED_TEXT
 
 
-def _cell(row: dict[str, float]) -> str:
+def _rmse_cell(row: dict[str, float]) -> str:
     finite = np.isfinite(row["rmse_deg"])
     spread = f" ± {row['rmse_spread_deg']:.3f}" if row["seeds"] > 1 else ""
     some = f" ({row['ended']} of {row['seeds']} ended)" if row["ended"] else ""
-    return f"{row['rmse_deg']:.3f}{spread}{some}" if finite else ENDED
+    return f"{row['rmse_deg']:.3f}{spread}{some}" if finite else ENDED_TEXT
 
 
 def _conclusion(laws: dict, named: tuple[str, str, str, str]) -> str:
     """Return the text of the conclusion, which follows from the numbers."""
     best, printed = (laws[name]["fast"] for name in named[2:])
     return (
-        f"{_compared(laws, named)}. {_printed(printed, best)}\n\nEach entry is the error of "
+        f"{_comparison_of_laws(laws, named)}. {_misprint_effect(printed, best)}\n\nEach entry is the error of "
         f"the row before minus the error of this row, at the fast motion, with the spread of the "
-        f"difference:\n\n{_steps(laws)}"
+        f"difference:\n\n{_gain_by_law(laws)}"
     )
 
 
-def _compared(laws: dict, named: tuple[str, str, str, str]) -> str:
+def _comparison_of_laws(laws: dict, named: tuple[str, str, str, str]) -> str:
     """Describe the error of the whole law compared with PD, and with springs and gravity alone."""
     plain, springs, best = (laws[name]["fast"] for name in named[:3])
     ratio = plain["rmse_deg"] / best["rmse_deg"]
@@ -116,7 +121,7 @@ def _compared(laws: dict, named: tuple[str, str, str, str]) -> str:
     spread = max(best["rmse_spread_deg"], springs["rmse_spread_deg"])
     gained = (
         f"The error of the whole control law is {gain:.3f} deg smaller than with springs and gravity alone"
-        + _times(gain, spread, best["seeds"])
+        + _gain_per_spread(gain, spread, best["seeds"])
     )
     if not np.isfinite(gain):
         gained = "With springs and gravity alone, no run completes the motions"
@@ -133,7 +138,7 @@ def _comparison_with_pd(ratio: float) -> str:
     )
 
 
-def _times(gain: float, spread: float, seeds: int) -> str:
+def _gain_per_spread(gain: float, spread: float, seeds: int) -> str:
     """Describe the gain in accuracy in units of its spread, if there are enough seeds."""
     return (
         f", which is {gain / max(spread, 1e-9):.0f} times the spread"
@@ -142,7 +147,7 @@ def _times(gain: float, spread: float, seeds: int) -> str:
     )
 
 
-def _steps(laws: dict) -> str:
+def _gain_by_law(laws: dict) -> str:
     """Describe the gain in accuracy of each law over the law before it [deg], compared with twice its spread."""
     texts = []
     old = laws[next(iter(laws))]["fast"]
@@ -174,7 +179,7 @@ def _steps(laws: dict) -> str:
     return "\n".join(f"- {line}" for line in texts)
 
 
-def _printed(printed: dict, best: dict) -> str:
+def _misprint_effect(printed: dict, best: dict) -> str:
     """Describe by how much the misprinted equations raise the tracking error."""
     if not printed["ended"]:
         return (
@@ -188,7 +193,7 @@ def _printed(printed: dict, best: dict) -> str:
     )
 
 
-def _wrong(hand: str, plants: dict, named: tuple[str, str, str, str]) -> str:
+def _wrong_plants_table(hand: str, plants: dict, named: tuple[str, str, str, str]) -> str:
     """Describe tracking on plants that differ from the model."""
     speeds = list(plants["as known"][named[2]])
     other = [f"{named[2]}, {speed}" for speed in speeds]
@@ -205,13 +210,17 @@ def _wrong(hand: str, plants: dict, named: tuple[str, str, str, str]) -> str:
         if not all(name in laws for name in named[:3]):
             continue
         plain, springs, best = (laws[name]["fast"] for name in named[:3])
-        whole = [_cell(laws[named[2]][speed]) for speed in speeds]
-        ratio = _number(plain["rmse_deg"] / best["rmse_deg"])
-        rows.append([plant, _cell(plain), _cell(springs), *whole, ratio, str(best["seeds"])])
-    return "\n".join((table(head, rows), "", _costs(plants, named[2]), _end_reasons(plants)))
+        whole = [_rmse_cell(laws[named[2]][speed]) for speed in speeds]
+        ratio = _number_text(plain["rmse_deg"] / best["rmse_deg"])
+        rows.append(
+            [plant, _rmse_cell(plain), _rmse_cell(springs), *whole, ratio, str(best["seeds"])]
+        )
+    return "\n".join(
+        (markdown_table(head, rows), "", _error_rises(plants, named[2]), _end_reasons(plants))
+    )
 
 
-def _costs(plants: dict, law: str) -> str:
+def _error_rises(plants: dict, law: str) -> str:
     """List how much each wrong plant raises the error of a law at the fast motion, largest rise first."""
     nominal = plants["as known"][law]["fast"]["rmse_deg"]
     more = {
@@ -244,7 +253,7 @@ def _end_reasons(plants: dict) -> str:
     )
 
 
-def picture(result: dict) -> None:
+def draw_picture(result: dict) -> None:
     """Draw the errors of the fast motion as bars."""
     import matplotlib
 
@@ -273,17 +282,17 @@ def picture(result: dict) -> None:
             )
             for place, row in values:
                 value = row["rmse_deg"]
-                text = f"{value:.2f}" if np.isfinite(value) else ENDED
-                end = value + row["rmse_spread_deg"] if np.isfinite(value) else MIN_DEG
+                text = f"{value:.2f}" if np.isfinite(value) else ENDED_TEXT
+                end = value + row["rmse_spread_deg"] if np.isfinite(value) else MIN_SHOWN_ERROR_DEG
                 axis.annotate(text, (end, place), (4, -3),
                               textcoords="offset points", fontsize=8)  # fmt: skip
         axis.set_yticks(places, list(laws))
         axis.set_xscale("log")
-        axis.set_xlim(MIN_DEG, 30.0)
+        axis.set_xlim(MIN_SHOWN_ERROR_DEG, 30.0)
         axis.set_xlabel("RMSE, 0 to 60 deg in 0.15 s [deg]")
         axis.set_title(hand)
     axes[0][0].invert_yaxis()
     axes[0][-1].legend(fontsize=8, loc="lower right")
     figure.tight_layout()
-    FIGURES.mkdir(exist_ok=True)
-    save_figure(figure, FIGURES / "control-tracking.png")
+    FIGURES_FOLDER.mkdir(exist_ok=True)
+    save_figure(figure, FIGURES_FOLDER / "control-tracking.png")

@@ -9,21 +9,21 @@ from handctl.cli.checks import bus_up
 from handctl.cli.main import main
 from handctl.runtime.buses.interface import set_up_commands
 
-MEGABIT = 1_000_000
+MEGABIT_PER_S = 1_000_000
 
 
-def texts(*words) -> list[str]:
+def command_texts(*words) -> list[str]:
     return [" ".join(command) for command in set_up_commands(*words)]
 
 
 def test_the_commands_of_a_real_interface():
-    assert texts("can0", MEGABIT, None, True) == [
+    assert command_texts("can0", MEGABIT_PER_S, None, True) == [
         "ip link set can0 down",
         "ip link set can0 type can bitrate 1000000 restart-ms 100",
         "ip link set can0 txqueuelen 128",
         "ip link set can0 up",
     ]
-    assert texts("can0", MEGABIT, 5 * MEGABIT, True)[1] == (
+    assert command_texts("can0", MEGABIT_PER_S, 5 * MEGABIT_PER_S, True)[1] == (
         "ip link set can0 type can bitrate 1000000 dbitrate 5000000 fd on restart-ms 100"
     )
 
@@ -32,7 +32,7 @@ def test_the_commands_of_a_real_interface():
     ("exists", "first"), [(True, "ip link set vcan0 down"), (False, "ip link add vcan0 type vcan")]
 )
 def test_the_commands_of_a_virtual_interface(exists, first):
-    assert texts("vcan0", MEGABIT, 5 * MEGABIT, exists) == [
+    assert command_texts("vcan0", MEGABIT_PER_S, 5 * MEGABIT_PER_S, exists) == [
         first, "ip link set vcan0 mtu 72", "ip link set vcan0 txqueuelen 128", "ip link set vcan0 up",
     ]  # fmt: skip
 
@@ -67,26 +67,26 @@ def test_a_hand_gives_the_bit_rates(capsys, monkeypatch):
 def test_with_yes_root_runs_them_in_order(capsys, monkeypatch):
     ran = []
 
-    class Done:
+    class SucceededProcess:
         returncode, stdout, stderr = 0, "", ""
 
-    def record(command, **options):
+    def record_command(command, **options):
         ran.append(" ".join(command))
-        return Done()
+        return SucceededProcess()
 
     monkeypatch.setattr(bus_up.os, "geteuid", lambda: 0)
-    monkeypatch.setattr(bus_up.subprocess, "run", record)
+    monkeypatch.setattr(bus_up.subprocess, "run", record_command)
     assert main(["bus", "up", "--bus", "socketcan:vcan77", "--yes"]) == 0
     assert ran == capsys.readouterr().out.splitlines()
     assert len(ran) == 3
 
 
 def test_a_command_that_fails_ends_the_verb_with_its_reason(capsys, monkeypatch):
-    class Failed:
+    class FailedProcess:
         returncode, stdout, stderr = 2, "", "RTNETLINK answers: Operation not supported\n"
 
     monkeypatch.setattr(bus_up.os, "geteuid", lambda: 0)
-    monkeypatch.setattr(bus_up.subprocess, "run", lambda command, **options: Failed())
+    monkeypatch.setattr(bus_up.subprocess, "run", lambda command, **options: FailedProcess())
     assert main(["bus", "up", "--bus", "socketcan:vcan77", "--yes"]) == 1
     error = capsys.readouterr().err
     assert "Operation not supported" in error

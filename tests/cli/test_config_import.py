@@ -26,12 +26,12 @@ from handctl.hand.hand_loading import (
 )
 from handctl.hand.hand_tree import HandTree
 from handctl.hand.link_bodies import centre_of_mass, joint_axes, link_inertia, link_placement
-from tests.cli.refused import refused, refused_lines
+from tests.cli.command_refusals import refusal_line, refusal_lines
 from tests.conftest import NIGHTLY
 
-TRIPOD = Path(__file__).with_name("tripod.urdf")
+TRIPOD_URDF = Path(__file__).with_name("tripod.urdf")
 """Description of a hand with unusual frames, missing meshes, and joints that flex towards negative angles."""
-ANSWERS = [
+IMPORT_OPTIONS = [
     "--tendons",
     "one",
     "--pulley",
@@ -43,8 +43,8 @@ ANSWERS = [
     "--strength",
     "600",
 ]
-ANSWERS += ["--cells", "all", "--encoders", "none", "--protocol", "mit", "--first-node", "1"]
-MEASURED = {
+IMPORT_OPTIONS += ["--cells", "all", "--encoders", "none", "--protocol", "mit", "--first-node", "1"]
+MEASURED_VALUES = {
     "gravity_m_s2": "[0.0, 0.0, -9.81]",
     "tension_noise_N": "0.4",
     "tension_bias_drift_N": "0.8",
@@ -71,14 +71,14 @@ MEASURED = {
 """Values of the tripod that somebody must measure. Neither its description nor an option contains them."""
 JOINT_KEYS = ("joint_armature_kg_m2", "spring_stiffness_N_m_per_rad", "spring_preload_rad")
 """Keys of a digit that are not in an exported URDF."""
-FORMS = {"--urdf": "hand.urdf", "--mjcf": "hand.xml"}
+FILE_BY_OPTION = {"--urdf": "hand.urdf", "--mjcf": "hand.xml"}
 
 
 def text_with_all_values(text: str) -> str:
     """Return the text of a hand file with a value in place of each TODO."""
     return re.sub(
         r'^(\w+) = "TODO".*$',
-        lambda line: f"{line[1]} = {MEASURED[line[1]]}",
+        lambda line: f"{line[1]} = {MEASURED_VALUES[line[1]]}",
         text,
         flags=re.MULTILINE,
     )
@@ -96,7 +96,7 @@ def reimport_packaged_hand(form: str, name: str) -> Hand:
 
     Its tendons, springs and buses are those of the package.
     """
-    exported = Path(FORMS[form])
+    exported = Path(FILE_BY_OPTION[form])
     exported.unlink(missing_ok=True)
     assert main(["config", "export", form, "--hand", name, "--output", str(exported)]) == 0
     import_description(form, exported)
@@ -113,9 +113,9 @@ def reimport_packaged_hand(form: str, name: str) -> Hand:
     return hand_from_content(content, "mine.toml")
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", FILE_BY_OPTION)
 @pytest.mark.parametrize("name", packaged_hands())
-def test_an_exported_hand_is_imported_unchanged(place: Path, name: str, form: str) -> None:
+def test_an_exported_hand_is_imported_unchanged(work_folder: Path, name: str, form: str) -> None:
     hand, original = reimport_packaged_hand(form, name), load_hand(name)
     assert hand.digit_names == original.digit_names
     for digit, known in zip(hand.digit, original.digit, strict=True):
@@ -142,7 +142,7 @@ def test_an_exported_hand_is_imported_unchanged(place: Path, name: str, form: st
         assert main(["config", "check", "--hand", "mine.toml"]) == 0
 
 
-def test_moment_arms_and_springs_of_a_model_are_imported(place: Path) -> None:
+def test_moment_arms_and_springs_of_a_model_are_imported(work_folder: Path) -> None:
     assert main(["config", "export", "--mjcf", "--hand", "n_plus_1", "--output", "hand.xml"]) == 0
     import_description("--mjcf", "hand.xml")
     content = hand_content("mine.toml")
@@ -156,12 +156,12 @@ def test_moment_arms_and_springs_of_a_model_are_imported(place: Path) -> None:
     assert content["mount"]["gravity_m_s2"] == list(known.mount.gravity_m_s2)
 
 
-def test_links_in_any_frames_have_the_dynamics_of_pinocchio(place: Path) -> None:
+def test_links_in_any_frames_have_the_dynamics_of_pinocchio(work_folder: Path) -> None:
     Path("full.toml").write_text(
-        text_with_all_values(import_description("--urdf", TRIPOD, *ANSWERS))
+        text_with_all_values(import_description("--urdf", TRIPOD_URDF, *IMPORT_OPTIONS))
     )
     tree = HandTree.from_hand(load_hand("full.toml"))
-    model = pinocchio.buildModelFromUrdf(str(TRIPOD))
+    model = pinocchio.buildModelFromUrdf(str(TRIPOD_URDF))
     data = model.createData()
     # The first finger of the description flexes towards negative angles.
     signs = np.array([-1.0, -1.0, 1.0, 1.0, 1.0, 1.0])
@@ -185,43 +185,56 @@ def test_links_in_any_frames_have_the_dynamics_of_pinocchio(place: Path) -> None
 
 
 def test_each_missing_value_is_refused_until_it_is_given(
-    place: Path, capsys: pytest.CaptureFixture[str]
+    work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    text = import_description("--urdf", TRIPOD, *ANSWERS)
+    text = import_description("--urdf", TRIPOD_URDF, *IMPORT_OPTIONS)
     capsys.readouterr()
-    lines = refused_lines(capsys, "config", "check", "--hand", "mine.toml")
+    lines = refusal_lines(capsys, "config", "check", "--hand", "mine.toml")
     keys = [re.search(r'([a-z]\w+): "TODO"; expected', line) for line in lines]
     assert all(keys)
-    assert sorted(key[1] for key in keys if key) == sorted(MEASURED), "one line for each value"
+    assert sorted(key[1] for key in keys if key) == sorted(MEASURED_VALUES), (
+        "one line for each value"
+    )
     assert all("# TODO" in line for line in text.splitlines() if '"TODO"' in line)
     full = text_with_all_values(text)
-    for key, value in MEASURED.items():
+    for key, value in MEASURED_VALUES.items():
         Path("mine.toml").write_text(full.replace(f"{key} = {value}\n", f'{key} = "TODO"\n'))
         assert all(
             f"{key}: " in line
-            for line in refused_lines(capsys, "config", "check", "--hand", "mine.toml")
+            for line in refusal_lines(capsys, "config", "check", "--hand", "mine.toml")
         )
     Path("mine.toml").write_text(full)
     assert main(["config", "check", "--hand", "mine.toml"]) == 0
 
 
 def test_no_run_begins_with_a_missing_value(
-    place: Path, capsys: pytest.CaptureFixture[str]
+    work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    import_description("--urdf", TRIPOD)
+    import_description("--urdf", TRIPOD_URDF)
     capsys.readouterr()
-    assert '"TODO"; expected' in refused(capsys, "demo", "--lockstep", "--hand", "mine.toml")
+    assert '"TODO"; expected' in refusal_line(capsys, "demo", "--lockstep", "--hand", "mine.toml")
 
 
 def test_values_that_a_description_lacks_are_asked_for(
-    place: Path, monkeypatch: pytest.MonkeyPatch
+    work_folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     answers = itertools.chain(["each", "7", "some", "8", "90"], itertools.repeat(""))
     asked: list[str] = []
     monkeypatch.setattr("sys.stdin.isatty", lambda: True)
     monkeypatch.setattr("builtins.input", lambda text: asked.append(text) or next(answers))
     assert (
-        main(["config", "init", "--urdf", str(TRIPOD), "--cells", "none", "--output", "mine.toml"])
+        main(
+            [
+                "config",
+                "init",
+                "--urdf",
+                str(TRIPOD_URDF),
+                "--cells",
+                "none",
+                "--output",
+                "mine.toml",
+            ]
+        )
         == 0
     )
     content = hand_content("mine.toml")
@@ -233,10 +246,13 @@ def test_values_that_a_description_lacks_are_asked_for(
     assert content["sensor_node"]["tendons"] == []
 
 
-MASS = '<inertial><mass value="0.01"/><inertia ixx="1e-6" iyy="1e-6" izz="1e-6" ixy="0" ixz="0" iyz="0"/></inertial>'
+INERTIAL_URDF = (
+    '<inertial><mass value="0.01"/>'
+    '<inertia ixx="1e-6" iyy="1e-6" izz="1e-6" ixy="0" ixz="0" iyz="0"/></inertial>'
+)
 
 
-def urdf_of(joint: str, link: str = MASS, more: str = "") -> str:
+def urdf_of(joint: str, link: str = INERTIAL_URDF, more: str = "") -> str:
     """Return a URDF text with one joint and one link with a tip."""
     return (
         f'<robot name="r"><link name="base"/><link name="a">{link}</link><joint name="j" {joint}>'
@@ -250,39 +266,40 @@ def mjcf_of(body: str, more: str = "") -> str:
     return f'<mujoco><worldbody><body name="a">{body}</body></worldbody>{more}</mujoco>'
 
 
-HINGE = (
+HINGE_MJCF = (
     '<joint name="j" range="0 90"/><inertial pos="0 0 0" mass="0.01" diaginertia="1e-6 1e-6 1e-6"/>'
 )
 SECOND_JOINT = (
     '<joint name="k" type="revolute"><parent link="a"/><child link="b"/><mimic joint="j"/></joint>'
-    f'<link name="b">{MASS}</link>'
+    f'<link name="b">{INERTIAL_URDF}</link>'
 )
 BAD_DESCRIPTIONS = [
     ("--urdf", "a hand", "not XML: "),
-    ("--urdf", mjcf_of(HINGE), "expected URDF, with the first element <robot>: give it with --mjcf"),
+    ("--urdf", mjcf_of(HINGE_MJCF), "expected URDF, with the first element <robot>: give it with --mjcf"),
     ("--mjcf", urdf_of('type="revolute"'), "its first element is <robot>; expected MJCF"),
     ("--urdf", '<robot xmlns:xacro="http://x/xacro"><xacro:include filename="a"/></robot>', "xacro; expected the URDF"),
     ("--urdf", '<robot name="r"><link name="base"/></robot>', "no joints; expected a hand with hinges"),
     ("--urdf", urdf_of('type="floating"'), "joint j is floating; expected revolute, continuous, fixed"),
     ("--urdf", urdf_of('type="prismatic"'), "joint j is prismatic; expected revolute"),
     ("--urdf", urdf_of('type="revolute"', ""), "expected a mass and an inertia for each link that moves"),
-    ("--urdf", urdf_of('type="revolute"', MASS, SECOND_JOINT), "joint k mimics another; expected independent joints"),
+    ("--urdf", urdf_of('type="revolute"', INERTIAL_URDF, SECOND_JOINT),
+     "joint k mimics another; expected independent joints"),
     ("--urdf", urdf_of('type="revolute"'), "neither a frame nor a shape tells where its last link a ends"),
     ("--mjcf", mjcf_of('<freejoint/><geom size="0.01"/>'), "is a floating joint; expected hinges"),
     ("--mjcf", mjcf_of('<joint type="ball"/><geom size="0.01"/>'), "joint_1 is a ball joint; expected hinges"),
     ("--mjcf", mjcf_of('<joint name="j"/>'), "expected a mass and an inertia for each link that moves"),
-    ("--mjcf", mjcf_of(HINGE, '<equality><joint name="e" joint1="j"/></equality>'), "the equality e closes"),
-    ("--mjcf", mjcf_of(f'<joint name="k"/>{HINGE}'), "body a has 2 joints; expected one hinge for each body"),
+    ("--mjcf", mjcf_of(HINGE_MJCF, '<equality><joint name="e" joint1="j"/></equality>'), "the equality e closes"),
+    ("--mjcf", mjcf_of(f'<joint name="k"/>{HINGE_MJCF}'), "body a has 2 joints; expected one hinge for each body"),
 ]  # fmt: skip
 """Options and texts that are not the description of a hand, and the text of the error."""
 
 
 @pytest.mark.parametrize(("form", "text", "said"), BAD_DESCRIPTIONS)
 def test_a_bad_description_is_one_line(
-    place: Path, capsys: pytest.CaptureFixture[str], form: str, text: str, said: str
+    work_folder: Path, capsys: pytest.CaptureFixture[str], form: str, text: str, said: str
 ) -> None:
     Path("bad.xml").write_text(text)
-    line = refused(capsys, "config", "init", "--yes", form, "bad.xml", "--output", "mine.toml")
+    line = refusal_line(capsys, "config", "init", "--yes", form, "bad.xml", "--output", "mine.toml")
     assert "bad.xml: " in line
     assert said in line
     assert not Path("mine.toml").exists()
@@ -293,11 +310,11 @@ def test_a_bad_description_is_one_line(
     [
         (["--urdf", "none.urdf"], "none.urdf: cannot be read: No such file or directory"),
         (
-            ["--urdf", str(TRIPOD), "--fingers", "3"],
+            ["--urdf", str(TRIPOD_URDF), "--fingers", "3"],
             "--fingers: given, and so is --urdf; expected one of them",
         ),
-        (["--urdf", str(TRIPOD), "--first-node", "0"], "--first-node: 0; expected 1 to 127"),
-        (["--urdf", str(TRIPOD), "--mjcf", "a.xml"], "not allowed with"),
+        (["--urdf", str(TRIPOD_URDF), "--first-node", "0"], "--first-node: 0; expected 1 to 127"),
+        (["--urdf", str(TRIPOD_URDF), "--mjcf", "a.xml"], "not allowed with"),
         (
             ["--cells", "all"],
             "--cells: only for an imported hand; expected --urdf or --mjcf with it",
@@ -305,17 +322,17 @@ def test_a_bad_description_is_one_line(
     ],
 )
 def test_bad_options_are_refused(
-    place: Path, capsys: pytest.CaptureFixture[str], words: list[str], said: str
+    work_folder: Path, capsys: pytest.CaptureFixture[str], words: list[str], said: str
 ) -> None:
-    assert said in refused(capsys, "config", "init", "--yes", *words, "--output", "mine.toml")
+    assert said in refusal_line(capsys, "config", "init", "--yes", *words, "--output", "mine.toml")
 
 
 def test_without_mujoco_the_extra_is_named(
-    place: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    work_folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(__import__("sys").modules, "mujoco", None)
-    line = refused(
-        capsys, "config", "init", "--yes", "--urdf", str(TRIPOD), "--output", "mine.toml"
+    line = refusal_line(
+        capsys, "config", "init", "--yes", "--urdf", str(TRIPOD_URDF), "--output", "mine.toml"
     )
     assert "needs mujoco: pip install 'handctl[sim]'" in line
 
@@ -325,13 +342,13 @@ def test_without_mujoco_the_extra_is_named(
     ("form", "name"), [("--mjcf", "t42"), ("--urdf", "jamia"), ("--mjcf", "orca_like"), ("", "")]
 )
 def test_an_imported_hand_grasps(
-    place: Path, capsys: pytest.CaptureFixture[str], form: str, name: str
+    work_folder: Path, capsys: pytest.CaptureFixture[str], form: str, name: str
 ) -> None:
     if name:
         reimport_packaged_hand(form, name)
     else:
         Path("mine.toml").write_text(
-            text_with_all_values(import_description("--urdf", TRIPOD, *ANSWERS))
+            text_with_all_values(import_description("--urdf", TRIPOD_URDF, *IMPORT_OPTIONS))
         )
     capsys.readouterr()
     code = main(["demo", "--lockstep", "--hand", "mine.toml", "--log", "run.mcap", "--json"])

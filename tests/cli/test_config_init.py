@@ -9,9 +9,9 @@ import pytest
 from handctl.cli.main import main
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from handctl.hand.hand_loading import load_hand
-from tests.cli.refused import refused
+from tests.cli.command_refusals import refusal_line
 
-WORDS = [
+INIT_CASES = [
     (fingers, opposed, links, tendons)
     for fingers, opposed in ((1, 1), (2, 0), (4, 1), (3, 2))
     for links in ("60", "40,30", "50,30,20")
@@ -19,9 +19,9 @@ WORDS = [
 ]
 
 
-@pytest.mark.parametrize(("fingers", "opposed", "links", "tendons"), WORDS)
+@pytest.mark.parametrize(("fingers", "opposed", "links", "tendons"), INIT_CASES)
 def test_new_hand_file_passes_config_check(
-    place: Path,
+    work_folder: Path,
     capsys: pytest.CaptureFixture[str],
     fingers: int,
     opposed: int,
@@ -46,14 +46,17 @@ def test_new_hand_file_passes_config_check(
     assert len(hand.digit) == fingers + opposed
     assert len(hand.joints) == joints * len(hand.digit)
     assert len(hand.tendon) == len(hand.digit) * (joints if tendons == "each" else 1)
-    assert json.loads((place / "hand.schema.json").read_text())["title"] == "Hand file of handctl"
-    assert (place / "mine.toml").read_text().startswith("#:schema hand.schema.json\n")
+    assert (
+        json.loads((work_folder / "hand.schema.json").read_text())["title"]
+        == "Hand file of handctl"
+    )
+    assert (work_folder / "mine.toml").read_text().startswith("#:schema hand.schema.json\n")
 
 
 @pytest.mark.parametrize("protocol", GUARDED_PROTOCOLS)
 @pytest.mark.parametrize("tension", ["20", "300"])
 def test_a_new_hand_file_is_valid_for_every_drive_and_tension(
-    place: Path, capsys: pytest.CaptureFixture[str], protocol: str, tension: str
+    work_folder: Path, capsys: pytest.CaptureFixture[str], protocol: str, tension: str
 ) -> None:
     words = ["--protocol", protocol, "--fingers", "3", "--tension", tension, "--strength", "900"]
     assert main(["config", "init", "--yes", *words, "--output", "mine.toml"]) == 0
@@ -62,7 +65,7 @@ def test_a_new_hand_file_is_valid_for_every_drive_and_tension(
 
 
 def test_questions_are_asked_until_they_are_answered(
-    place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    work_folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     answers = iter(["gripper", "one", "1", "", "55, 35", *itertools.repeat("", 6)])
     asked: list[str] = []
@@ -78,9 +81,9 @@ def test_questions_are_asked_until_they_are_answered(
 
 
 def test_questions_without_a_terminal_are_refused(
-    place: Path, capsys: pytest.CaptureFixture[str]
+    work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    line = refused(capsys, "config", "init", "--output", "mine.toml")
+    line = refusal_line(capsys, "config", "init", "--output", "mine.toml")
     assert line.endswith(
         "config init: nobody can answer the questions: no terminal; expected --yes, and options\n"
     )
@@ -97,15 +100,15 @@ def test_questions_without_a_terminal_are_refused(
     ],
 )
 def test_invalid_answers_are_refused(
-    place: Path, capsys: pytest.CaptureFixture[str], words: list[str], said: str
+    work_folder: Path, capsys: pytest.CaptureFixture[str], words: list[str], said: str
 ) -> None:
-    assert said in refused(capsys, "config", "init", "--yes", *words, "--output", "mine.toml")
-    assert not (place / "mine.toml").exists()
+    assert said in refusal_line(capsys, "config", "init", "--yes", *words, "--output", "mine.toml")
+    assert not (work_folder / "mine.toml").exists()
 
 
 def test_existing_file_is_not_overwritten_by_config_init(
-    place: Path, capsys: pytest.CaptureFixture[str]
+    work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (place / "mine.toml").write_text("mine")
-    refused(capsys, "config", "init", "--yes", "--output", "mine.toml")
-    assert (place / "mine.toml").read_text() == "mine"
+    (work_folder / "mine.toml").write_text("mine")
+    refusal_line(capsys, "config", "init", "--yes", "--output", "mine.toml")
+    assert (work_folder / "mine.toml").read_text() == "mine"

@@ -22,8 +22,8 @@ from handctl.hand.hand_loading import (
 )
 from handctl.log.attached_meshes import MAX_BYTES
 from handctl.session.plan import RunChoice, make_plan
-from tests.cli.refused import refused, refused_lines
-from tests.cli.test_config_import import TRIPOD
+from tests.cli.command_refusals import refusal_line, refusal_lines
+from tests.cli.test_config_import import TRIPOD_URDF
 from tests.hand.mesh_files import (
     assert_same_places,
     corners_of_hand,
@@ -38,12 +38,12 @@ LINK_LINE = 'link_mesh = ["t42/inner.stl", "t42/outer.stl"]'
 
 
 @pytest.fixture
-def own(place: Path) -> Path:
+def copy_t42_with_meshes(work_folder: Path) -> Path:
     """Copy the hand t42 with its meshes to mine/hand.toml, and return the path."""
-    (place / "mine").mkdir()
-    shutil.copytree(PACKAGED_HANDS_FOLDER / "t42", place / "mine" / "t42")
-    shutil.copy(PACKAGED_HANDS_FOLDER / "t42.toml", place / "mine" / "hand.toml")
-    return place / "mine" / "hand.toml"
+    (work_folder / "mine").mkdir()
+    shutil.copytree(PACKAGED_HANDS_FOLDER / "t42", work_folder / "mine" / "t42")
+    shutil.copy(PACKAGED_HANDS_FOLDER / "t42.toml", work_folder / "mine" / "hand.toml")
+    return work_folder / "mine" / "hand.toml"
 
 
 def replace_once(path: Path, old: str, new: str) -> None:
@@ -94,36 +94,36 @@ def replace_once(path: Path, old: str, new: str) -> None:
     ],
 )
 def test_each_mistake_is_one_line_that_names_the_key(
-    own: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, line: str
+    copy_t42_with_meshes: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, line: str
 ) -> None:
-    text = own.read_text()
-    own.write_text(text.replace(old, new, 1))
-    assert own.read_text() != text
-    lines = refused_lines(capsys, "config", "check", "--hand", "mine/hand.toml")
+    text = copy_t42_with_meshes.read_text()
+    copy_t42_with_meshes.write_text(text.replace(old, new, 1))
+    assert copy_t42_with_meshes.read_text() != text
+    lines = refusal_lines(capsys, "config", "check", "--hand", "mine/hand.toml")
     assert line in lines[0]
     # A wrong scale of the links is two mistakes, because both links of the fingers have it.
     assert len(lines) == (2 if new == "link_mesh_scale = 1" else 1), lines
 
 
 def test_a_mesh_that_is_no_mesh_is_refused_and_a_run_begins_without_it(
-    own: Path, capsys: pytest.CaptureFixture[str]
+    copy_t42_with_meshes: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (own.parent / "t42" / "outer.stl").write_text("solid outer\n" * 20)
+    (copy_t42_with_meshes.parent / "t42" / "outer.stl").write_text("solid outer\n" * 20)
     right = 'link_mesh[1]: "t42/outer.stl": an STL in text form; expected a binary STL, which MuJoCo reads as well'
-    assert refused(capsys, "config", "check", "--hand", str(own)).endswith(
+    assert refusal_line(capsys, "config", "check", "--hand", str(copy_t42_with_meshes)).endswith(
         f"default.digit.{right}\n"
     )
     messages: list[str] = []
-    plan = make_plan(RunChoice(own), tell=messages.append)
+    plan = make_plan(RunChoice(copy_t42_with_meshes), tell=messages.append)
     assert messages == [f"handctl: caution: digit[{digit}].{right}" for digit in ("left", "right")]
     assert sorted(plan.attachments) == ["mesh/t42/inner.stl", "mesh/t42/palm.stl"]
 
 
-def test_meshes_too_large_for_a_log_are_reported_before_the_run(own: Path) -> None:
-    with (own.parent / "t42" / "outer.stl").open("r+b") as large:
+def test_meshes_too_large_for_a_log_are_reported_before_the_run(copy_t42_with_meshes: Path) -> None:
+    with (copy_t42_with_meshes.parent / "t42" / "outer.stl").open("r+b") as large:
         large.truncate(MAX_BYTES)
     messages: list[str] = []
-    plan = make_plan(RunChoice(own), tell=messages.append)
+    plan = make_plan(RunChoice(copy_t42_with_meshes), tell=messages.append)
     assert not plan.attachments
     (line,) = messages
     assert line.startswith(
@@ -138,9 +138,9 @@ def test_a_plan_of_a_packaged_hand_has_its_meshes() -> None:
     assert not make_plan(RunChoice("jamia")).attachments
 
 
-def test_exports_name_meshes_relative_to_their_own_folder(own: Path) -> None:
+def test_exports_name_meshes_relative_to_their_own_folder(copy_t42_with_meshes: Path) -> None:
     Path("out").mkdir()
-    words = ["config", "export", "--hand", str(own)]
+    words = ["config", "export", "--hand", str(copy_t42_with_meshes)]
     assert main([*words, "--urdf", "--output", "out/hand.urdf"]) == 0
     assert main([*words, "--mjcf", "--output", "mine/hand.xml"]) == 0
     urdf = {mesh.get("filename") for mesh in ET.parse("out/hand.urdf").iter("mesh")}
@@ -150,29 +150,29 @@ def test_exports_name_meshes_relative_to_their_own_folder(own: Path) -> None:
     assert mjcf == {f"t42/{name}" for name in names}
 
 
-def test_a_hand_in_another_protocol_keeps_its_meshes(own: Path) -> None:
+def test_a_hand_in_another_protocol_keeps_its_meshes(copy_t42_with_meshes: Path) -> None:
     from argparse import Namespace
 
-    args = Namespace(hand=str(own), protocol="odrive")
+    args = Namespace(hand=str(copy_t42_with_meshes), protocol="odrive")
     with hand_in_protocol(args):
-        assert args.hand != str(own)
+        assert args.hand != str(copy_t42_with_meshes)
         assert not list(mesh_mistakes(load_hand(args.hand), Path(args.hand).parent))
 
 
-FORMS = {"--urdf": "hand.urdf", "--mjcf": "hand.xml"}
+FILE_BY_OPTION = {"--urdf": "hand.urdf", "--mjcf": "hand.xml"}
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", FILE_BY_OPTION)
 @pytest.mark.parametrize("name", packaged_hands())
 def test_exported_meshes_come_back_to_their_places(
-    place: Path, name: str, form: str, capsys: pytest.CaptureFixture[str]
+    work_folder: Path, name: str, form: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (place / "hand").mkdir()
-    (place / "mine").mkdir()
-    write_meshes(place / "hand")
+    (work_folder / "hand").mkdir()
+    (work_folder / "mine").mkdir()
+    write_meshes(work_folder / "hand")
     hand = hand_with_meshes(name)
     Path("hand/hand.toml").write_text(hand.to_toml())
-    exported = f"hand/{FORMS[form]}"
+    exported = f"hand/{FILE_BY_OPTION[form]}"
     assert main(["config", "export", form, "--hand", "hand/hand.toml", "--output", exported]) == 0
     assert main(["config", "init", "--yes", form, exported, "--output", "mine/mine.toml"]) == 0
     assert "warning" not in capsys.readouterr().out
@@ -192,25 +192,27 @@ def test_exported_meshes_come_back_to_their_places(
         for file in ("m.stl", "sub/mm.obj", "sub/mm.stl")[: 3 if len(digits) > 1 else 2]
     }
     q = np.zeros(len(hand.joints))
-    expected = corners_of_hand(hand, place / "hand", q)
-    assert_same_places(corners_of_hand(again, place / "mine", q), expected)
+    expected = corners_of_hand(hand, work_folder / "hand", q)
+    assert_same_places(corners_of_hand(again, work_folder / "mine", q), expected)
 
 
-def write_ros_package(place: Path) -> Path:
+def write_ros_package(work_folder: Path) -> Path:
     """Write a ROS package with a hand and its meshes, and return the path of its URDF."""
-    folder = place / "ws" / "gripper"
+    folder = work_folder / "ws" / "gripper"
     (folder / "urdf").mkdir(parents=True)
     (folder / "meshes").mkdir()
     for size, name in enumerate(("base", "proximal"), 1):
         (folder / "meshes" / f"{name}.stl").write_bytes(stl(size * tetrahedron_triangles()))
-    return Path(shutil.copy(TRIPOD, folder / "urdf"))
+    return Path(shutil.copy(TRIPOD_URDF, folder / "urdf"))
 
 
-def test_meshes_of_a_package_are_imported(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    urdf = write_ros_package(place)
+def test_meshes_of_a_package_are_imported(
+    work_folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    urdf = write_ros_package(work_folder)
     assert main(["config", "init", "--yes", "--urdf", str(urdf), "--output", "mine.toml"]) == 0
     assert "mesh" not in capsys.readouterr().out
-    described, notes = read_hand_description(urdf, "urdf", place)
+    described, notes = read_hand_description(urdf, "urdf", work_folder)
     assert not notes
     assert described.palm_mesh
     assert described.palm_mesh.file == "ws/gripper/meshes/base.stl"
@@ -249,9 +251,9 @@ def test_meshes_of_a_package_are_imported(place: Path, capsys: pytest.CaptureFix
 
 
 def test_meshes_that_a_hand_cannot_have_are_reported(
-    place: Path, capsys: pytest.CaptureFixture[str]
+    work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    urdf = write_ros_package(place)
+    urdf = write_ros_package(work_folder)
     meshes = urdf.parents[1] / "meshes"
     (meshes / "base.stl").write_text("solid base\n" * 20)
     (meshes / "proximal.stl").unlink()
@@ -269,10 +271,10 @@ def test_meshes_that_a_hand_cannot_have_are_reported(
 
 
 def test_the_largest_visual_mesh_of_a_body_is_imported_from_a_model(
-    place: Path, capsys: pytest.CaptureFixture[str]
+    work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    write_meshes(place)
-    (place / "small.stl").write_bytes(stl(0.5 * tetrahedron_triangles()))
+    write_meshes(work_folder)
+    (work_folder / "small.stl").write_bytes(stl(0.5 * tetrahedron_triangles()))
     body = '<body name="{0}" pos="{1} 0 0"><joint name="{0}" axis="0 0 1" range="0 90"/>'
     body += '<inertial pos="0.02 0 0" mass="0.01" diaginertia="1e-6 1e-6 1e-6"/>'
     free = 'contype="0" conaffinity="0"'

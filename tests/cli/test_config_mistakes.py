@@ -12,7 +12,7 @@ import pytest
 from handctl.cli.main import main
 from handctl.hand.hand_loading import hand_path
 
-MISTAKES = {
+HAND_FILE_MISTAKES = {
     "a value in millimetres": (
         "link_length_m = [0.030, 0.015, 0.010]", "link_length_m = [30, 0.015, 0.010]",
         "digit_template.finger.link_length_m[0]: 30; expected a number from ",
@@ -116,13 +116,13 @@ MISTAKES = {
 """For each mistake: a text of jamia11.toml, the wrong text that replaces it, and the beginning of the error line."""
 
 
-def write_changed_jamia11(place: Path, *edits: tuple[str, str]) -> None:
+def write_changed_jamia11(work_folder: Path, *edits: tuple[str, str]) -> None:
     """Write mine.toml, which is the file of jamia11 with some texts replaced."""
     text = hand_path("jamia11").read_text("utf-8")
     for old, new in edits:
         assert text.count(old) == 1, old
         text = text.replace(old, new)
-    (place / "mine.toml").write_text(text)
+    (work_folder / "mine.toml").write_text(text)
 
 
 def error_lines(capsys: pytest.CaptureFixture[str], *words: str) -> list[str]:
@@ -133,12 +133,12 @@ def error_lines(capsys: pytest.CaptureFixture[str], *words: str) -> list[str]:
     return [line.removeprefix("handctl: ").removeprefix("mine.toml: ") for line in err.splitlines()]
 
 
-@pytest.mark.parametrize("case", MISTAKES)
+@pytest.mark.parametrize("case", HAND_FILE_MISTAKES)
 def test_a_mistake_is_one_line_that_names_the_key(
-    place: Path, capsys: pytest.CaptureFixture[str], case: str
+    work_folder: Path, capsys: pytest.CaptureFixture[str], case: str
 ) -> None:
-    old, new, start = MISTAKES[case]
-    write_changed_jamia11(place, (old, new))
+    old, new, start = HAND_FILE_MISTAKES[case]
+    write_changed_jamia11(work_folder, (old, new))
     found = error_lines(capsys)
     assert found[0].startswith(start)
     assert len(found) == 1, found
@@ -146,7 +146,7 @@ def test_a_mistake_is_one_line_that_names_the_key(
 
 
 def test_all_mistakes_are_reported_together(
-    place: Path, capsys: pytest.CaptureFixture[str]
+    work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cases = (
         "a misspelt key of a default",
@@ -154,19 +154,23 @@ def test_all_mistakes_are_reported_together(
         "a template that is not there",
     )
     write_changed_jamia11(
-        place, *[MISTAKES[case][:2] for case in cases], ("m2.node_id = 5", "m2.node_id = 500")
+        work_folder,
+        *[HAND_FILE_MISTAKES[case][:2] for case in cases],
+        ("m2.node_id = 5", "m2.node_id = 500"),
     )
     found = error_lines(capsys)
-    starts = [MISTAKES[case][2] for case in cases] + ["digit[middle].motor.m2.node_id: 500"]
+    starts = [HAND_FILE_MISTAKES[case][2] for case in cases] + [
+        "digit[middle].motor.m2.node_id: 500"
+    ]
     for start in starts:
         assert len([line for line in found if line.startswith(start)]) == 1, start
 
 
 def test_mistakes_of_the_other_files_are_reported_together(
-    place: Path, capsys: pytest.CaptureFixture[str]
+    work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    write_changed_jamia11(place, ("bitrate = 1_000_000", "bitrate = 8_000_000"))
-    (place / "task.toml").write_text(
+    write_changed_jamia11(work_folder, ("bitrate = 1_000_000", "bitrate = 8_000_000"))
+    (work_folder / "task.toml").write_text(
         'schema = 1\nname = "t"\n[[phase]]\nkind = "hold"\ntension_N = 40.0\nslip_limit_N = 30.0\n'
     )
     found = error_lines(
@@ -181,11 +185,11 @@ def test_mistakes_of_the_other_files_are_reported_together(
 
 
 def test_a_mistake_common_to_several_sections_is_one_line(
-    place: Path, capsys: pytest.CaptureFixture[str]
+    work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     numbers = "[0.015, 0.010]"
     write_changed_jamia11(
-        place,
+        work_folder,
         (f"link_length_m = {numbers}", ""),
         ("m1.node_id = 10,", "m1 = { node_id = 10, direction = 0 },"),
     )
@@ -196,9 +200,9 @@ def test_a_mistake_common_to_several_sections_is_one_line(
 
 
 def test_the_message_about_an_empty_file_names_config_init(
-    place: Path, capsys: pytest.CaptureFixture[str]
+    work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (place / "mine.toml").write_text("# nothing yet\n")
+    (work_folder / "mine.toml").write_text("# nothing yet\n")
     assert error_lines(capsys) == [
         "schema: the file is empty; expected schema = 2 and the sections of a hand; "
         "handctl config init writes them from a few answers"
@@ -206,9 +210,9 @@ def test_the_message_about_an_empty_file_names_config_init(
 
 
 def test_a_missing_section_is_named_with_its_forms(
-    place: Path, capsys: pytest.CaptureFixture[str]
+    work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (place / "mine.toml").write_text('schema = 2\nname = "mine"\n[[digit]]\nname = "left"\n')
+    (work_folder / "mine.toml").write_text('schema = 2\nname = "mine"\n[[digit]]\nname = "left"\n')
     found = {line.partition(":")[0]: line for line in error_lines(capsys)}
     assert found["tendon"].startswith(
         "tendon: missing; expected [[tendon]] sections, or tendon.NAME in each digit: "
@@ -220,9 +224,9 @@ def test_a_missing_section_is_named_with_its_forms(
 
 
 def test_an_object_inside_the_hand_comes_with_the_others(
-    place: Path, capsys: pytest.CaptureFixture[str]
+    work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    write_changed_jamia11(place, ("bitrate = 1_000_000", "bitrate = 8_000_000"))
+    write_changed_jamia11(work_folder, ("bitrate = 1_000_000", "bitrate = 8_000_000"))
     found = error_lines(capsys, "--scene", "cylinder:900")
     assert found[0].startswith("bus[main].bitrate: 8000000")
     assert re.match(
@@ -233,15 +237,17 @@ def test_an_object_inside_the_hand_comes_with_the_others(
     assert len(found) == 2
 
 
-def test_a_demo_refuses_such_an_object_too(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_demo_refuses_such_an_object_too(
+    work_folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["demo", "--lockstep", "--dry-run", "--scene", "cylinder:900"]) == 2
     assert "scene cylinder:900: the object is" in capsys.readouterr().err
 
 
 def test_config_check_has_the_same_mistakes_in_json(
-    place: Path, capsys: pytest.CaptureFixture[str]
+    work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    write_changed_jamia11(place, MISTAKES["one node number twice"][:2])
+    write_changed_jamia11(work_folder, HAND_FILE_MISTAKES["one node number twice"][:2])
     assert main(["config", "check", "--json", "--hand", "mine.toml"]) == 2
     out, err = capsys.readouterr()
     assert [f"handctl: {line}" for line in json.loads(out)["errors"]] == err.splitlines()
@@ -249,9 +255,9 @@ def test_config_check_has_the_same_mistakes_in_json(
 
 @pytest.mark.parametrize("case", ["springs that do not open the digit", "8 Mbit/s without CAN FD"])
 def test_run_refuses_a_hand_file_with_mistakes(
-    place: Path, capsys: pytest.CaptureFixture[str], case: str
+    work_folder: Path, capsys: pytest.CaptureFixture[str], case: str
 ) -> None:
-    write_changed_jamia11(place, MISTAKES[case][:2])
+    write_changed_jamia11(work_folder, HAND_FILE_MISTAKES[case][:2])
     assert (
         main(
             ["run", "--hand", "mine.toml", "--bus", "local:nobody", "--task", "grasp", "--dry-run"]

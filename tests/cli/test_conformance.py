@@ -14,10 +14,10 @@ from handctl.drives.signals import SignalTable
 from handctl.runtime.buses.local import LocalBus
 from handctl.runtime.mailbox import Mailbox
 from tests.drives.bench_process import run_simulated_drives
-from tests.runtime.processes import handctl
+from tests.runtime.processes import run_handctl
 
-WORDS = ["conformance", "--bus", "local:c", "--torque-limit-Nm", "0.1"]
-ENDPOINTS = [f"--option=endpoint_{key}={number}" for number, key in enumerate(
+CONFORMANCE_OPTIONS = ["conformance", "--bus", "local:c", "--torque-limit-Nm", "0.1"]
+ENDPOINT_OPTIONS = [f"--option=endpoint_{key}={number}" for number, key in enumerate(
     ("enable_watchdog", "watchdog_timeout", "torque_max", "torque_min"), 201)]  # fmt: skip
 
 
@@ -26,17 +26,19 @@ ENDPOINTS = [f"--option=endpoint_{key}={number}" for number, key in enumerate(
     ("protocol", "more"),
     [
         pytest.param("mit", [], id="mit"),
-        pytest.param("odrive", ENDPOINTS, id="odrive", marks=pytest.mark.nightly),
+        pytest.param("odrive", ENDPOINT_OPTIONS, id="odrive", marks=pytest.mark.nightly),
         pytest.param("cia402", [], id="cia402", marks=pytest.mark.nightly),
     ],
 )
 def test_a_good_drive_in_another_process_passes(protocol, more):
     with run_simulated_drives("local:c", protocol, "--ids", "33"):
-        done = handctl(*WORDS, "--protocol", protocol, "--node", "33", "--yes", "--json", *more)
+        done = run_handctl(
+            *CONFORMANCE_OPTIONS, "--protocol", protocol, "--node", "33", "--yes", "--json", *more
+        )
         result = json.loads(done.stdout)
         assert [check for check in result["checks"] if check["verdict"] == "failed"] == []
         assert (done.returncode, result["confirmed_off"]) == (0, True)
-        found = handctl("scan", "--bus", "local:c", "--json")
+        found = run_handctl("scan", "--bus", "local:c", "--json")
         assert found.returncode == 0
     (node,) = json.loads(found.stdout)["buses"][0]["nodes"]
     if protocol == "mit":
@@ -48,12 +50,14 @@ def test_a_good_drive_in_another_process_passes(protocol, more):
 @pytest.mark.parametrize("protocol", ["odrive", "cia402"])
 def test_conformance_leaves_no_error_in_a_drive(protocol):
     """Regression: a drive kept a latched error, and `commission` then refused the hand."""
-    more = ENDPOINTS if protocol == "odrive" else []
+    more = ENDPOINT_OPTIONS if protocol == "odrive" else []
     with run_simulated_drives("local:c", protocol, "--ids", "33"):
-        done = handctl(*WORDS, "--protocol", protocol, "--node", "33", "--yes", "--json", *more)
+        done = run_handctl(
+            *CONFORMANCE_OPTIONS, "--protocol", protocol, "--node", "33", "--yes", "--json", *more
+        )
         assert done.returncode == 0
         time.sleep(0.5)
-        found = handctl("scan", "--bus", "local:c", "--json")
+        found = run_handctl("scan", "--bus", "local:c", "--json")
     (node,) = json.loads(found.stdout)["buses"][0]["nodes"]
     assert node["error"] == ""
     assert "fault" not in node["state"]
@@ -61,7 +65,7 @@ def test_conformance_leaves_no_error_in_a_drive(protocol):
 
 def test_two_drives_with_one_number_are_refused(capsys):
     with run_simulated_drives("local:c", "mit", "--ids", "2", "--broken", "twin"):
-        assert main([*WORDS, "--protocol", "mit", "--node", "2", "--yes"]) == 1
+        assert main([*CONFORMANCE_OPTIONS, "--protocol", "mit", "--node", "2", "--yes"]) == 1
     assert "two drives answer as mit 2" in capsys.readouterr().err
 
 
@@ -84,13 +88,13 @@ def test_a_text_option_needs_no_quotes(words, options):
 def test_an_odrive_of_firmware_05_needs_no_option(capsys):
     """Regression: the command set the option torque_feedback by default, which this firmware refuses."""
     words = ["--protocol", "odrive", "--node", "3", "--option", "firmware=0.5", "--dry-run"]
-    assert main([*WORDS, *words]) == 0
+    assert main([*CONFORMANCE_OPTIONS, *words]) == 0
 
 
 @pytest.mark.realtime
 def test_a_broken_drive_fails_and_its_line_says_why():
     with run_simulated_drives("local:c", "mit", "--ids", "2", "--broken", "sign"):
-        done = handctl(*WORDS, "--protocol", "mit", "--node", "2", "--yes")
+        done = run_handctl(*CONFORMANCE_OPTIONS, "--protocol", "mit", "--node", "2", "--yes")
     assert done.returncode == 1
     lines = done.stdout.splitlines()
     (line,) = (line for line in lines if line.startswith("FAILED"))
@@ -117,7 +121,7 @@ def test_a_broken_drive_fails_and_its_line_says_why():
     ],
 )
 def test_unsuitable_drive_options_are_refused_before_a_bus_is_opened(capsys, words, said):
-    assert main([*WORDS, *words]) == 2
+    assert main([*CONFORMANCE_OPTIONS, *words]) == 2
     error = capsys.readouterr().err
     assert said in error
     assert error.count("\n") == 1
@@ -125,7 +129,7 @@ def test_unsuitable_drive_options_are_refused_before_a_bus_is_opened(capsys, wor
 
 def test_missing_drive_is_reported(capsys):
     with run_simulated_drives("local:c", "odrive", "--ids", "3"):
-        assert main([*WORDS, "--protocol", "odrive", "--node", "4", "--yes"]) == 1
+        assert main([*CONFORMANCE_OPTIONS, "--protocol", "odrive", "--node", "4", "--yes"]) == 1
     assert "no odrive 4; found: odrive 3" in capsys.readouterr().err
 
 
@@ -148,7 +152,7 @@ def test_drive_of_another_host_is_not_commanded(capsys):
         try:
             code = main(
                 [
-                    *WORDS,
+                    *CONFORMANCE_OPTIONS,
                     "--protocol",
                     "cubemars",
                     "--node",
@@ -168,6 +172,6 @@ def test_drive_of_another_host_is_not_commanded(capsys):
 
 def test_conformance_refuses_a_bus_with_a_running_controller(capsys):
     box = Mailbox("local:c")
-    assert main([*WORDS, "--protocol", "mit", "--node", "2", "--yes"]) == 1
+    assert main([*CONFORMANCE_OPTIONS, "--protocol", "mit", "--node", "2", "--yes"]) == 1
     box.close()
     assert "another controller runs here" in capsys.readouterr().err

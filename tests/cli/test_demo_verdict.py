@@ -7,10 +7,10 @@ import pytest
 from handctl.cli.main import main
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.hand_loading import hand_content
-from tests.cli.refused import refused
-from tests.runtime.processes import handctl, scaled
+from tests.cli.command_refusals import refusal_line
+from tests.runtime.processes import run_handctl, time_scale_options
 
-GRASP = """schema = 1
+GRASP_TASK = """schema = 1
 name = "two fingers"
 [[phase]]
 kind = "close"
@@ -27,13 +27,13 @@ duration_s = 1.0
 """
 
 
-def jamia():
+def jamia_content():
     return hand_content("jamia")
 
 
 def two_fingers():
     """Return a hand with index and middle finger only. Both close to the same side, so they can lift nothing."""
-    content = jamia()
+    content = jamia_content()
     for part in ("digit", "tendon", "motor"):
         content[part] = content[part][:2]
     node = content["sensor_node"]
@@ -44,16 +44,16 @@ def two_fingers():
 
 def two_buses():
     """Return a hand whose thumb and ring finger are on a second bus."""
-    content = jamia()
+    content = jamia_content()
     content["bus"].append({**content["bus"][0], "name": "second"})
     for motor in content["motor"][2:]:
         motor["bus"] = "second"
     return content
 
 
-def test_a_grasp_that_lifts_nothing_is_a_failure(place, capsys):
-    (place / "two.toml").write_text(toml_text(two_fingers()))
-    (place / "grasp.toml").write_text(GRASP)
+def test_a_grasp_that_lifts_nothing_is_a_failure(work_folder, capsys):
+    (work_folder / "two.toml").write_text(toml_text(two_fingers()))
+    (work_folder / "grasp.toml").write_text(GRASP_TASK)
     assert (
         main(
             [
@@ -80,31 +80,31 @@ def test_a_grasp_that_lifts_nothing_is_a_failure(place, capsys):
     )
 
 
-def test_a_hand_of_two_buses_needs_no_bus_named(place, capsys):
-    (place / "buses.toml").write_text(toml_text(two_buses()))
+def test_a_hand_of_two_buses_needs_no_bus_named(work_folder, capsys):
+    (work_folder / "buses.toml").write_text(toml_text(two_buses()))
     assert main(["demo", "--hand", "buses.toml", "--dry-run"]) == 0
     assert "jamia: power grasp on cylinder" in capsys.readouterr().out
 
 
 @pytest.mark.realtime
-def test_a_hand_of_two_buses_works_in_real_time(place, repeat_time_scale):
-    (place / "buses.toml").write_text(toml_text(two_buses()))
-    (place / "bend.toml").write_text(
+def test_a_hand_of_two_buses_works_in_real_time(work_folder, repeat_time_scale):
+    (work_folder / "buses.toml").write_text(toml_text(two_buses()))
+    (work_folder / "bend.toml").write_text(
         'schema = 1\nname = "bend"\n[[phase]]\nkind = "move"\nangle_deg = 20.0\n'
     )
     words = ("--hand", "buses.toml", "--task", "bend.toml", "--scene", "none", "--log", "x.mcap")
-    done = handctl("demo", "--json", *words, *scaled(repeat_time_scale))
+    done = run_handctl("demo", "--json", *words, *time_scale_options(repeat_time_scale))
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["failure"] == ""
 
 
 @pytest.mark.parametrize("cells", [[], ["index_tendon"]])
 def test_a_hand_without_load_cells_is_ready_and_the_faults_that_need_them_are_named(
-    place, capsys, cells
+    work_folder, capsys, cells
 ):
-    content = jamia()
+    content = jamia_content()
     content["sensor_node"]["tendons"] = cells
-    (place / "hand.toml").write_text(toml_text(content))
+    (work_folder / "hand.toml").write_text(toml_text(content))
     assert main(["config", "check", "--hand", "hand.toml"]) == 0
     line = next(line for line in capsys.readouterr().out.splitlines() if ": no load cell: " in line)
     assert "not judged: N02, N14b" in line
@@ -112,11 +112,11 @@ def test_a_hand_without_load_cells_is_ready_and_the_faults_that_need_them_are_na
 
 
 @pytest.mark.parametrize("verb", ["config", "demo"])
-def test_a_joint_that_no_tendon_crosses_is_one_line(place, capsys, verb):
-    content = jamia()
+def test_a_joint_that_no_tendon_crosses_is_one_line(work_folder, capsys, verb):
+    content = jamia_content()
     del content["tendon"][0]["moment_arm_m"]["index_j3"]
-    (place / "hand.toml").write_text(toml_text(content))
-    line = refused(
+    (work_folder / "hand.toml").write_text(toml_text(content))
+    line = refusal_line(
         capsys, verb, "check" if verb == "config" else "--lockstep", "--hand", "hand.toml"
     )
     assert "digit[index]: no tendon crosses index_j3" in line

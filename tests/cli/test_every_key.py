@@ -16,11 +16,11 @@ from handctl.hand.file.toml_text import toml_text
 from handctl.hand.hand_loading import PACKAGED_HANDS_FOLDER, hand_content, load_hand
 from tests.hand.test_hand_file_refusals import content_leaves, is_number, key_path_text, with_value
 
-BUS = "local:does-not-exist"
-STEP = 1 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 199
+ABSENT_BUS = "local:does-not-exist"
+SAMPLE_STEP = 1 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 199
 
 
-class Literal(float):
+class UnrepresentableNumber(float):
     """A number that TOML can write and a float cannot represent."""
 
     def __repr__(self):
@@ -30,7 +30,7 @@ class Literal(float):
 ALWAYS_WRONG = {
     "nan": float("nan"),
     "inf": float("inf"),
-    "1e400": Literal("inf"),
+    "1e400": UnrepresentableNumber("inf"),
     "true": True,
     "text": "12",
     "list": [[1.0]],
@@ -46,14 +46,14 @@ POSSIBLY_VALID = {
 
 If the value is refused, the line names its key.
 """
-KEYS = ("missing", "renamed", "twice")
+KEY_MISTAKES = ("missing", "renamed", "twice")
 
 
-def gains():
+def gains_content():
     return Gains().model_dump(by_alias=True)
 
 
-def calibration():
+def calibration_content():
     hand = load_hand("jamia")
     tendon = {"tare_N": 0.1, "zero_rad": 1.0, "answer_N": 3.0, "crosstalk_N": 0.1}
     tendons = {name: dict(tendon) for name in hand.tendon_names}
@@ -66,11 +66,11 @@ def calibration():
     return {**head, "tendon": tendons}
 
 
-def task(name):
+def task_content(name):
     return tomllib.loads((PACKAGED_HANDS_FOLDER.parents[1] / "tasks" / f"{name}.toml").read_text())
 
 
-def trajectory():
+def trajectory_content():
     return {
         "schema": 1,
         "name": "t",
@@ -83,14 +83,14 @@ def hand(name):
     return hand_content(name)
 
 
-FILES = {
+CONTENT_AND_OPTIONS = {
     "jamia": (hand("jamia"), ("--hand",)),
     "jamia11": (hand("jamia11"), ("--hand",)),
-    "gains": (gains(), ("--gains",)),
-    "calibration": (calibration(), ("--calibration",)),
-    "grasp": (task("grasp"), ("--task",)),
-    "pinch-joints": (task("pinch-joints"), ("--hand", "jamia11", "--task")),
-    "trajectory": (trajectory(), ("--trajectory",)),
+    "gains": (gains_content(), ("--gains",)),
+    "calibration": (calibration_content(), ("--calibration",)),
+    "grasp": (task_content("grasp"), ("--task",)),
+    "pinch-joints": (task_content("pinch-joints"), ("--hand", "jamia11", "--task")),
+    "trajectory": (trajectory_content(), ("--trajectory",)),
 }
 """For each kind of file, a good content, and the words of `handctl run` that precede its name."""
 
@@ -101,19 +101,19 @@ def text_of(content):
     lines = [toml_text(plain)]
     for key, value in content.items():
         if isinstance(value, dict):
-            lines += _table(key, value)
+            lines += _table_lines(key, value)
     return "\n".join(lines)
 
 
-def _table(name, table):
+def _table_lines(name, table):
     yield f"[{name}]"
     yield toml_text({key: value for key, value in table.items() if not isinstance(value, dict)})
     for key, value in table.items():
         if isinstance(value, dict):
-            yield from _table(f"{name}.{key}", value)
+            yield from _table_lines(f"{name}.{key}", value)
 
 
-def without(content, path, instead=None):
+def content_without_key(content, path, instead=None):
     """Return a copy of a content without a key, or with the key's value under another name."""
     content = with_value(content, path, None)
     parent = content
@@ -125,18 +125,18 @@ def without(content, path, instead=None):
     return content
 
 
-def cases():
-    for name, (content, _) in FILES.items():
+def mistake_cases():
+    for name, (content, _) in CONTENT_AND_OPTIONS.items():
         for path, value in content_leaves(content):
             if is_number(value):
                 yield from ((name, path, kind) for kind in (*ALWAYS_WRONG, *POSSIBLY_VALID))
             if isinstance(path[-1], str):
-                yield from ((name, path, kind) for kind in KEYS)
+                yield from ((name, path, kind) for kind in KEY_MISTAKES)
 
 
 def text_with_mistake(content, path, kind):
     """Return the text of a file with one kind of mistake at one key."""
-    if kind in KEYS:
+    if kind in KEY_MISTAKES:
         old = content
         for key in path:
             old = old[key]
@@ -145,7 +145,7 @@ def text_with_mistake(content, path, kind):
                 line for line in text_of(content).splitlines() if line.startswith(f"{path[-1]} = ")
             )
             return text_of(content).replace(line, f"{line}\n{line}", 1)
-        return text_of(without(content, path, old if kind == "renamed" else None))
+        return text_of(content_without_key(content, path, old if kind == "renamed" else None))
     old = content
     for key in path:
         old = old[key]
@@ -162,18 +162,18 @@ class OpenedError(Exception):
 
 @pytest.fixture(autouse=True)
 def no_bus(monkeypatch):
-    def opened(*words, **options):
+    def raise_opened(*words, **options):
         raise OpenedError
 
     for name in ("open_bus", "Mailbox"):
-        monkeypatch.setattr(f"handctl.session.run.{name}", opened)
+        monkeypatch.setattr(f"handctl.session.run.{name}", raise_opened)
 
 
 def refusal(capsys, option, file):
     """Return the error line of `run` for a file. It is empty if the command accepts the file and opens the bus."""
     others = [] if {"--task", "--trajectory"} & {*option} else ["--task", "grasp"]
     try:
-        code = main(["run", "--bus", BUS, *option, file, *others])
+        code = main(["run", "--bus", ABSENT_BUS, *option, file, *others])
     except OpenedError:
         capsys.readouterr()
         return ""
@@ -184,22 +184,24 @@ def refusal(capsys, option, file):
     return err
 
 
-ALL = list(cases())
+ALL_MISTAKE_CASES = list(mistake_cases())
 
 
-@pytest.mark.parametrize("name", FILES)
-def test_unchanged_hand_file_is_accepted(place, capsys, name):
-    content, option = FILES[name]
-    (place / "file.toml").write_text(text_of(content))
+@pytest.mark.parametrize("name", CONTENT_AND_OPTIONS)
+def test_unchanged_hand_file_is_accepted(work_folder, capsys, name):
+    content, option = CONTENT_AND_OPTIONS[name]
+    (work_folder / "file.toml").write_text(text_of(content))
     assert refusal(capsys, option, "file.toml") == ""
 
 
 @pytest.mark.parametrize(
-    ("name", "path", "kind"), ALL[::STEP], ids=lambda x: str(x) if isinstance(x, str) else None
+    ("name", "path", "kind"),
+    ALL_MISTAKE_CASES[::SAMPLE_STEP],
+    ids=lambda x: str(x) if isinstance(x, str) else None,
 )
-def test_every_wrong_key_is_refused(place, capsys, name, path, kind):
-    content, option = FILES[name]
-    (place / "file.toml").write_text(text_with_mistake(content, path, kind))
+def test_every_wrong_key_is_refused(work_folder, capsys, name, path, kind):
+    content, option = CONTENT_AND_OPTIONS[name]
+    (work_folder / "file.toml").write_text(text_with_mistake(content, path, kind))
     line = refusal(capsys, option, "file.toml")
     if kind == "twice":
         assert "file.toml" in line
@@ -207,7 +209,7 @@ def test_every_wrong_key_is_refused(place, capsys, name, path, kind):
     elif kind in ALWAYS_WRONG or kind == "renamed":
         assert "file.toml: " in line, "the message names the file"
         spoken = (
-            key_path_text(without(content, path), path[:-1])
+            key_path_text(content_without_key(content, path), path[:-1])
             if kind == "renamed"
             else key_path_text(content, path)
         )

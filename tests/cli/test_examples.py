@@ -13,32 +13,34 @@ import pytest
 
 from handctl.cli.main import VERBS_BY_FOLDER
 from handctl.cli.parsing.parser import RUNNING_HAND
-from tests.runtime.processes import SCALE
+from tests.runtime.processes import TIME_SCALE
 
-EXAMPLES = {
+EXAMPLE_BY_COMMAND = {
     words: example
     for folder in VERBS_BY_FOLDER
     for words, example in importlib.import_module(
         f"handctl.cli.{folder}.arguments"
     ).EXAMPLES.items()
 }
-FINDINGS = {"doctor", "bus doctor"}
+COMMANDS_WITH_FINDINGS = {"doctor", "bus doctor"}
 """Commands whose exit code may be 1, because they find a defect of the test's machine."""
-ALONE = sorted(words for words, example in EXAMPLES.items() if not example.beside)
-BESIDE_A_SIMULATOR = sorted(
+EXAMPLES_ALONE = sorted(
+    words for words, example in EXAMPLE_BY_COMMAND.items() if not example.beside
+)
+EXAMPLES_BESIDE_SIMULATOR = sorted(
     words
-    for words, example in EXAMPLES.items()
+    for words, example in EXAMPLE_BY_COMMAND.items()
     if example.beside and RUNNING_HAND not in example.beside
 )
-BESIDE_A_RUN = sorted(
-    words for words, example in EXAMPLES.items() if RUNNING_HAND in example.beside
+EXAMPLES_BESIDE_RUN = sorted(
+    words for words, example in EXAMPLE_BY_COMMAND.items() if RUNNING_HAND in example.beside
 )
-READY_S = 60.0
+READY_TIMEOUT_S = 60.0
 """Longest time in which a simulator and a controller start [s], including compilation."""
 
 
 @pytest.fixture(scope="module")
-def terminal():
+def run_in_shell():
     """Yield a function that runs a command line in one folder, with the handctl of this environment."""
     folder, sockets = (Path(tempfile.mkdtemp(prefix="h-")) for _ in range(2))
     path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
@@ -48,44 +50,44 @@ def terminal():
         shutil.rmtree(path, ignore_errors=True)
 
 
-def paste(terminal, words):
+def run_example(run_in_shell, words):
     """Run the example of a command in a shell, and check that it worked."""
     how = {"shell": True, "capture_output": True, "text": True, "timeout": 280, "check": False}
-    ended = terminal(EXAMPLES[words].line, **how)
-    assert ended.returncode in ({0, 1} if words in FINDINGS else {0}), ended.stderr
+    ended = run_in_shell(EXAMPLE_BY_COMMAND[words].line, **how)
+    assert ended.returncode in ({0, 1} if words in COMMANDS_WITH_FINDINGS else {0}), ended.stderr
     assert ended.stdout.strip()
     assert "Traceback" not in ended.stderr
 
 
-@pytest.mark.parametrize("words", ALONE)
-def test_an_example_works_in_one_terminal(terminal, words):
-    paste(terminal, words)
+@pytest.mark.parametrize("words", EXAMPLES_ALONE)
+def test_an_example_works_in_one_terminal(run_in_shell, words):
+    run_example(run_in_shell, words)
 
 
 @pytest.fixture
-def start_others(terminal):
+def start_others(run_in_shell):
     """Yield a function that starts a command as in another terminal. The commands are ended after the test."""
     children = []
 
-    def start(command):
+    def start_command(command):
         keywords = {
             "stdout": subprocess.DEVNULL,
             "stderr": subprocess.DEVNULL,
             "stdin": subprocess.DEVNULL,
         }
-        children.append(terminal(command.split(), subprocess.Popen, **keywords))
+        children.append(run_in_shell(command.split(), subprocess.Popen, **keywords))
 
-    yield start
+    yield start_command
     for child in reversed(children):
         child.terminate()
         child.wait(30)
 
 
-def wait_for(terminal, command):
+def repeat_until_success(run_in_shell, command):
     """Repeat a command until it succeeds."""
-    end = time.monotonic() + READY_S
+    end = time.monotonic() + READY_TIMEOUT_S
     while (
-        ended := terminal(command.split(), capture_output=True, text=True, check=False)
+        ended := run_in_shell(command.split(), capture_output=True, text=True, check=False)
     ).returncode:
         assert time.monotonic() < end, ended.stderr
         time.sleep(0.3)
@@ -93,19 +95,19 @@ def wait_for(terminal, command):
 
 @pytest.mark.realtime
 def test_examples_work_beside_a_simulator_and_a_running_hand(
-    terminal, start_others, repeat_time_scale
+    run_in_shell, start_others, repeat_time_scale
 ):
-    simulator, run = EXAMPLES["stop"].beside
-    start_others(f"{simulator} --time-scale {SCALE * repeat_time_scale:g}")
-    wait_for(terminal, "handctl fault kinds --bus local:demo")
-    for words in BESIDE_A_SIMULATOR:
+    simulator, run = EXAMPLE_BY_COMMAND["stop"].beside
+    start_others(f"{simulator} --time-scale {TIME_SCALE * repeat_time_scale:g}")
+    repeat_until_success(run_in_shell, "handctl fault kinds --bus local:demo")
+    for words in EXAMPLES_BESIDE_SIMULATOR:
         if words != "fault inject":  # its fault would disturb the run
-            paste(terminal, words)
-    for words in sorted(BESIDE_A_RUN, key=lambda one: one == "stop"):  # ``stop`` is last
-        if words == BESIDE_A_RUN[0]:
+            run_example(run_in_shell, words)
+    for words in sorted(EXAMPLES_BESIDE_RUN, key=lambda one: one == "stop"):  # ``stop`` is last
+        if words == EXAMPLES_BESIDE_RUN[0]:
             start_others(run)
-            wait_for(
-                terminal, "handctl gains set motion.force_N=11 --bus local:demo"
+            repeat_until_success(
+                run_in_shell, "handctl gains set motion.force_N=11 --bus local:demo"
             )  # refused until commissioned
-        paste(terminal, words)
-    paste(terminal, "fault inject")
+        run_example(run_in_shell, words)
+    run_example(run_in_shell, "fault inject")

@@ -23,10 +23,10 @@ from handctl.printing import (
     escaped_streams,
     one_line_message,
 )
-from tests.cli.refused import refused, refused_lines
+from tests.cli.command_refusals import refusal_line, refusal_lines
 
-ESCAPES = "\x1b[2J\x1b]0;mine\x07\x9b31m\r\u202e\u2028\x7f"
-TASKS = PACKAGED_HANDS_FOLDER.parents[1] / "tasks"
+ESCAPE_SEQUENCES = "\x1b[2J\x1b]0;mine\x07\x9b31m\r\u202e\u2028\x7f"
+TASKS_FOLDER = PACKAGED_HANDS_FOLDER.parents[1] / "tasks"
 
 
 def is_harmless(text):
@@ -44,7 +44,7 @@ def exit_code(words):
 def test_unprintable_characters_are_escaped():
     assert escape_text("a\x1b[2J\nb\u00e4\u03b8") == "a\\x1b[2J\\nb\u00e4\u03b8"
     assert escape_text("a\nb\x07", "\n") == "a\nb\\x07"
-    assert escape_text(ESCAPES).isprintable()
+    assert escape_text(ESCAPE_SEQUENCES).isprintable()
     assert escape_text("\ud800") == "\\ud800"
     assert escape_surrogates("a\udcff\x1b").encode() == b"a\\udcff\x1b"
 
@@ -61,7 +61,7 @@ def test_a_message_keeps_its_beginning_and_its_end(size, letter):
 
 
 def test_an_error_is_one_harmless_line():
-    line = str(ConfigError(f"{ESCAPES}\n" * 1000, "where", "this"))
+    line = str(ConfigError(f"{ESCAPE_SEQUENCES}\n" * 1000, "where", "this"))
     assert line.isprintable()
     assert len(line) <= LONGEST_MESSAGE
     assert line.startswith("where: ")
@@ -70,9 +70,9 @@ def test_an_error_is_one_harmless_line():
 
 def test_escaped_stream_escapes_every_writer(capsys):
     with escaped_streams():
-        print(f"{ESCAPES}\tb\nc")
-        print(ESCAPES, file=sys.stderr)
-        sys.stdout.writelines([ESCAPES])
+        print(f"{ESCAPE_SEQUENCES}\tb\nc")
+        print(ESCAPE_SEQUENCES, file=sys.stderr)
+        sys.stdout.writelines([ESCAPE_SEQUENCES])
         inner = sys.stdout
         with escaped_streams():
             assert sys.stdout is inner, "a second context does not escape again"
@@ -87,19 +87,19 @@ def test_a_table_of_rich_escapes_its_cells_and_keeps_its_own_codes(monkeypatch):
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(f"head{ESCAPES}")
-    table.add_row(f"cell{ESCAPES}")
-    table.add_row(Text(f"text{ESCAPES}"))
+    table = Table(f"head{ESCAPE_SEQUENCES}")
+    table.add_row(f"cell{ESCAPE_SEQUENCES}")
+    table.add_row(Text(f"text{ESCAPE_SEQUENCES}"))
     console = rich_console(min_width=80)
     console.file = io.StringIO()
     console.print(table)
-    console.print(f"line{ESCAPES}")
+    console.print(f"line{ESCAPE_SEQUENCES}")
     assert is_harmless(console.file.getvalue())
     assert console.file.getvalue().count("\\x1b[2J") == 4
     monkeypatch.setenv("FORCE_COLOR", "1")
     console = rich_console(min_width=80)
     console.file = io.StringIO()
-    console.print(Text(f"red{ESCAPES}", style="red"))
+    console.print(Text(f"red{ESCAPE_SEQUENCES}", style="red"))
     assert console.file.getvalue().startswith("\x1b[31m"), "codes of rich are not escaped"
     assert "red\\x1b[2J" in console.file.getvalue()
 
@@ -122,23 +122,27 @@ def test_a_long_line_is_cut(capsys):
 
 @pytest.mark.parametrize("verb", VERB_HELP)
 def test_argparse_messages_are_escaped_and_shortened(capsys, verb):
-    for words in ([f"--no{ESCAPES}\n{'x' * 3000}"], [ESCAPES], [f"--gain{ESCAPES}=3"]):
-        assert exit_code([verb, *words, "--no-such-option", ESCAPES]) == 2
+    for words in (
+        [f"--no{ESCAPE_SEQUENCES}\n{'x' * 3000}"],
+        [ESCAPE_SEQUENCES],
+        [f"--gain{ESCAPE_SEQUENCES}=3"],
+    ):
+        assert exit_code([verb, *words, "--no-such-option", ESCAPE_SEQUENCES]) == 2
         out, err = capsys.readouterr()
         assert is_harmless(out + err)
         assert len(err.splitlines()[-1]) < LONGEST_MESSAGE + 60
-    assert exit_code([ESCAPES]) == 2
+    assert exit_code([ESCAPE_SEQUENCES]) == 2
     assert is_harmless(capsys.readouterr().err)
 
 
-FILES = {
-    "key": f"{json.dumps(ESCAPES)} = 3",
-    "table": f"[{json.dumps(ESCAPES)}]",
-    "value": f"schema = {json.dumps(ESCAPES)}",
-    "list": f"schema = 1\nname = [{json.dumps(ESCAPES)}]",
+TEXT_BY_MISTAKE = {
+    "key": f"{json.dumps(ESCAPE_SEQUENCES)} = 3",
+    "table": f"[{json.dumps(ESCAPE_SEQUENCES)}]",
+    "value": f"schema = {json.dumps(ESCAPE_SEQUENCES)}",
+    "list": f"schema = 1\nname = [{json.dumps(ESCAPE_SEQUENCES)}]",
     "long": f"schema = 1\n{'k' * 3000} = 3",
 }
-READS = {
+READING_COMMANDS = {
     "hand": ("config", "check", "--hand", "odd.toml"),
     "task": ("config", "check", "--task", "odd.toml"),
     "gains": ("config", "check", "--gains", "odd.toml"),
@@ -154,29 +158,29 @@ READS = {
 }
 
 
-@pytest.mark.parametrize("content", FILES)
-@pytest.mark.parametrize("what", READS)
-def test_texts_of_files_are_escaped_and_shortened(place, capsys, what, content):
-    (place / "odd.toml").write_text(FILES[content])
-    lines = refused_lines(capsys, *READS[what])
+@pytest.mark.parametrize("content", TEXT_BY_MISTAKE)
+@pytest.mark.parametrize("what", READING_COMMANDS)
+def test_texts_of_files_are_escaped_and_shortened(work_folder, capsys, what, content):
+    (work_folder / "odd.toml").write_text(TEXT_BY_MISTAKE[content])
+    lines = refusal_lines(capsys, *READING_COMMANDS[what])
     assert len(lines) == 1 or what == "hand"  # a hand file may give several lines
     for line in lines:
         assert line[:-1].isprintable()
         assert len(line) < LONGEST_MESSAGE + 20
 
 
-def test_a_name_and_a_note_are_escaped_where_all_is_well(place, capsys):
+def test_a_name_and_a_note_are_escaped_where_all_is_well(work_folder, capsys):
     task = (
-        (TASKS / "grasp.toml")
+        (TASKS_FOLDER / "grasp.toml")
         .read_text()
-        .replace('name = "', f'name = "{json.dumps(ESCAPES)[1:-1]}', 1)
+        .replace('name = "', f'name = "{json.dumps(ESCAPE_SEQUENCES)[1:-1]}', 1)
     )
-    (place / "odd.toml").write_text(task)
-    (place / "a\x1b[2J.toml").write_text("schema = 1\n[motion]\nforce_N = 12.0\n")
+    (work_folder / "odd.toml").write_text(task)
+    (work_folder / "a\x1b[2J.toml").write_text("schema = 1\n[motion]\nforce_N = 12.0\n")
     for words in (
         ("config", "check", "--task", "odd.toml"),
         ("gains", "show", "--gains", "a\x1b[2J.toml"),
-        ("gains", "apply", "a\x1b[2J.toml", "--note", ESCAPES),
+        ("gains", "apply", "a\x1b[2J.toml", "--note", ESCAPE_SEQUENCES),
         ("gains", "log"),
         ("gains", "show"),
         ("config", "show"),
@@ -186,7 +190,7 @@ def test_a_name_and_a_note_are_escaped_where_all_is_well(place, capsys):
         assert is_harmless(out + err), words
 
 
-WIDE = {
+WIDE_NUMBERS = {
     "hex": "0x" + "f" * 5000,
     "decimal": "9" * 5000,
     "65 bits": str(2**64),
@@ -195,11 +199,11 @@ WIDE = {
 """Numbers that Python cannot print, or that are outside the range of TOML."""
 
 
-@pytest.mark.parametrize("number", WIDE)
-@pytest.mark.parametrize("what", READS)
-def test_very_long_number_in_a_file_is_refused(place, capsys, what, number):
-    (place / "odd.toml").write_text(f"schema = 1\nname = {WIDE[number]}\n")
-    line = refused(capsys, *READS[what])
+@pytest.mark.parametrize("number", WIDE_NUMBERS)
+@pytest.mark.parametrize("what", READING_COMMANDS)
+def test_very_long_number_in_a_file_is_refused(work_folder, capsys, what, number):
+    (work_folder / "odd.toml").write_text(f"schema = 1\nname = {WIDE_NUMBERS[number]}\n")
+    line = refusal_line(capsys, *READING_COMMANDS[what])
     assert "odd.toml" in line
     assert len(line) < LONGEST_MESSAGE
 
@@ -216,7 +220,7 @@ def test_the_largest_numbers_of_toml_are_read():
     "verb", ["run", "demo", "report", "fault", "tune", "identify", "scan", "sim"]
 )
 def test_double_dash_is_no_option_value(capsys, verb, option):
-    assert f"--{option}" in refused(capsys, verb, f"--{option}=--")
+    assert f"--{option}" in refusal_line(capsys, verb, f"--{option}=--")
 
 
 @pytest.mark.parametrize("name", [".", "", "/", ".."])
@@ -233,9 +237,9 @@ def test_double_dash_is_no_option_value(capsys, verb, option):
     ],
     ids=" ".join,
 )
-def test_a_log_whose_name_is_a_folder(place, capsys, verb, name):
-    (place / "gains.toml").write_text("schema = 1\n")
-    refused(capsys, *verb, name)
+def test_a_log_whose_name_is_a_folder(work_folder, capsys, verb, name):
+    (work_folder / "gains.toml").write_text("schema = 1\n")
+    refusal_line(capsys, *verb, name)
 
 
 @pytest.mark.parametrize("number", ["9" * 50, "9" * 5000, "-1", "0.5", "1e99", "\x1b[2J"])
@@ -249,23 +253,23 @@ def test_invalid_node_number_is_refused(capsys, drive, number):
     assert len(err.splitlines()[-1]) < LONGEST_MESSAGE + 60
 
 
-def test_a_pipe_without_a_reader_is_not_waited_for(place, capsys):
-    os.mkfifo(place / "pipe")
+def test_a_pipe_without_a_reader_is_not_waited_for(work_folder, capsys):
+    os.mkfifo(work_folder / "pipe")
     golden = PACKAGED_HANDS_FOLDER.parents[3] / "logs" / "golden" / "jamia-fault.mcap"
-    assert "nobody reads" in refused(capsys, "report", str(golden), "--output", "pipe")
+    assert "nobody reads" in refusal_line(capsys, "report", str(golden), "--output", "pipe")
 
 
 def test_json_of_foreign_words_is_utf8_that_others_read(capsys):
-    print_json({f"k{ESCAPES}\udcff": ["\ud800", ESCAPES, {"\udcff": "\x7f"}]})
+    print_json({f"k{ESCAPE_SEQUENCES}\udcff": ["\ud800", ESCAPE_SEQUENCES, {"\udcff": "\x7f"}]})
     text = capsys.readouterr().out
     assert is_harmless(text)
     found = json.loads(text)
     json.dumps(found, ensure_ascii=False).encode()
-    assert ESCAPES in found[f"k{ESCAPES}\\udcff"], "only surrogates are replaced"
+    assert ESCAPE_SEQUENCES in found[f"k{ESCAPE_SEQUENCES}\\udcff"], "only surrogates are replaced"
 
 
-def test_a_note_of_bytes_that_are_no_text_is_kept_escaped(place):
-    (place / "new.toml").write_text("schema = 1\n[motion]\nforce_N = 12.0\n")
+def test_a_note_of_bytes_that_are_no_text_is_kept_escaped(work_folder):
+    (work_folder / "new.toml").write_text("schema = 1\n[motion]\nforce_N = 12.0\n")
     words = (
         sys.executable,
         "-m",
@@ -282,8 +286,8 @@ def test_a_note_of_bytes_that_are_no_text_is_kept_escaped(place):
     assert "n\\udcf6te\x1b" in done.stdout.decode().replace("\\\\", "\\").replace("\\u001b", "\x1b")
 
 
-def test_a_folder_whose_name_is_no_text(place):
-    folder = os.fsencode(place) + b"/l\xf6g"
+def test_a_folder_whose_name_is_no_text(work_folder):
+    folder = os.fsencode(work_folder) + b"/l\xf6g"
     os.mkdir(folder)
     words = (
         sys.executable,
@@ -300,19 +304,19 @@ def test_a_folder_whose_name_is_no_text(place):
     assert b"l\\udcf6g/x\\x1b.toml" in done.stderr
 
 
-def test_a_refusal_of_the_simulator_is_reported_without_its_class(place, capsys):
-    (place / "odd.toml").write_text('name = "x"\n[object]\nshape = "\\u001b[2J\\n"\n')
+def test_a_refusal_of_the_simulator_is_reported_without_its_class(work_folder, capsys):
+    (work_folder / "odd.toml").write_text('name = "x"\n[object]\nshape = "\\u001b[2J\\n"\n')
     for words in (
         ("demo", "--lockstep", "--scene", "odd.toml"),
-        ("demo", "--lockstep", "--scene", ESCAPES),
+        ("demo", "--lockstep", "--scene", ESCAPE_SEQUENCES),
     ):
-        line = refused(capsys, *words)
+        line = refusal_line(capsys, *words)
         assert "firmware_sim" not in line
         assert ":Rig" not in line
         assert line[:-1].isprintable()
 
 
-FORGED = "\nFORGED"
+FORGED_LINE = "\nFORGED"
 
 
 @pytest.mark.parametrize(
@@ -325,13 +329,16 @@ FORGED = "\nFORGED"
         ("config", "check", "--gains", "g.toml"),
     ],
 )
-def test_a_line_end_in_a_file_makes_no_second_line(place, capsys, words):
+def test_a_line_end_in_a_file_makes_no_second_line(work_folder, capsys, words):
     forged = "".join(
-        f"{key} = {json.dumps(key + FORGED)}\n"
+        f"{key} = {json.dumps(key + FORGED_LINE)}\n"
         for key in ("note", "made", "version", "fit", "study")
     )
-    text = f"schema = 1\n[motion]\nforce_N = 12.0\n[provenance]\nhand = 'jamia'\nlog = [{json.dumps(FORGED)}]\n{forged}"
-    (place / "g.toml").write_text(text)
+    text = (
+        "schema = 1\n[motion]\nforce_N = 12.0\n[provenance]\nhand = 'jamia'\n"
+        f"log = [{json.dumps(FORGED_LINE)}]\n{forged}"
+    )
+    (work_folder / "g.toml").write_text(text)
     if words in (("gains", "log"), ("gains", "show")):
         assert main(["gains", "apply", "g.toml"]) == 0
     assert main(list(words)) == 0
@@ -342,11 +349,11 @@ def test_a_line_end_in_a_file_makes_no_second_line(place, capsys, words):
 @pytest.mark.parametrize(
     "words",
     [
-        ("sim", "--bus", f"local:x{FORGED}", "--dry-run"),
-        ("bus", "doctor", "--bus", f"local:x{FORGED}"),
-        ("demo", "--lockstep", "--dry-run", "--log", f"a{FORGED}.mcap"),
-        ("gains", "apply", "g.toml", "--note", f"x{FORGED}"),
-        (f"x{FORGED}",),
+        ("sim", "--bus", f"local:x{FORGED_LINE}", "--dry-run"),
+        ("bus", "doctor", "--bus", f"local:x{FORGED_LINE}"),
+        ("demo", "--lockstep", "--dry-run", "--log", f"a{FORGED_LINE}.mcap"),
+        ("gains", "apply", "g.toml", "--note", f"x{FORGED_LINE}"),
+        (f"x{FORGED_LINE}",),
     ],
 )
 def test_a_line_end_in_an_argument_is_refused(capsys, words):
@@ -361,7 +368,7 @@ def test_a_line_end_in_an_argument_is_refused(capsys, words):
 def test_the_simulator_refuses_a_line_end_in_an_argument(capsys):
     from firmware_sim.__main__ import main as simulate
 
-    assert simulate(["--hand", f"x{FORGED}", "--bus", "local:x"]) == 2
+    assert simulate(["--hand", f"x{FORGED_LINE}", "--bus", "local:x"]) == 2
     err = capsys.readouterr().err
     assert err.count("\n") == 1
     assert "\\nFORGED" in err

@@ -9,10 +9,10 @@ from pathlib import Path
 from handctl.cli.main import main
 from handctl.session.verdict import _copy_truth
 
-GOLDEN = Path(__file__).parents[2] / "logs" / "golden"
-FULL = Path("/dev/full")
+GOLDEN_FOLDER = Path(__file__).parents[2] / "logs" / "golden"
+FULL_DEVICE = Path("/dev/full")
 """A device that accepts no byte, like a full disk."""
-TASK = """schema = 1
+SHORT_TASK = """schema = 1
 name = "short"
 [[phase]]
 kind = "move"
@@ -22,9 +22,9 @@ duration_s = 0.1
 """
 
 
-def test_a_run_without_room_for_its_picture_keeps_its_numbers(place, capsys):
-    (place / "short.toml").write_text(TASK)
-    (place / "run.png").symlink_to(FULL)
+def test_a_run_without_room_for_its_picture_keeps_its_numbers(work_folder, capsys):
+    (work_folder / "short.toml").write_text(SHORT_TASK)
+    (work_folder / "run.png").symlink_to(FULL_DEVICE)
     words = ("--lockstep", "--json", "--task", "short.toml", "--scene", "none", "--log", "run.mcap")
     assert main(["demo", *words]) == 0
     out, err = capsys.readouterr()
@@ -32,22 +32,24 @@ def test_a_run_without_room_for_its_picture_keeps_its_numbers(place, capsys):
     result = json.loads(out)
     assert result["ticks"] > 100
     assert result["picture"] is None
-    assert not (place / "run.png").is_symlink(), "an incomplete picture is removed"
+    assert not (work_folder / "run.png").is_symlink(), "an incomplete picture is removed"
 
 
-def test_a_truth_file_that_cannot_be_copied_is_read_in_place(place):
-    truth = place / "sim.truth"
+def test_a_truth_file_that_cannot_be_copied_is_read_in_place(work_folder):
+    truth = work_folder / "sim.truth"
     truth.write_bytes(bytes(100))
-    (place / "run.truth").symlink_to(FULL)
+    (work_folder / "run.truth").symlink_to(FULL_DEVICE)
     messages: list[str] = []
-    assert _copy_truth(place / "run.mcap", truth, messages.append) == truth
-    assert messages == [f"handctl: {place / 'run.truth'} is left out: No space left on device"]
+    assert _copy_truth(work_folder / "run.mcap", truth, messages.append) == truth
+    assert messages == [
+        f"handctl: {work_folder / 'run.truth'} is left out: No space left on device"
+    ]
 
 
-def test_a_page_that_cannot_be_written_is_one_line(place, capsys):
-    out = place / "page.html"
-    out.symlink_to(FULL)
-    assert main(["report", str(GOLDEN / "jamia-fault.mcap"), "--output", str(out)]) == 1
+def test_a_page_that_cannot_be_written_is_one_line(work_folder, capsys):
+    out = work_folder / "page.html"
+    out.symlink_to(FULL_DEVICE)
+    assert main(["report", str(GOLDEN_FOLDER / "jamia-fault.mcap"), "--output", str(out)]) == 1
     err = capsys.readouterr().err
     assert len(err.splitlines()) == 1
     assert "No space left on device" in err

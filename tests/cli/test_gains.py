@@ -14,18 +14,18 @@ from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.calibration import Calibration, TendonCalibration
 from handctl.session.calibration import write_calibration
-from tests.runtime.processes import scaled
+from tests.runtime.processes import time_scale_options
 
 PACKAGED_N = Gains().motion.force_N
-SAME = f"tension.force_N={Gains().tension.force_N}"
+UNCHANGED_GAIN = f"tension.force_N={Gains().tension.force_N}"
 """Setting of a gain to its present value, which has no effect."""
 
 
 @pytest.fixture
-def twice_changed_hand(place):
+def twice_changed_hand(work_folder):
     """Apply two gain files to the hand, one after the other."""
     for newtons in (25, 30):
-        (place / "new.toml").write_text(f"schema = 1\n[motion]\nforce_N = {newtons}.0\n")
+        (work_folder / "new.toml").write_text(f"schema = 1\n[motion]\nforce_N = {newtons}.0\n")
         assert main(["gains", "apply", "new.toml", "--note", f"{newtons} N"]) == 0
 
 
@@ -66,8 +66,8 @@ def test_gains_show_tells_the_origin_of_each_value(twice_changed_hand, capsys):
         ("tune", "verify", "--lockstep"),
     ],
 )
-def test_gains_of_another_hand_are_refused(place, capsys, verb):
-    write_gains(place / "new.toml", hand="jamia11", identity="1" * 64)
+def test_gains_of_another_hand_are_refused(work_folder, capsys, verb):
+    write_gains(work_folder / "new.toml", hand="jamia11", identity="1" * 64)
     assert main([*verb, "new.toml"]) == 2
     assert (
         capsys.readouterr().err
@@ -75,8 +75,8 @@ def test_gains_of_another_hand_are_refused(place, capsys, verb):
     )
 
 
-def test_gains_of_an_earlier_hand_file_are_used_and_reported(place, capsys):
-    write_gains(place / "new.toml", hand="jamia", identity="1" * 64)
+def test_gains_of_an_earlier_hand_file_are_used_and_reported(work_folder, capsys):
+    write_gains(work_folder / "new.toml", hand="jamia", identity="1" * 64)
     assert main(["gains", "show", "--gains", "new.toml", "--json"]) == 0
     said = capsys.readouterr()
     assert json.loads(said.out)["provenance"]["identity"] == "1" * 64
@@ -87,8 +87,8 @@ def test_gains_of_an_earlier_hand_file_are_used_and_reported(place, capsys):
 @pytest.mark.parametrize(
     "verb", [("gains", "apply"), ("tune", "verify", "--lockstep", "--dry-run")]
 )
-def test_gains_of_a_changed_hand_are_reported_by_apply_and_verify(place, capsys, verb):
-    write_gains(place / "new.toml", hand="jamia", identity="1" * 64)
+def test_gains_of_a_changed_hand_are_reported_by_apply_and_verify(work_folder, capsys, verb):
+    write_gains(work_folder / "new.toml", hand="jamia", identity="1" * 64)
     assert main([*verb, "new.toml"]) == 0
     assert "new.toml was made for jamia as 111111111111" in capsys.readouterr().err
 
@@ -130,8 +130,8 @@ def test_mistakes_give_one_line_and_exit_code_2(words, said, capsys):
     assert error.count("\n") == 1
 
 
-def test_a_damaged_gains_file_does_not_prevent_a_rollback(twice_changed_hand, place, capsys):
-    (place / "jamia.gains.toml").write_text("schema = [")
+def test_a_damaged_gains_file_does_not_prevent_a_rollback(twice_changed_hand, work_folder, capsys):
+    (work_folder / "jamia.gains.toml").write_text("schema = [")
     capsys.readouterr()
     assert main(["gains", "log"]) == 0
     assert "rollback brings back number 2" in capsys.readouterr().err
@@ -140,8 +140,8 @@ def test_a_damaged_gains_file_does_not_prevent_a_rollback(twice_changed_hand, pl
     assert output_of(capsys, "gains", "diff", "2", "present")["changed"] == {}
 
 
-def test_gains_that_give_no_controller_are_not_applied(place, capsys):
-    (place / "tiny.toml").write_text("schema = 1\n[motion]\nforce_N = 1e-9\n")
+def test_gains_that_give_no_controller_are_not_applied(work_folder, capsys):
+    (work_folder / "tiny.toml").write_text("schema = 1\n[motion]\nforce_N = 1e-9\n")
     for words in (
         ("gains", "apply", "tiny.toml"),
         ("config", "check", "--gains", "tiny.toml"),
@@ -152,12 +152,12 @@ def test_gains_that_give_no_controller_are_not_applied(place, capsys):
         out, error = capsys.readouterr()
         assert (out, error.count("\n")) == ("", 1)
         assert "no controller follows from these values" in error
-    assert not (place / "jamia.gains.toml").exists()
+    assert not (work_folder / "jamia.gains.toml").exists()
 
 
 @pytest.mark.realtime
-def test_set_on_a_running_hand_is_in_its_log(place, repeat_time_scale):
-    scale = scaled(repeat_time_scale)
+def test_set_on_a_running_hand_is_in_its_log(work_folder, repeat_time_scale):
+    scale = time_scale_options(repeat_time_scale)
     handctl = [sys.executable, "-m", "handctl.cli"]
     sim = [
         sys.executable,
@@ -170,19 +170,27 @@ def test_set_on_a_running_hand_is_in_its_log(place, repeat_time_scale):
         "--homed",
         *scale,
     ]
-    log, hand_file = place / "run.mcap", load_hand("jamia")
+    log, hand_file = work_folder / "run.mcap", load_hand("jamia")
     nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     made = datetime.datetime.now(datetime.UTC).isoformat()
     tendons = dict.fromkeys(hand_file.tendon_names, nothing)
     known = Calibration(hand="jamia", identity=hand_file.identity, made=made, tendon=tendons)
-    write_calibration(place / "jamia.calibration.toml", known)
+    write_calibration(work_folder / "jamia.calibration.toml", known)
     with subprocess.Popen(sim, stdout=subprocess.PIPE, text=True) as hand:
         try:
             assert "ready" in hand.stdout.readline()
             run = subprocess.Popen(
                 [*handctl, "run", "--bus", "local:set", "--log", str(log), "--json", *scale]
             )
-            change = [*handctl, "gains", "set", "motion.force_N=26", SAME, "--bus", "local:set"]
+            change = [
+                *handctl,
+                "gains",
+                "set",
+                "motion.force_N=26",
+                UNCHANGED_GAIN,
+                "--bus",
+                "local:set",
+            ]
             end = time.monotonic() + 60.0
             while (
                 said := subprocess.run([*change, "--json"], capture_output=True, text=True)

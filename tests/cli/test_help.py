@@ -13,10 +13,10 @@ from handctl.cli.main import VERB_GROUPS, VERB_HELP, main, verb_parser
 from handctl.cli.parsing.parser import VerbParser
 from handctl.cli.parsing.renamed import RENAMED_OPTIONS
 from handctl.core.gains.gain_bounds import gain_bounds
-from tests.cli.refused import refused
+from tests.cli.command_refusals import refusal_line
 
-DOCUMENT = Path(__file__).parents[2] / "docs" / "reference" / "command-line.md"
-ONE_NAME = {
+COMMAND_LINE_PAGE = Path(__file__).parents[2] / "docs" / "reference" / "command-line.md"
+OTHER_NAMES_OF_OPTION = {
     "--output": {"--out", "--write-to", "--report"},
     "--perturb": {"--vary", "--perturbation"},
     "--protocol": {"--drive", "--protocols"},
@@ -33,7 +33,7 @@ def sub_parsers(parser: VerbParser) -> dict[str, VerbParser]:
     return dict(found[0].choices) if found else {}
 
 
-def leaves() -> dict[str, VerbParser]:
+def leaf_parsers() -> dict[str, VerbParser]:
     """Return the parser of each sub-command, and of each command that has none."""
     found = {}
     for verb in VERB_HELP:
@@ -53,7 +53,7 @@ def test_help_shows_21_verbs_in_groups(capsys):
     assert lines[-1] == "  handctl demo --lockstep"
 
 
-@pytest.mark.parametrize("words", sorted({*VERB_HELP, *leaves()}))
+@pytest.mark.parametrize("words", sorted({*VERB_HELP, *leaf_parsers()}))
 def test_every_help_ends_with_an_example_of_its_verb(capsys, words):
     with pytest.raises(SystemExit) as ended:
         main([*words.split(), "--help"])
@@ -63,11 +63,11 @@ def test_every_help_ends_with_an_example_of_its_verb(capsys, words):
     assert lines[-2] == "example:"
 
 
-@pytest.mark.parametrize("words", sorted(leaves()))
+@pytest.mark.parametrize("words", sorted(leaf_parsers()))
 def test_every_verb_has_verbose_and_quiet_and_one_name_for_one_thing(words):
-    options = set(leaves()[words]._option_string_actions)
+    options = set(leaf_parsers()[words]._option_string_actions)
     assert {"-v", "--verbose", "-q", "--quiet"} <= options
-    for name, others in ONE_NAME.items():
+    for name, others in OTHER_NAMES_OF_OPTION.items():
         assert not options & others, f"{words}: {name} is the name"
 
 
@@ -87,32 +87,36 @@ def test_every_verb_has_verbose_and_quiet_and_one_name_for_one_thing(words):
     ],
 )
 def test_a_misspelt_word_is_answered_with_the_nearest_one(capsys, words, suggestion):
-    assert suggestion in refused(capsys, *words.split())
+    assert suggestion in refusal_line(capsys, *words.split())
 
 
-ROWS = [
+RENAMED_OPTION_ROWS = [
     (verb, old, new) for verb, options in RENAMED_OPTIONS.items() for old, new in options.items()
 ]
 
 
 @pytest.mark.parametrize(
-    ("verb", "old", "new"), ROWS, ids=[f"{verb} {old}" for verb, old, _ in ROWS]
+    ("verb", "old", "new"),
+    RENAMED_OPTION_ROWS,
+    ids=[f"{verb} {old}" for verb, old, _ in RENAMED_OPTION_ROWS],
 )
 def test_an_old_spelling_is_refused_and_names_the_new_one(capsys, verb, old, new):
-    assert new in leaves()[verb]._option_string_actions
+    assert new in leaf_parsers()[verb]._option_string_actions
     for words in ([old, "x"], [f"{old}=x"]):
-        line = refused(capsys, *verb.split(), *words)
+        line = refusal_line(capsys, *verb.split(), *words)
         assert line == f"handctl: {verb}: {old} has been renamed; expected {new}\n"
 
 
 def test_the_document_lists_the_renamed_options():
     rows = re.findall(
-        r"^\| `([a-z ]+)` \| `(--[a-z-]+)` \| `(--[a-z-]+)` \|", DOCUMENT.read_text(), re.MULTILINE
+        r"^\| `([a-z ]+)` \| `(--[a-z-]+)` \| `(--[a-z-]+)` \|",
+        COMMAND_LINE_PAGE.read_text(),
+        re.MULTILINE,
     )
-    assert sorted(rows) == sorted(ROWS)
+    assert sorted(rows) == sorted(RENAMED_OPTION_ROWS)
 
 
-def completions(tmp_path, line):
+def shell_completions(tmp_path, line):
     """Return the completions that a shell offers for an unfinished command line."""
     answer = tmp_path / "answer"
     environment = os.environ | {
@@ -135,7 +139,7 @@ def completions(tmp_path, line):
     ],
 )
 def test_a_shell_completes_verbs_options_and_hands(tmp_path, line, expected):
-    assert completions(tmp_path, line) == expected
+    assert shell_completions(tmp_path, line) == expected
 
 
 def test_verbose_adds_details_on_standard_error_and_leaves_the_result(capsys):
@@ -148,7 +152,7 @@ def test_verbose_adds_details_on_standard_error_and_leaves_the_result(capsys):
         assert "exit code 0 after" in err
 
 
-def test_verbose_names_the_files_behind_a_run(place, capsys):
+def test_verbose_names_the_files_behind_a_run(work_folder, capsys):
     assert main(["demo", "--lockstep", "--dry-run", "-v"]) == 0
     err = capsys.readouterr().err
     assert "hand: jamia from jamia, identity" in err
@@ -156,7 +160,7 @@ def test_verbose_names_the_files_behind_a_run(place, capsys):
 
 
 def test_verbose_and_quiet_exclude_each_other(capsys):
-    assert "not allowed with" in refused(capsys, "-v", "demo", "-q")
+    assert "not allowed with" in refusal_line(capsys, "-v", "demo", "-q")
 
 
 def test_quiet_leaves_the_findings_that_need_a_repair(capsys, monkeypatch):

@@ -15,19 +15,30 @@ from handctl.hand.hand_loading import load_hand
 from handctl.programs.default_task import default_scene
 from handctl.report.truth import read_truth
 from handctl.session.plan import default_rate
-from tests.cli.refused import refused
+from tests.cli.command_refusals import refusal_line
 from tests.conftest import NIGHTLY
 
-LINKS = ("40", "60", "90", "120", "24,16", "40,30", "70,50", "18,12,10", "50,30,20", "55,40,25")
-CASES = [
+LINK_LENGTHS_MM = (
+    "40",
+    "60",
+    "90",
+    "120",
+    "24,16",
+    "40,30",
+    "70,50",
+    "18,12,10",
+    "50,30,20",
+    "55,40,25",
+)
+HAND_CASES = [
     (fingers, links, tendons, seed)
     for seed in range(2)
     for fingers in (1, 2, 3, 4)
-    for links in LINKS
+    for links in LINK_LENGTHS_MM
     for tendons in ("one", "each")
     if tendons == "one" or "," in links
 ]
-SAMPLE = [(1, "70,50", "one", 0), (2, "50,30,20", "each", 1)]
+SAMPLE_CASES = [(1, "70,50", "one", 0), (2, "50,30,20", "each", 1)]
 """Regression: both hands dropped the cylinder.
 
 Its size did not depend on the hand, so the fingertips touched each other.
@@ -35,21 +46,25 @@ Its size did not depend on the hand, so the fingertips touched each other.
 MAX_SLIP_MM = 5.0
 
 
-def init(*words: str) -> None:
+def write_initial_hand(*words: str) -> None:
     """Write mine.toml with `config init` and given options."""
     assert main(["config", "init", "--yes", *words, "--output", "mine.toml"]) == 0
 
 
-@pytest.mark.parametrize(("fingers", "links", "tendons", "seed"), CASES if NIGHTLY else SAMPLE)
+@pytest.mark.parametrize(
+    ("fingers", "links", "tendons", "seed"), HAND_CASES if NIGHTLY else SAMPLE_CASES
+)
 def test_new_hand_grasps_holds_and_releases(
-    place: Path,
+    work_folder: Path,
     capsys: pytest.CaptureFixture[str],
     fingers: int,
     links: str,
     tendons: str,
     seed: int,
 ) -> None:
-    init("--fingers", str(fingers), "--opposed", "1", "--links", links, "--tendons", tendons)
+    write_initial_hand(
+        "--fingers", str(fingers), "--opposed", "1", "--links", links, "--tendons", tendons
+    )
     assert "warning" not in capsys.readouterr().out
     words = ["--hand", "mine.toml", "--log", "run.mcap", "--seed", str(seed), "--json"]
     code = main(["demo", "--lockstep", *words])
@@ -58,37 +73,41 @@ def test_new_hand_grasps_holds_and_releases(
     result = json.loads(out)
     assert result["table_sunk_mm"] > 50.0
     assert result["object_slid_mm"] < MAX_SLIP_MM
-    truth = read_truth(place / "run.truth")
+    truth = read_truth(work_folder / "run.truth")
     forces = [name for name in truth.columns if name.startswith("contact_force/")]
     assert forces
     # At the end no digit touches anything, because the object lies on the table.
     assert abs(truth.table(forces, truth.t_ns[-1:])).max() == 0.0
 
 
-def test_the_object_suits_the_digits(place: Path) -> None:
-    init("--links", "40,30")
+def test_the_object_suits_the_digits(work_folder: Path) -> None:
+    write_initial_hand("--links", "40,30")
     assert default_scene(load_hand("mine.toml")) == "cylinder:52"
 
 
-def test_the_object_fits_between_the_digits(place: Path) -> None:
-    init("--links", "70,50", "--palm", "60")
+def test_the_object_fits_between_the_digits(work_folder: Path) -> None:
+    write_initial_hand("--links", "70,50", "--palm", "60")
     assert default_scene(load_hand("mine.toml")) == "cylinder:43"
 
 
 @pytest.mark.parametrize(
     ("fingers", "opposed", "links"), [(4, 1, "55,40,25"), (4, 4, "40,30"), (3, 0, "40,30")]
 )
-def test_no_bus_is_slower_than_250_hz(place: Path, fingers: int, opposed: int, links: str) -> None:
-    init(
+def test_no_bus_is_slower_than_250_hz(
+    work_folder: Path, fingers: int, opposed: int, links: str
+) -> None:
+    write_initial_hand(
         "--fingers", str(fingers), "--opposed", str(opposed), "--links", links, "--tendons", "each"
     )
     assert default_rate(load_hand("mine.toml")) >= 250.0
 
 
 def test_a_rate_that_leaves_no_margin_is_a_warning(
-    place: Path, capsys: pytest.CaptureFixture[str]
+    work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    init("--fingers", "3", "--opposed", "1", "--links", "50,30,20", "--tendons", "each")
+    write_initial_hand(
+        "--fingers", "3", "--opposed", "1", "--links", "50,30,20", "--tendons", "each"
+    )
     assert main(["config", "check", "--hand", "mine.toml"]) == 0
     assert "gain margin" not in capsys.readouterr().out, "two buses allow 250 Hz"
     text = re.sub(r', m[1-3]\.bus = "bus_2"', "", Path("mine.toml").read_text())
@@ -116,9 +135,9 @@ def test_a_rate_that_leaves_no_margin_is_a_warning(
     ],
 )
 def test_config_check_warns_of_a_hand_that_cannot_grasp(
-    place: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], reason: str
+    work_folder: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], reason: str
 ) -> None:
-    init(*words)
+    write_initial_hand(*words)
     out = capsys.readouterr().out
     assert "warning: " in out
     assert reason in out
@@ -126,7 +145,7 @@ def test_config_check_warns_of_a_hand_that_cannot_grasp(
 
 
 def test_a_palm_too_small_for_an_object_is_refused(
-    place: Path, capsys: pytest.CaptureFixture[str]
+    work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    line = refused(capsys, "config", "init", "--yes", "--palm", "14", "--output", "mine.toml")
+    line = refusal_line(capsys, "config", "init", "--yes", "--palm", "14", "--output", "mine.toml")
     assert "--palm: 14; expected at least" in line

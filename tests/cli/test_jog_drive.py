@@ -5,11 +5,21 @@ import json
 import pytest
 
 from handctl.cli.main import main
-from tests.cli.test_conformance import ENDPOINTS
+from tests.cli.test_conformance import ENDPOINT_OPTIONS
 from tests.drives.bench_process import run_simulated_drives
-from tests.runtime.processes import handctl
+from tests.runtime.processes import run_handctl
 
-WORDS = ["jog", "--bus", "local:j", "--torque-limit-Nm", "0.3", "--node", "33", "--for", "1.5"]
+JOG_OPTIONS = [
+    "jog",
+    "--bus",
+    "local:j",
+    "--torque-limit-Nm",
+    "0.3",
+    "--node",
+    "33",
+    "--for",
+    "1.5",
+]
 
 
 @pytest.mark.realtime
@@ -27,9 +37,9 @@ WORDS = ["jog", "--bus", "local:j", "--torque-limit-Nm", "0.3", "--node", "33", 
         pytest.param(
             "mit", "torque", ["--speed-limit=50"], id="mit-torque", marks=pytest.mark.nightly
         ),
-        pytest.param("odrive", "position", ENDPOINTS, id="odrive"),
+        pytest.param("odrive", "position", ENDPOINT_OPTIONS, id="odrive"),
         pytest.param(
-            "odrive", "velocity", ENDPOINTS, id="odrive-velocity", marks=pytest.mark.nightly
+            "odrive", "velocity", ENDPOINT_OPTIONS, id="odrive-velocity", marks=pytest.mark.nightly
         ),
         pytest.param("cia402", "position", [], id="cia402"),
         pytest.param("cia402", "velocity", [], id="cia402-velocity", marks=pytest.mark.nightly),
@@ -49,14 +59,14 @@ def test_a_drive_in_another_process_is_moved_and_left_off(protocol, mode, more):
             "--json",
             *more,
         ]
-        done = handctl(*WORDS, *words)
+        done = run_handctl(*JOG_OPTIONS, *words)
         assert done.returncode == 0, done.stderr
         result = json.loads(done.stdout)
         assert (result["failure"], result["confirmed_off"]) == ("", True)
         if mode != "torque":
             assert result["moved_rad"] == pytest.approx(1.0 if "position" in mode else 1.5, abs=0.2)
             assert result["final_rad_s"] < 0.2
-        found = handctl("scan", "--bus", "local:j", "--json")
+        found = run_handctl("scan", "--bus", "local:j", "--json")
     (node,) = json.loads(found.stdout)["buses"][0]["nodes"]
     assert node["error"] == ""
 
@@ -75,7 +85,7 @@ def test_a_limit_stops_a_drive_in_another_process(capsys):
             "0.5",
             "--yes",
         ]
-        assert main([*WORDS, *words]) == 1
+        assert main([*JOG_OPTIONS, *words]) == 1
     out = capsys.readouterr()
     assert "expected at most 0.5" in out.err
     assert "off, as reported by the drive" in out.out
@@ -113,7 +123,7 @@ def test_a_limit_stops_a_drive_in_another_process(capsys):
 )
 def test_wrong_input_is_one_line_and_opens_no_bus(words, expected, capsys, monkeypatch):
     monkeypatch.setattr("handctl.cli.console.bench.open_bus", None)
-    assert main([*WORDS, *words.split(), "--yes"]) == 2
+    assert main([*JOG_OPTIONS, *words.split(), "--yes"]) == 2
     text = capsys.readouterr().err
     assert expected in text
     assert text.count("\n") == 1
@@ -122,7 +132,7 @@ def test_wrong_input_is_one_line_and_opens_no_bus(words, expected, capsys, monke
 def test_a_dry_run_opens_no_bus(capsys, monkeypatch):
     monkeypatch.setattr("handctl.cli.console.bench.open_bus", None)
     words = ["--mode", "velocity", "--setpoint", "2", "--protocol", "cia402", "--dry-run", "--json"]
-    assert main([*WORDS, *words]) == 0
+    assert main([*JOG_OPTIONS, *words]) == 0
     assert json.loads(capsys.readouterr().out) == {
         "mode": "velocity",
         "setpoint": 2.0,

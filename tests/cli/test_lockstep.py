@@ -17,9 +17,9 @@ from rosbags.highlevel import AnyReader
 from handctl.cli.main import main
 from handctl.log.read.reader import RunLog
 from tests.conftest import NIGHTLY
-from tests.runtime.processes import SHORT
+from tests.runtime.processes import SHORT_TASK
 
-KEYS = {
+RESULT_KEYS = {
     "ticks", "missed", "late_us", "tracking_rmse_rad", "tension_rmse_n", "tension_hold_error_n",
     "frames_tx", "frames_rx", "frames_late", "frames_lost", "silent_ticks", "joint_angles", "bus_load", "log",
 }  # fmt: skip
@@ -65,7 +65,7 @@ def run_demos(folder, *hands, task=""):
 def equal_demos(tmp_path_factory):
     """Return the results of two equal demos. By day they are a short motion, at night a grasp."""
     return run_demos(
-        tmp_path_factory.mktemp("equal_demos"), "jamia", "jamia", task="" if NIGHTLY else SHORT
+        tmp_path_factory.mktemp("equal_demos"), "jamia", "jamia", task="" if NIGHTLY else SHORT_TASK
     )
 
 
@@ -88,10 +88,10 @@ def messages_of(path):
         return [(channel.topic, message.log_time, message.data) for _, channel, message in messages]
 
 
-FILES = {"run.mcap", "run.truth", "run.png", "run.commission.mcap", "run.calibration.toml"}
+DEMO_FILES = {"run.mcap", "run.truth", "run.png", "run.commission.mcap", "run.calibration.toml"}
 
 
-@pytest.mark.parametrize("name", sorted(FILES))
+@pytest.mark.parametrize("name", sorted(DEMO_FILES))
 def test_two_runs_write_the_same_bytes(equal_demos, name):
     (first, _), (second, _) = equal_demos
     one, other = (first / name).read_bytes(), (second / name).read_bytes()
@@ -106,7 +106,7 @@ def test_two_runs_write_the_same_bytes(equal_demos, name):
 
 def test_lockstep_demo_writes_exactly_its_files(equal_demos):
     for place, _ in equal_demos:
-        assert {path.name for path in place.iterdir()} == FILES
+        assert {path.name for path in place.iterdir()} == DEMO_FILES
     assert len(messages_of(equal_demos[0][0] / "run.mcap")) > (50_000 if NIGHTLY else 10_000)
 
 
@@ -119,7 +119,7 @@ def test_two_lockstep_runs_print_equal_results(equal_demos):
 
 
 def meets_requirements(result):
-    assert result.keys() >= KEYS
+    assert result.keys() >= RESULT_KEYS
     assert result["late_us"].keys() >= {"p50", "p99_9", "max"}
     assert (result["missed"], result["frames_late"], result["frames_lost"], result["failure"]) == (
         0,
@@ -185,8 +185,8 @@ def test_the_log_is_complete_and_has_every_tick(equal_demos):
         assert len(run) == result["ticks"]
 
 
-def test_a_lockstep_run_shows_its_progress(place, capfd):
-    (place / "short.toml").write_text(SHORT)
+def test_a_lockstep_run_shows_its_progress(work_folder, capfd):
+    (work_folder / "short.toml").write_text(SHORT_TASK)
     assert main(["demo", "--lockstep", "--task", "short.toml", "--log", "run.mcap"]) == 0
     error_output = capfd.readouterr().err
     assert "1.000 s  ACTIVE    bend       tension" in error_output

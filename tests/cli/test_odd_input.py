@@ -7,37 +7,37 @@ import pytest
 
 from handctl.cli.main import main
 from handctl.hand.hand_loading import PACKAGED_HANDS_FOLDER
-from tests.cli.refused import refused
+from tests.cli.command_refusals import refusal_line
 
-BUS = ("--bus", "local:nobody")
+ABSENT_BUS_OPTION = ("--bus", "local:nobody")
 
 
-def a_pipe(path):
+def make_pipe(path):
     os.mkfifo(path)
 
 
-def a_folder(path):
+def make_folder(path):
     path.mkdir()
 
 
-def a_number_without_end(path):
+def write_endless_number(path):
     path.write_text("schema = " + "9" * 5000)
 
 
-def nested_without_end(path):
+def write_endless_nesting(path):
     path.write_text("a = " + "[" * 3000 + "]" * 3000)
 
 
-def a_loop(path):
+def make_link_loop(path):
     path.symlink_to(path.name)
 
 
-READS = {
+READING_COMMANDS = {
     "hand": ("config", "check", "--hand", "odd"),
     "task": ("config", "check", "--task", "odd"),
     "gains": ("config", "check", "--gains", "odd"),
     "calibration": ("config", "check", "--calibration", "odd"),
-    "trajectory": ("run", *BUS, "--trajectory", "odd"),
+    "trajectory": ("run", *ABSENT_BUS_OPTION, "--trajectory", "odd"),
     "candidate": ("tune", "verify", "odd", "--lockstep", "--dry-run"),
     "scene": ("demo", "--lockstep", "--dry-run", "--scene", "odd.toml"),
     "log": ("log", "info", "odd"),
@@ -45,46 +45,48 @@ READS = {
 
 
 @pytest.mark.parametrize(
-    "make", [a_pipe, a_folder, a_number_without_end, nested_without_end], ids=lambda f: f.__name__
+    "make",
+    [make_pipe, make_folder, write_endless_number, write_endless_nesting],
+    ids=lambda f: f.__name__,
 )
-@pytest.mark.parametrize("what", READS)
-def test_unreadable_file_is_refused_in_one_line(place, capsys, what, make):
-    make(place / "odd")
-    (place / "odd.toml").symlink_to("odd")
-    assert "odd" in refused(capsys, *READS[what])
+@pytest.mark.parametrize("what", READING_COMMANDS)
+def test_unreadable_file_is_refused_in_one_line(work_folder, capsys, what, make):
+    make(work_folder / "odd")
+    (work_folder / "odd.toml").symlink_to("odd")
+    assert "odd" in refusal_line(capsys, *READING_COMMANDS[what])
 
 
-def test_a_truth_that_is_a_pipe_is_not_waited_for(place, capsys):
-    a_pipe(place / "truth")
+def test_a_truth_that_is_a_pipe_is_not_waited_for(work_folder, capsys):
+    make_pipe(work_folder / "truth")
     golden = PACKAGED_HANDS_FOLDER.parents[3] / "logs" / "golden" / "jamia-fault.mcap"
-    assert "not a file" in refused(capsys, "report", str(golden), "--truth", "truth")
+    assert "not a file" in refusal_line(capsys, "report", str(golden), "--truth", "truth")
 
 
-def test_a_truth_file_of_another_run_is_refused(place, capsys):
+def test_a_truth_file_of_another_run_is_refused(work_folder, capsys):
     golden = PACKAGED_HANDS_FOLDER.parents[3] / "logs" / "golden" / "jamia-fault.mcap"
     header = {"columns": ["q/index_j1"]}
     row = (10**13).to_bytes(8, "little") + bytes(8)
-    (place / "run.truth").write_bytes(json.dumps(header).encode() + b"\n" + row)
-    assert "at another time" in refused(
+    (work_folder / "run.truth").write_bytes(json.dumps(header).encode() + b"\n" + row)
+    assert "at another time" in refusal_line(
         capsys, "report", str(golden), "--truth", "run.truth", "--output", "x.html"
     )
-    assert not (place / "x.html").exists()
+    assert not (work_folder / "x.html").exists()
 
 
 @pytest.mark.parametrize("name", ["n" * 300, "odd/x", "loop"])
-@pytest.mark.parametrize("what", [what for what in READS if what != "scene"])
-def test_impossible_file_name_is_refused(place, capsys, what, name):
-    (place / "odd").write_text("")
-    a_loop(place / "loop")
-    refused(capsys, *(word.replace("odd", name) for word in READS[what]))
+@pytest.mark.parametrize("what", [what for what in READING_COMMANDS if what != "scene"])
+def test_impossible_file_name_is_refused(work_folder, capsys, what, name):
+    (work_folder / "odd").write_text("")
+    make_link_loop(work_folder / "loop")
+    refusal_line(capsys, *(word.replace("odd", name) for word in READING_COMMANDS[what]))
 
 
 def test_a_name_with_nul_is_refused(capsys):
-    for words in READS.values():
-        assert "NUL" in refused(capsys, *(word.replace("odd", "o\0d") for word in words))
+    for words in READING_COMMANDS.values():
+        assert "NUL" in refusal_line(capsys, *(word.replace("odd", "o\0d") for word in words))
 
 
-NUMBERS = [
+WRONG_NUMBER_COMMANDS = [
     ("tune", "design", "--rate=nan"),
     ("tune", "design", "--rate=inf"),
     ("tune", "design", "--rate=0"),
@@ -109,9 +111,9 @@ NUMBERS = [
 ]
 
 
-@pytest.mark.parametrize("words", NUMBERS, ids=" ".join)
+@pytest.mark.parametrize("words", WRONG_NUMBER_COMMANDS, ids=" ".join)
 def test_invalid_number_is_refused(capsys, words):
-    assert words[-1].partition("=")[0] in refused(capsys, *words)
+    assert words[-1].partition("=")[0] in refusal_line(capsys, *words)
 
 
 def test_campaign_of_rows_without_scenarios_is_refused(capsys):
@@ -131,7 +133,7 @@ def test_campaign_of_rows_without_scenarios_is_refused(capsys):
         "--row",
         "N09",
     )
-    assert "'N09'" in refused(capsys, *words)
+    assert "'N09'" in refusal_line(capsys, *words)
 
 
 def test_very_long_drive_option_is_refused(capsys):
@@ -146,7 +148,7 @@ def test_very_long_drive_option_is_refused(capsys):
         "0.1",
         "--dry-run",
     )
-    assert "--option" in refused(
+    assert "--option" in refusal_line(
         capsys, "conformance", *words, "--option", "gear_ratio=" + "9" * 5000
     )
 
@@ -155,27 +157,33 @@ def test_very_long_drive_option_is_refused(capsys):
 @pytest.mark.parametrize("option", ["--bitrate", "--data-bitrate"])
 @pytest.mark.parametrize("verb", [("bus", "doctor"), ("scan",)], ids=" ".join)
 def test_impossible_bit_rate_is_refused(capsys, verb, option, rate):
-    assert "expected 10000 to 8000000" in refused(capsys, *verb, *BUS, f"{option}={rate}")
+    assert "expected 10000 to 8000000" in refusal_line(
+        capsys, *verb, *ABSENT_BUS_OPTION, f"{option}={rate}"
+    )
 
 
 def test_an_unknown_perturbation_is_refused_before_the_run(capsys):
-    refused(capsys, "identify", "--lockstep", "--digits", "thumb", "--perturb", "luck=2")
+    refusal_line(capsys, "identify", "--lockstep", "--digits", "thumb", "--perturb", "luck=2")
 
 
 @pytest.mark.parametrize("verb", [("identify",), ("tune", "verify", "new.toml")], ids=" ".join)
 @pytest.mark.parametrize(
-    "words", [("--lockstep", "--perturb", "stiffness=nan"), (*BUS, "--perturb", "stiffness=2")]
+    "words",
+    [
+        ("--lockstep", "--perturb", "stiffness=nan"),
+        (*ABSENT_BUS_OPTION, "--perturb", "stiffness=2"),
+    ],
 )
-def test_perturbation_without_a_simulated_hand_is_refused(place, capsys, verb, words):
-    (place / "new.toml").write_text("schema = 1\n")
-    assert "--perturb" in refused(capsys, *verb, *words, "--dry-run")
+def test_perturbation_without_a_simulated_hand_is_refused(work_folder, capsys, verb, words):
+    (work_folder / "new.toml").write_text("schema = 1\n")
+    assert "--perturb" in refusal_line(capsys, *verb, *words, "--dry-run")
 
 
-BUSES = ["x", ":x", "local:", "local:../x", "local:a/b", "local:.x", "socketcan:", ""]
+WRONG_BUS_SPECS = ["x", ":x", "local:", "local:../x", "local:a/b", "local:.x", "socketcan:", ""]
 
 
-@pytest.mark.parametrize("bus", BUSES)
-def test_invalid_bus_is_refused_before_the_run(place, capsys, bus):
+@pytest.mark.parametrize("bus", WRONG_BUS_SPECS)
+def test_invalid_bus_is_refused_before_the_run(work_folder, capsys, bus):
     drive = ("--protocol", "mit", "--node", "1", "--torque-limit-Nm", "0.1")
     for words in (
         ("run", "--task", "grasp.toml"),
@@ -198,10 +206,10 @@ def test_invalid_bus_is_refused_before_the_run(place, capsys, bus):
         ("fault", "list"),
         fault,
     ):
-        refused(capsys, *words, "--bus", bus)
+        refusal_line(capsys, *words, "--bus", bus)
     for words in (("scan",), ("sim",), ("conformance", *drive)):
-        refused(capsys, *words, "--dry-run", "--bus", bus)
-    assert list(place.iterdir()) == []
+        refusal_line(capsys, *words, "--dry-run", "--bus", bus)
+    assert list(work_folder.iterdir()) == []
 
 
 @pytest.mark.parametrize(
@@ -227,12 +235,12 @@ def test_buses_are_named_alike_in_every_verb(capsys):
         out, err = capsys.readouterr()
         assert "local:nobody" in out + err
         assert "main=local:nobody" not in out + err
-        refused(capsys, *words, "--bus", "no name=local:nobody")
+        refusal_line(capsys, *words, "--bus", "no name=local:nobody")
 
 
-def test_deleted_working_folder_is_one_line(place, monkeypatch, capsys):
-    (place / "gone").mkdir()
+def test_deleted_working_folder_is_one_line(work_folder, monkeypatch, capsys):
+    (work_folder / "gone").mkdir()
     monkeypatch.chdir("gone")
-    (place / "gone").rmdir()
+    (work_folder / "gone").rmdir()
     for words in (("demo", "--lockstep"), ("doctor",), ("config", "show")):
-        assert "folder" in refused(capsys, *words) or words[0] == "demo"
+        assert "folder" in refusal_line(capsys, *words) or words[0] == "demo"

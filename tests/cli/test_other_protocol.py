@@ -14,9 +14,9 @@ from handctl.campaign.scenarios import ALL_PROTOCOLS
 from handctl.cli.main import main
 from handctl.cli.runs.other_protocol import hand_in_protocol
 from handctl.hand.hand_loading import load_hand, packaged_hands
-from tests.cli.refused import refused
+from tests.cli.command_refusals import refusal_line
 
-BUS = ("--bus", "local:does-not-exist")
+ABSENT_BUS_OPTION = ("--bus", "local:does-not-exist")
 
 
 @pytest.mark.parametrize("protocol", ALL_PROTOCOLS)
@@ -34,7 +34,7 @@ def test_a_simulator_leaves_the_file_that_its_controller_needs(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    words = ["sim", "--hand", "jamia", "--protocol", "odrive", *BUS]
+    words = ["sim", "--hand", "jamia", "--protocol", "odrive", *ABSENT_BUS_OPTION]
     assert main([*words, "--dry-run", "--json"]) == 0
     command = json.loads(capsys.readouterr().out)["command"]
     assert command[command.index("--hand") + 1] == "jamia-odrive.toml"
@@ -46,7 +46,7 @@ def test_a_simulator_leaves_the_file_that_its_controller_needs(
         assert load_hand("jamia-odrive.toml").motor[0].protocol == "odrive"
     assert [one[one.index("--hand") + 1] for one in started] == ["jamia-odrive.toml"] * 2
     Path("jamia-odrive.toml").write_text("mine")
-    line = refused(capsys, *words)
+    line = refusal_line(capsys, *words)
     assert line.endswith(
         ": jamia-odrive.toml exists and describes another hand; expected a folder without it\n"
     )
@@ -54,6 +54,6 @@ def test_a_simulator_leaves_the_file_that_its_controller_needs(
 
 
 def test_an_unknown_protocol_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    assert "argument --protocol: invalid choice: 'none'" in refused(
+    assert "argument --protocol: invalid choice: 'none'" in refusal_line(
         capsys, "demo", "--lockstep", "--protocol", "none"
     )

@@ -10,7 +10,7 @@ import pytest
 
 from handctl.cli.console.progress import progress_bar
 
-LOG = str(Path(__file__).parents[2] / "logs" / "golden" / "jamia-lost.mcap")
+GOLDEN_LOG_TEXT = str(Path(__file__).parents[2] / "logs" / "golden" / "jamia-lost.mcap")
 
 
 def at_a_terminal(words: tuple[str, ...], folder: Path) -> tuple[str, str]:
@@ -36,7 +36,9 @@ def at_a_terminal(words: tuple[str, ...], folder: Path) -> tuple[str, str]:
 
 
 def test_a_terminal_shows_a_bar_until_the_work_is_done(tmp_path: Path) -> None:
-    out, error_output = at_a_terminal(("replay", "execute", LOG, "--within", "1e-9"), tmp_path)
+    out, error_output = at_a_terminal(
+        ("replay", "execute", GOLDEN_LOG_TEXT, "--within", "1e-9"), tmp_path
+    )
     assert "0 with other decisions" in out
     assert "executing" in error_output
     assert "executing" not in out

@@ -20,11 +20,11 @@ from handctl.cli.console.motion_confirmation import age_text
 from handctl.cli.main import main
 from handctl.hand.hand_loading import load_hand
 from handctl.runtime.buses.open import real_buses
-from tests.cli.refused import refused
-from tests.runtime.processes import write_homed
+from tests.cli.command_refusals import refusal_line
+from tests.runtime.processes import write_homed_calibration
 
-REAL = ("socketcan:can0", "pcan:PCAN_USBBUS1", "slcan:/dev/ttyACM0")
-MOVES = {
+REAL_BUSES = ("socketcan:can0", "pcan:PCAN_USBBUS1", "slcan:/dev/ttyACM0")
+MOVING_COMMANDS = {
     "run": ("run",),
     "jog": ("jog", "index", "--angle", "3"),
     "identify": ("identify",),
@@ -32,26 +32,26 @@ MOVES = {
     "replay": ("replay", "drive", "before.mcap"),
     "tune": ("tune", "verify", "new.toml"),
 }
-HAND = ("--hand", "jamia")
-GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
+HAND_OPTION = ("--hand", "jamia")
+GOLDEN_LOG = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 
 
 @pytest.fixture(autouse=True)
-def files(place, monkeypatch):
+def input_files(work_folder, monkeypatch):
     """Create the files that commands read before they open the bus.
 
     Make standard input something other than a terminal.
     """
-    (place / "new.toml").write_text("schema = 1\n[motion]\nforce_N = 25.0\n")
+    (work_folder / "new.toml").write_text("schema = 1\n[motion]\nforce_N = 25.0\n")
     monkeypatch.setattr("sys.stdin", io.StringIO())
 
 
-@pytest.fixture(params=MOVES)
-def words(request, place):
+@pytest.fixture(params=MOVING_COMMANDS)
+def command_words(request, work_folder):
     """Return the words of a command that moves a hand. Create the log that ``replay`` reads."""
     if request.param == "replay":
-        (place / "before.mcap").symlink_to(GOLDEN)
-    return MOVES[request.param]
+        (work_folder / "before.mcap").symlink_to(GOLDEN_LOG)
+    return MOVING_COMMANDS[request.param]
 
 
 def test_only_real_interfaces_count_as_real_buses():
@@ -62,27 +62,27 @@ def test_only_real_interfaces_count_as_real_buses():
         "virtual:x",
         "udp_multicast:ff15::1",
     ]
-    assert real_buses([*simulated, *REAL]) == list(REAL)
+    assert real_buses([*simulated, *REAL_BUSES]) == list(REAL_BUSES)
 
 
-def test_no_hand_is_the_default_on_a_real_bus(words, capsys):
-    for bus in REAL:
+def test_no_hand_is_the_default_on_a_real_bus(command_words, capsys):
+    for bus in REAL_BUSES:
         for more in ((), ("--yes",), ("--dry-run",)):
-            err = refused(capsys, *words, "--bus", bus, *more)
+            err = refusal_line(capsys, *command_words, "--bus", bus, *more)
             assert f"--hand: no hand is given, and {bus} may have" in err
-    assert main([*words, "--bus", "local:nobody", "--dry-run"]) == 0, (
+    assert main([*command_words, "--bus", "local:nobody", "--dry-run"]) == 0, (
         "a simulated bus has a default hand"
     )
 
 
-def test_without_a_terminal_a_hand_moves_only_with_yes(words, capsys):
+def test_without_a_terminal_a_hand_moves_only_with_yes(command_words, capsys):
     said = "jamia on socketcan:can0 is armed and moves index, middle, ring, thumb; expected --yes"
-    assert said in refused(capsys, *words, *HAND, "--bus", "socketcan:can0")
-    assert main([*words, *HAND, "--bus", "socketcan:can0", "--dry-run"]) == 0, (
+    assert said in refusal_line(capsys, *command_words, *HAND_OPTION, "--bus", "socketcan:can0")
+    assert main([*command_words, *HAND_OPTION, "--bus", "socketcan:can0", "--dry-run"]) == 0, (
         "no motion in a dry run"
     )
     capsys.readouterr()
-    assert main([*words, *HAND, "--bus", "socketcan:can0", "--yes"]) == 1, (
+    assert main([*command_words, *HAND_OPTION, "--bus", "socketcan:can0", "--yes"]) == 1, (
         "the only error is the missing bus"
     )
     assert "can0" in capsys.readouterr().err.splitlines()[-1]
@@ -91,7 +91,15 @@ def test_without_a_terminal_a_hand_moves_only_with_yes(words, capsys):
 def at_a_terminal(answer: str) -> tuple[int, str]:
     """Run a command in a terminal and answer its question. Return its exit code and the text on the terminal."""
     ours, theirs = pty.openpty()
-    command = [sys.executable, "-m", "handctl.cli", "run", *HAND, "--bus", "socketcan:nosuch"]
+    command = [
+        sys.executable,
+        "-m",
+        "handctl.cli",
+        "run",
+        *HAND_OPTION,
+        "--bus",
+        "socketcan:nosuch",
+    ]
     process = subprocess.Popen(
         command, stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True
     )
@@ -118,7 +126,7 @@ def test_a_run_at_a_terminal_asks_once_for_consent(answer, code):
     assert ("not confirmed" in shown) == (code == 2)
 
 
-def test_a_program_names_hand_and_consent(place, capfd):
+def test_a_program_names_hand_and_consent(work_folder, capfd):
     with pytest.raises(
         library.ConfigError, match="no hand is given, and socketcan:can0 may have real motors"
     ):
@@ -134,21 +142,21 @@ def test_a_program_names_hand_and_consent(place, capfd):
         pass
 
 
-def test_files_in_use_are_named_in_the_first_line(place, capsys):
+def test_files_in_use_are_named_in_the_first_line(work_folder, capsys):
     hand = load_hand("jamia")
-    write_homed(place / "jamia.calibration.toml", hand)
+    write_homed_calibration(work_folder / "jamia.calibration.toml", hand)
     made = (datetime.datetime.now(datetime.UTC) - datetime.timedelta(hours=3)).isoformat()
     head = f'made = "{made}"\nhand = "jamia"\nidentity = "{hand.identity}"\n'
-    (place / "jamia.gains.toml").write_text(
+    (work_folder / "jamia.gains.toml").write_text(
         f"schema = 1\n[motion]\nforce_N = 25.0\n[provenance]\n{head}"
     )
     for words in (("run",), ("jog", "index", "--angle", "3"), ("run", "--json")):
         assert main([*words, "--bus", "local:nobody"]) == 1
         first = capsys.readouterr().err.splitlines()[0]
         assert first.startswith(
-            f"handctl: found in this folder: gains {place / 'jamia.gains.toml'}, 3 h old; "
+            f"handctl: found in this folder: gains {work_folder / 'jamia.gains.toml'}, 3 h old; "
         )
-        assert f"calibration {place / 'jamia.calibration.toml'}, " in first
+        assert f"calibration {work_folder / 'jamia.calibration.toml'}, " in first
         assert first.endswith(" s old")
     named = ("--gains", "jamia.gains.toml", "--calibration", "jamia.calibration.toml")
     assert main(["run", "--bus", "local:nobody", *named]) == 1
@@ -172,6 +180,6 @@ def test_an_age_has_one_unit(seconds, text):
     assert age_text(seconds) == text
 
 
-def test_folder_without_files_prints_nothing(place: Path, capsys):
+def test_folder_without_files_prints_nothing(work_folder: Path, capsys):
     assert main(["run", "--bus", "local:nobody"]) == 1
     assert "found in this folder" not in capsys.readouterr().err

@@ -10,25 +10,25 @@ import pytest
 from handctl.cli.main import VERB_HELP, main
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand, packaged_hands
-from tests.cli.refused import refused
+from tests.cli.command_refusals import refusal_line
 
-BUS = ("--bus", "local:does-not-exist")
-GRASP = ("--task", "grasp.toml")
-RUNS = {"run": GRASP, "commission": (), "jog": ("index", "--tension", "8")}
+ABSENT_BUS_OPTION = ("--bus", "local:does-not-exist")
+GRASP_TASK_OPTION = ("--task", "grasp.toml")
+BUS_COMMANDS = {"run": GRASP_TASK_OPTION, "commission": (), "jog": ("index", "--tension", "8")}
 """Commands that open a bus, with the further words that they need."""
 
 
 @pytest.fixture(autouse=True)
 def no_bus(monkeypatch):
-    def opened(*words, **options):
+    def fail_on_open(*words, **options):
         raise AssertionError("a bus was opened")
 
-    monkeypatch.setattr("handctl.session.run.open_bus", opened)
-    monkeypatch.setattr("handctl.session.run.Mailbox", opened)
-    monkeypatch.setattr("handctl.cli.runs.demo.running_simulator", opened)
+    monkeypatch.setattr("handctl.session.run.open_bus", fail_on_open)
+    monkeypatch.setattr("handctl.session.run.Mailbox", fail_on_open)
+    monkeypatch.setattr("handctl.cli.runs.demo.running_simulator", fail_on_open)
 
 
-def jamia():
+def jamia_content():
     return hand_content("jamia")
 
 
@@ -61,38 +61,41 @@ HAND_FILES = {
 }
 
 
-@pytest.mark.parametrize("verb", ["config", "demo", "sim", *RUNS])
+@pytest.mark.parametrize("verb", ["config", "demo", "sim", *BUS_COMMANDS])
 @pytest.mark.parametrize("spoil", HAND_FILES, ids=lambda spoil: spoil.__name__)
-def test_a_wrong_hand_file_is_refused(place, capsys, spoil, verb):
-    content = jamia()
+def test_a_wrong_hand_file_is_refused(work_folder, capsys, spoil, verb):
+    content = jamia_content()
     spoil(content)
-    (place / "hand.toml").write_text(toml_text(content))
-    words = {"config": ("check",), "demo": (), "sim": BUS}.get(verb) or (*BUS, *RUNS.get(verb, ()))
-    line = refused(capsys, verb, *(() if verb == "demo" else words), "--hand", "hand.toml")
+    (work_folder / "hand.toml").write_text(toml_text(content))
+    words = {"config": ("check",), "demo": (), "sim": ABSENT_BUS_OPTION}.get(verb) or (
+        *ABSENT_BUS_OPTION,
+        *BUS_COMMANDS.get(verb, ()),
+    )
+    line = refusal_line(capsys, verb, *(() if verb == "demo" else words), "--hand", "hand.toml")
     for word in HAND_FILES[spoil]:
         assert word in line
     assert "expected" in line
 
 
-@pytest.mark.parametrize("verb", ["config", "demo", "sim", *RUNS])
+@pytest.mark.parametrize("verb", ["config", "demo", "sim", *BUS_COMMANDS])
 def test_missing_hand_file_is_refused(capsys, verb):
     words = (
-        {"config": ("show",), "demo": (), "sim": BUS}[verb]
-        if verb not in RUNS
-        else (*BUS, *RUNS[verb])
+        {"config": ("show",), "demo": (), "sim": ABSENT_BUS_OPTION}[verb]
+        if verb not in BUS_COMMANDS
+        else (*ABSENT_BUS_OPTION, *BUS_COMMANDS[verb])
     )
-    assert "one of jamia" in refused(capsys, verb, *words, "--hand", "jama")
+    assert "one of jamia" in refusal_line(capsys, verb, *words, "--hand", "jama")
 
 
-@pytest.mark.parametrize("verb", RUNS)
+@pytest.mark.parametrize("verb", BUS_COMMANDS)
 @pytest.mark.parametrize("rate", ["0", "-500", "nan", "inf", "5", "600", "5000"])
 def test_rate_above_bus_or_drive_limit_is_refused(capsys, verb, rate):
-    line = refused(capsys, verb, *BUS, *RUNS[verb], f"--rate={rate}")
+    line = refusal_line(capsys, verb, *ABSENT_BUS_OPTION, *BUS_COMMANDS[verb], f"--rate={rate}")
     assert line.startswith("handctl: --rate: ")
     assert "at most 500" in line or "at least 40" in line
 
 
-@pytest.mark.parametrize("verb", RUNS)
+@pytest.mark.parametrize("verb", BUS_COMMANDS)
 @pytest.mark.parametrize(
     "words",
     [
@@ -103,67 +106,79 @@ def test_rate_above_bus_or_drive_limit_is_refused(capsys, verb, rate):
     ],
 )
 def test_a_time_scale_out_of_range_is_refused(capsys, verb, words):
-    assert "--time-scale" in refused(capsys, verb, *BUS, *RUNS[verb], *words)
+    assert "--time-scale" in refusal_line(
+        capsys, verb, *ABSENT_BUS_OPTION, *BUS_COMMANDS[verb], *words
+    )
 
 
-@pytest.mark.parametrize("verb", RUNS)
+@pytest.mark.parametrize("verb", BUS_COMMANDS)
 @pytest.mark.parametrize(
     "text", ["schema = 1\n[motion]\nforce_N = -1\n", "[motion]\nforce = 1\n", "a = = b", None]
 )
-def test_bad_gains_are_refused(place, capsys, verb, text):
+def test_bad_gains_are_refused(work_folder, capsys, verb, text):
     if text is not None:
-        (place / "gains.toml").write_text(text)
-    assert "gains.toml" in refused(capsys, verb, *BUS, *RUNS[verb], "--gains", "gains.toml")
+        (work_folder / "gains.toml").write_text(text)
+    assert "gains.toml" in refusal_line(
+        capsys, verb, *ABSENT_BUS_OPTION, *BUS_COMMANDS[verb], "--gains", "gains.toml"
+    )
 
 
-HEAD = 'schema = 1\nname = "t"\n[[phase]]\n'
-TASKS = {
+TASK_HEAD = 'schema = 1\nname = "t"\n[[phase]]\n'
+WRONG_TASKS = {
     "": "schema",
-    HEAD: "phase",
-    HEAD + 'kind = "throw"\n': "phase",
-    HEAD + 'kind = "move"\nangle_deg = 1000.0\n': "angle_deg",
-    HEAD + 'kind = "move"\nangle_deg = nan\n': "angle_deg",
-    HEAD + 'kind = "move"\nangle_deg = { pinky = 3.0 }\n': "pinky",
-    HEAD + 'kind = "hold"\ntension_N = 111.0\n': "tension",
-    HEAD + 'kind = "hold"\ntension_N = { index = -1.0, ring = 5.0 }\n': "tension_N.index: -1.0",
-    HEAD + 'kind = "move"\nangle_deg = { index = [0.0, inf, 1.0] }\n': "angle_deg.index[1]: inf",
-    HEAD + 'kind = "hold"\ntension_N = 5.0\nspeed = 3.0\n': "unknown key",
-    "schema = 2\n" + HEAD[11:] + 'kind = "release"\n': "schema",
+    TASK_HEAD: "phase",
+    TASK_HEAD + 'kind = "throw"\n': "phase",
+    TASK_HEAD + 'kind = "move"\nangle_deg = 1000.0\n': "angle_deg",
+    TASK_HEAD + 'kind = "move"\nangle_deg = nan\n': "angle_deg",
+    TASK_HEAD + 'kind = "move"\nangle_deg = { pinky = 3.0 }\n': "pinky",
+    TASK_HEAD + 'kind = "hold"\ntension_N = 111.0\n': "tension",
+    TASK_HEAD
+    + 'kind = "hold"\ntension_N = { index = -1.0, ring = 5.0 }\n': "tension_N.index: -1.0",
+    TASK_HEAD
+    + 'kind = "move"\nangle_deg = { index = [0.0, inf, 1.0] }\n': "angle_deg.index[1]: inf",
+    TASK_HEAD + 'kind = "hold"\ntension_N = 5.0\nspeed = 3.0\n': "unknown key",
+    "schema = 2\n" + TASK_HEAD[11:] + 'kind = "release"\n': "schema",
     "\x00": "TOML",
 }
 
 
 @pytest.mark.parametrize("verb", ["run", "demo", "config"])
-@pytest.mark.parametrize(("text", "named"), TASKS.items())
-def test_a_bad_task_is_refused(place, capsys, verb, text, named):
-    (place / "task.toml").write_text(text)
-    words = {"run": BUS, "demo": (), "config": ("check",)}[verb]
-    line = refused(capsys, verb, *words, "--task", "task.toml")
+@pytest.mark.parametrize(("text", "named"), WRONG_TASKS.items())
+def test_a_bad_task_is_refused(work_folder, capsys, verb, text, named):
+    (work_folder / "task.toml").write_text(text)
+    words = {"run": ABSENT_BUS_OPTION, "demo": (), "config": ("check",)}[verb]
+    line = refusal_line(capsys, verb, *words, "--task", "task.toml")
     assert "task.toml" in line
     assert named in line
 
 
-UNDATED = 'schema = 1\nhand = "jamia"\nidentity = "0"\nmade = "yesterday"\ntendon = {}\n'
+UNDATED_CALIBRATION = (
+    'schema = 1\nhand = "jamia"\nidentity = "0"\nmade = "yesterday"\ntendon = {}\n'
+)
 
 
 @pytest.mark.parametrize("verb", ["run", "jog"])
-@pytest.mark.parametrize("text", ["", "schema = 1\nhand = 3\n", UNDATED, "\x00"])
-def test_unusable_calibration_is_refused(place, capsys, verb, text):
-    (place / "c.toml").write_text(text)
-    assert "c.toml" in refused(capsys, verb, *BUS, *RUNS[verb], "--calibration", "c.toml")
+@pytest.mark.parametrize("text", ["", "schema = 1\nhand = 3\n", UNDATED_CALIBRATION, "\x00"])
+def test_unusable_calibration_is_refused(work_folder, capsys, verb, text):
+    (work_folder / "c.toml").write_text(text)
+    assert "c.toml" in refusal_line(
+        capsys, verb, *ABSENT_BUS_OPTION, *BUS_COMMANDS[verb], "--calibration", "c.toml"
+    )
 
 
-@pytest.mark.parametrize("verb", RUNS)
+@pytest.mark.parametrize("verb", BUS_COMMANDS)
 @pytest.mark.parametrize("log", ["no-folder/run.mcap", "there.mcap", "."])
-def test_existing_log_is_not_overwritten(place, capsys, verb, log):
-    (place / "there.mcap").write_bytes(b"of another run")
-    assert "--log" in refused(capsys, verb, *BUS, *RUNS[verb], "--log", log)
-    assert (place / "there.mcap").read_bytes() == b"of another run"
+def test_existing_log_is_not_overwritten(work_folder, capsys, verb, log):
+    (work_folder / "there.mcap").write_bytes(b"of another run")
+    assert "--log" in refusal_line(
+        capsys, verb, *ABSENT_BUS_OPTION, *BUS_COMMANDS[verb], "--log", log
+    )
+    assert (work_folder / "there.mcap").read_bytes() == b"of another run"
 
 
-def two_buses():
+def write_hand_on_two_buses():
     """Write the file of jamia with its thumb on a second bus."""
-    content = jamia()
+    content = jamia_content()
     content["bus"].append({"name": "thumb", "bitrate": 1_000_000})
     content["motor"][3]["bus"] = "thumb"
     return content
@@ -180,28 +195,28 @@ BAD_BUSES = [
 
 
 @pytest.mark.parametrize("buses", BAD_BUSES, ids=" ".join)
-@pytest.mark.parametrize("verb", RUNS)
-def test_bus_names_of_another_hand_are_refused(place, capsys, verb, buses):
-    (place / "two.toml").write_text(toml_text(two_buses()))
+@pytest.mark.parametrize("verb", BUS_COMMANDS)
+def test_bus_names_of_another_hand_are_refused(work_folder, capsys, verb, buses):
+    (work_folder / "two.toml").write_text(toml_text(write_hand_on_two_buses()))
     words = [word for bus in buses for word in ("--bus", bus)]
-    line = refused(capsys, verb, "--hand", "two.toml", *words, *RUNS[verb])
+    line = refusal_line(capsys, verb, "--hand", "two.toml", *words, *BUS_COMMANDS[verb])
     assert "thumb=SPEC" in line
 
 
-@pytest.mark.parametrize("verb", RUNS)
+@pytest.mark.parametrize("verb", BUS_COMMANDS)
 @pytest.mark.parametrize("bus", ["other=local:a", "main="])
 def test_unknown_bus_name_is_refused_for_one_bus(capsys, verb, bus):
-    assert "main=SPEC" in refused(capsys, verb, "--bus", bus, *RUNS[verb])
+    assert "main=SPEC" in refusal_line(capsys, verb, "--bus", bus, *BUS_COMMANDS[verb])
 
 
-def test_buses_may_be_given_in_any_order(place, capsys):
-    (place / "two.toml").write_text(toml_text(two_buses()))
+def test_buses_may_be_given_in_any_order(work_folder, capsys):
+    (work_folder / "two.toml").write_text(toml_text(write_hand_on_two_buses()))
     words = ("--bus", "thumb=local:t", "--bus", "main=local:m", "--dry-run", "--json")
-    assert main(["run", "--hand", "two.toml", *GRASP, *words]) == 0
+    assert main(["run", "--hand", "two.toml", *GRASP_TASK_OPTION, *words]) == 0
     assert '"local:m",\n    "local:t"' in capsys.readouterr().out
 
 
-JOGS = [
+WRONG_JOG_WORDS = [
     ("pinky", "--tension", "8"),
     ("index", "--tension", "nan"),
     ("index", "--tension=-1"),
@@ -213,9 +228,9 @@ JOGS = [
 ]
 
 
-@pytest.mark.parametrize("words", JOGS, ids=" ".join)
+@pytest.mark.parametrize("words", WRONG_JOG_WORDS, ids=" ".join)
 def test_a_bad_jog_is_refused(capsys, words):
-    refused(capsys, "jog", *words, *BUS)
+    refusal_line(capsys, "jog", *words, *ABSENT_BUS_OPTION)
 
 
 @pytest.mark.parametrize(
@@ -243,20 +258,20 @@ def test_invalid_scene_is_refused(capsys, words, scene):
     ],
 )
 def test_a_dry_run_of_the_simulator_checks_what_only_it_knows(capfd, words, said):
-    assert main(["sim", *BUS, *words, "--dry-run", "--json"]) == 2
+    assert main(["sim", *ABSENT_BUS_OPTION, *words, "--dry-run", "--json"]) == 2
     out, err = capfd.readouterr()
     assert out == ""
     assert said in err
     assert err.count("\n") == 1
 
 
-ARGUMENTS = {
+COMMAND_WORDS = {
     "demo": ("--seed", "x"),
     "run": (),
     "stop": (),
     "clear": ("--bus",),
     "commission": ("--bus", "local:a", "--rate", "fast"),
-    "jog": ("index", *BUS),
+    "jog": ("index", *ABSENT_BUS_OPTION),
     "view": (),
     "log": ("burn", "x.mcap"),
     "sim": ("--hand", "jamia"),
@@ -265,16 +280,16 @@ ARGUMENTS = {
 }
 
 
-@pytest.mark.parametrize("verb", ARGUMENTS)
+@pytest.mark.parametrize("verb", COMMAND_WORDS)
 def test_unknown_words_of_a_verb_are_refused(capsys, verb):
     assert verb in VERB_HELP
-    line = refused(capsys, verb, *ARGUMENTS[verb])
+    line = refusal_line(capsys, verb, *COMMAND_WORDS[verb])
     assert line.startswith(f"handctl: {verb}")
     assert "expected" in line or "choose from" in line
 
 
 def test_unknown_verb_is_refused(capsys):
-    assert refused(capsys, "rum") == (
+    assert refusal_line(capsys, "rum") == (
         "handctl: the command line: unknown verb 'rum', did you mean run?; expected one that handctl --help lists\n"
     )
 
@@ -282,7 +297,7 @@ def test_unknown_verb_is_refused(capsys):
 @pytest.mark.parametrize("verb", ["stop", "clear"])
 def test_an_unconfirmed_request_is_reported_as_failed(capsys, verb):
     """Regression: the exit code of the command was 0 as soon as it had sent its datagram."""
-    assert main([verb, *BUS]) == 71
+    assert main([verb, *ABSENT_BUS_OPTION]) == 71
     out, err = capsys.readouterr()
     expected = (
         "handctl: bus local:does-not-exist: no confirmation from the controller: switch the power off "
@@ -293,9 +308,9 @@ def test_an_unconfirmed_request_is_reported_as_failed(capsys, verb):
 
 
 @pytest.mark.parametrize("name", packaged_hands())
-def test_the_output_of_config_show_is_the_same_hand(place, capsys, name):
+def test_the_output_of_config_show_is_the_same_hand(work_folder, capsys, name):
     assert main(["config", "show", "--hand", name]) == 0
     text = capsys.readouterr().out
-    (place / "mine.toml").write_text(text)
+    (work_folder / "mine.toml").write_text(text)
     assert load_hand("mine.toml").content == load_hand(name).content
     assert hand_from_content(tomllib.loads(text), "shown").identity == load_hand(name).identity

@@ -15,7 +15,7 @@ from handctl.session.pace import pace_advice
 from handctl.session.plan import RunPlan
 from handctl.session.run import RunOutcome
 
-LATE, TORN = ("B03b", "N02"), ("T01",)
+LATE_FAULTS, TORN_TENDON_FAULTS = ("B03b", "N02"), ("T01",)
 
 
 def run_with_faults(*rows: str, cpu_s: float = 0.0) -> RunOutcome:
@@ -28,12 +28,12 @@ def run_with_faults(*rows: str, cpu_s: float = 0.0) -> RunOutcome:
 @pytest.mark.parametrize(
     ("bus", "rows", "advised"),
     [
-        ("local:lab", LATE, True),
-        ("socketcan:vcan0", LATE, True),
-        ("socketcan:can0", LATE, False),
-        ("local:lab", TORN, False),
+        ("local:lab", LATE_FAULTS, True),
+        ("socketcan:vcan0", LATE_FAULTS, True),
+        ("socketcan:can0", LATE_FAULTS, False),
+        ("local:lab", TORN_TENDON_FAULTS, False),
         ("local:lab", (), False),
-        ("", LATE, False),
+        ("", LATE_FAULTS, False),
     ],
     ids=["simulated", "virtual", "real", "torn tendon", "nothing", "lockstep"],
 )
@@ -78,7 +78,7 @@ def test_the_advised_pace_is_measured(
     )
     monkeypatch.setattr(pace, "usable_cores", lambda: 2)
     plan = RunPlan(load_hand("jamia"), Gains(), 500.0, (0.6,), ("local:lab",))
-    assert pace_advice(plan, run_with_faults(*LATE, cpu_s=cpu_s)).endswith(
+    assert pace_advice(plan, run_with_faults(*LATE_FAULTS, cpu_s=cpu_s)).endswith(
         f"handctl sim with --time-scale {number:g}"
     )
 
@@ -88,7 +88,7 @@ def test_simulator_and_controller_share_a_core(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(pace, "ask_simulator", lambda path, question: answer)
     monkeypatch.setattr(pace, "usable_cores", lambda: 1)
     plan = RunPlan(load_hand("jamia"), Gains(), 500.0, (0.6,), ("local:lab",))
-    assert pace.slower_time_scale(plan, run_with_faults(*LATE, cpu_s=1.8)) == 0.5
+    assert pace.slower_time_scale(plan, run_with_faults(*LATE_FAULTS, cpu_s=1.8)) == 0.5
 
 
 def test_virtual_time_is_not_slowed(capsys: pytest.CaptureFixture[str]) -> None:

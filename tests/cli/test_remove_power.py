@@ -16,24 +16,24 @@ from handctl.runtime.diagnostics.drive_rig import DriveRig
 from handctl.runtime.loop import LoopStats
 from handctl.session.run import RunOutcome
 
-FAILURE = "fault B17 index_motor; REMOVE POWER: not confirmed disabled: index_motor"
+FAILURE_TEXT = "fault B17 index_motor; REMOVE POWER: not confirmed disabled: index_motor"
 
 
-def left_enabled(plan, controller, log):
+def outcome_with_enabled_motor(plan, controller, log):
     """Return the outcome of a run after which a motor may still have torque."""
     state = controller.initial_state()
-    state.decide(failure=FAILURE, unconfirmed=("index_motor",))
+    state.decide(failure=FAILURE_TEXT, unconfirmed=("index_motor",))
     return RunOutcome(state, LoopStats(), {}, None, 0)
 
 
 @pytest.mark.parametrize(("module", "verb"), [(commission, "commission"), (identify, "identify")])
-def test_the_exit_code_reports_a_motor_left_enabled(place, monkeypatch, capsys, module, verb):
-    monkeypatch.setattr(module, "run_live", left_enabled)
+def test_the_exit_code_reports_a_motor_left_enabled(work_folder, monkeypatch, capsys, module, verb):
+    monkeypatch.setattr(module, "run_live", outcome_with_enabled_motor)
     assert main([verb, "--bus", "local:nobody", "--log", "run.mcap"]) == 71
     assert "REMOVE POWER" in capsys.readouterr().err
 
 
-def test_a_motor_left_on_by_a_bug_is_reported_after_the_traceback(place, monkeypatch, capsys):
+def test_a_motor_left_on_by_a_bug_is_reported_after_the_traceback(work_folder, monkeypatch, capsys):
     def failing(plan, controller, log):
         raise PowerError(
             "REMOVE POWER: not confirmed disabled: index_motor"
@@ -46,7 +46,7 @@ def test_a_motor_left_on_by_a_bug_is_reported_after_the_traceback(place, monkeyp
     assert last == "handctl: REMOVE POWER: not confirmed disabled: index_motor"
 
 
-class Bus:
+class SilentBus:
     """A bus that accepts all sent frames and delivers none."""
 
     def send(self, frames):
@@ -69,7 +69,7 @@ def test_a_check_that_is_interrupted_says_whether_the_drive_is_off(monkeypatch, 
         yield
 
     monkeypatch.setattr(conformance, "run_checks", interrupted)
-    monkeypatch.setattr(bench, "open_bus", lambda *what: Bus())
+    monkeypatch.setattr(bench, "open_bus", lambda *what: SilentBus())
     monkeypatch.setattr(conformance, "find_drive", lambda args: DiscoveredNode("mit", 1))
     monkeypatch.setattr(DriveRig, "confirm_off", lambda rig, watchdog_s: off)
     words = (

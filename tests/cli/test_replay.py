@@ -11,12 +11,15 @@ from handctl.cli.main import main
 from handctl.hand.hand_loading import load_hand
 from handctl.replay.tick_difference import TickDifference
 
-GOLDEN = Path(__file__).parents[2] / "logs" / "golden"
-GRASP, OTHER = str(GOLDEN / "jamia-grasp.mcap"), str(GOLDEN / "jamia11-grasp.mcap")
+GOLDEN_FOLDER = Path(__file__).parents[2] / "logs" / "golden"
+GRASP_LOG, OTHER_LOG = (
+    str(GOLDEN_FOLDER / "jamia-grasp.mcap"),
+    str(GOLDEN_FOLDER / "jamia11-grasp.mcap"),
+)
 
 
 def test_replay_execute_reports_its_result_in_json(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["replay", "execute", GRASP, "--json", "--within", "1e-9"]) == 0
+    assert main(["replay", "execute", GRASP_LOG, "--json", "--within", "1e-9"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["ticks"] > 300
     assert found["undecided"] == 0
@@ -30,9 +33,9 @@ def test_rounding_of_another_machine_is_distinguished(
     monkeypatch.setattr(compare, lambda logged, numbers, out: logged.tick_in.k != 100)
     found = TickDifference(100, 0.5, "nis", "index_tendon", 0.5, 0.5 + 1e-15, 9)
     monkeypatch.setattr("handctl.replay.log_runner.differing_fields", lambda *what: iter([found]))
-    assert main(["replay", "execute", GRASP]) == 1
+    assert main(["replay", "execute", GRASP_LOG]) == 1
     assert "--within 1e-9" in capsys.readouterr().out
-    assert main(["replay", "execute", GRASP, "--within", "1e-9"]) == 0
+    assert main(["replay", "execute", GRASP_LOG, "--within", "1e-9"]) == 0
     assert "--within 1e-9" not in capsys.readouterr().out
 
 
@@ -41,7 +44,16 @@ def test_other_gains_are_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str
     gains.write_text("[motion]\nposition_error_m = 3e-4\n")
     assert (
         main(
-            ["replay", "execute", GRASP, "--gains", str(gains), "--picture", str(picture), "--json"]
+            [
+                "replay",
+                "execute",
+                GRASP_LOG,
+                "--gains",
+                str(gains),
+                "--picture",
+                str(picture),
+                "--json",
+            ]
         )
         == 0
     )
@@ -55,7 +67,7 @@ def test_gains_that_are_wrong_are_bad_input(
 ) -> None:
     gains = tmp_path / "gains.toml"
     gains.write_text("[motion]\nposition_error_m = -1\n")
-    assert main(["replay", "execute", GRASP, "--gains", str(gains)]) == 2
+    assert main(["replay", "execute", GRASP_LOG, "--gains", str(gains)]) == 2
     assert "position_error_m" in capsys.readouterr().err
 
 
@@ -65,7 +77,7 @@ def test_gains_that_are_wrong_are_bad_input(
 def test_an_option_without_effect_is_refused(
     more: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["replay", "execute", GRASP, *more]) == 2
+    assert main(["replay", "execute", GRASP_LOG, *more]) == 2
     assert "--gains" in capsys.readouterr().err
 
 
@@ -74,15 +86,15 @@ def test_replay_safety_names_the_reading_of_a_fault(
 ) -> None:
     limits = tmp_path / "limits.toml"
     limits.write_text("tension_trip_N = 20\n")
-    assert main(["replay", "safety", GRASP, "--limits", str(limits)]) == 0
+    assert main(["replay", "safety", GRASP_LOG, "--limits", str(limits)]) == 0
     assert "T03 over-tension: thumb_tendon 20." in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
     "words",
     [
-        ["log", "diff", GRASP, OTHER],
-        ["replay", "drive", OTHER, "--hand", "jamia", "--bus", "local:x", "--dry-run"],
+        ["log", "diff", GRASP_LOG, OTHER_LOG],
+        ["replay", "drive", OTHER_LOG, "--hand", "jamia", "--bus", "local:x", "--dry-run"],
     ],
     ids=["diff", "drive"],
 )
@@ -99,7 +111,7 @@ def test_another_hand_s_log_is_refused_with_both_identities(
 def test_replay_drive_has_a_dry_run_without_a_bus(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    assert main(["replay", "drive", GRASP, "--bus", "local:nobody", "--dry-run"]) == 0
+    assert main(["replay", "drive", GRASP_LOG, "--bus", "local:nobody", "--dry-run"]) == 0
     assert "would drive 2." in capsys.readouterr().out
 
 
@@ -108,7 +120,7 @@ def test_export_writes_beside_the_log(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log = tmp_path / "run.mcap"
-    log.write_bytes(Path(GRASP).read_bytes())
+    log.write_bytes(Path(GRASP_LOG).read_bytes())
     assert main(["log", "export", str(log), f"--{name}", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["count"] > 600
     assert (tmp_path / f"run.{name}").stat().st_size > 100_000
@@ -117,9 +129,9 @@ def test_export_writes_beside_the_log(
 def test_a_truncated_log_is_checked_and_executed_in_part(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["log", "check", GRASP]) == 0
+    assert main(["log", "check", GRASP_LOG]) == 0
     cut = tmp_path / "cut.mcap"
-    whole = Path(GRASP).read_bytes()
+    whole = Path(GRASP_LOG).read_bytes()
     cut.write_bytes(whole[: len(whole) // 2])
     assert main(["log", "check", str(cut)]) == 3
     assert "incomplete" in capsys.readouterr().out
@@ -129,7 +141,7 @@ def test_a_truncated_log_is_checked_and_executed_in_part(
 
 
 def test_log_info_prints_readable_text(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["log", "info", GRASP]) == 0
+    assert main(["log", "info", GRASP_LOG]) == 0
     output = capsys.readouterr().out
     assert max(map(len, output.splitlines())) < 120
     assert "motion.force_N: " in output
@@ -138,13 +150,14 @@ def test_log_info_prints_readable_text(capsys: pytest.CaptureFixture[str]) -> No
 
 
 @pytest.mark.parametrize(
-    "verb", [["report"], ["log", "export", "--csv"], ["log", "diff", GRASP], ["replay", "safety"]]
+    "verb",
+    [["report"], ["log", "export", "--csv"], ["log", "diff", GRASP_LOG], ["replay", "safety"]],
 )
 def test_result_of_an_incomplete_log_is_marked(
     verb: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cut, limits = tmp_path / "cut.mcap", tmp_path / "limits.toml"
-    whole = Path(GRASP).read_bytes()
+    whole = Path(GRASP_LOG).read_bytes()
     cut.write_bytes(whole[: len(whole) // 2])
     limits.write_text("tension_trip_N = 20\n")
     more = ["--limits", str(limits)] if verb[-1] == "safety" else []
@@ -152,7 +165,7 @@ def test_result_of_an_incomplete_log_is_marked(
     assert "cut.mcap: ends at byte" in capsys.readouterr().err
 
 
-class Page(HTMLParser):
+class HtmlPage(HTMLParser):
     """Parser of a web page that collects the addresses that the page would load."""
 
     def __init__(self) -> None:
@@ -168,8 +181,8 @@ class Page(HTMLParser):
 
 def test_the_report_is_one_page_that_loads_nothing(tmp_path: Path) -> None:
     out = tmp_path / "page.html"
-    assert main(["report", str(GOLDEN / "jamia-fault.mcap"), "--output", str(out)]) == 0
-    page = Page()
+    assert main(["report", str(GOLDEN_FOLDER / "jamia-fault.mcap"), "--output", str(out)]) == 0
+    page = HtmlPage()
     text = out.read_text()
     page.feed(text)
     assert {"svg", "img", "table", "style"} <= page.seen
@@ -190,7 +203,7 @@ def test_a_report_begins_with_faults_and_contacts(
 ) -> None:
     monkeypatch.setattr("handctl.report.run_page.MAX_EVENTS", 3)
     out = tmp_path / "page.html"
-    assert main(["report", str(GOLDEN / "jamia-fault.mcap"), "--output", str(out)]) == 0
+    assert main(["report", str(GOLDEN_FOLDER / "jamia-fault.mcap"), "--output", str(out)]) == 0
     text = out.read_text()
     head = text[: text.index("The hand in each phase")]
     assert "B02 a motor has gone silent: 1, first at" in head

@@ -52,7 +52,7 @@ class BenchBus:
         return []
 
 
-def hear(bus, for_s, seen):
+def advance_and_listen(bus, for_s, seen):
     bus.bench.advance(bus.bench.t_ns + round(for_s * 1e9))
     seen += bus.drain()
 
@@ -62,7 +62,7 @@ def scan_bench(
 ) -> tuple[BusScan, SimulatedDriveBench, BenchBus]:
     bench = SimulatedDriveBench([drive_spec(*spec) for spec in specs], fault=fault)
     bus = BenchBus(bench, talk)
-    return scan_bus(bus, force, listen=hear), bench, bus
+    return scan_bus(bus, force, listen=advance_and_listen), bench, bus
 
 
 def test_damiao_and_canopen_drives_are_found_on_one_bus():
@@ -124,7 +124,7 @@ def test_robstride_motors_are_found_by_their_identity():
 @pytest.mark.parametrize("protocol", ["moteus", "robstride"])
 def test_two_drives_with_one_number_are_named(protocol):
     bench = SimulatedDriveBench([drive_spec(protocol, 7)], fault="twin")
-    (node,) = scan_bus(BenchBus(bench), listen=hear).found
+    (node,) = scan_bus(BenchBus(bench), listen=advance_and_listen).found
     assert node.twins
 
 
@@ -178,7 +178,7 @@ def test_scan_sends_no_frame_that_an_odrive_would_obey():
 def test_an_enabled_drive_stays_as_it_is():
     bench = SimulatedDriveBench([drive_spec("mit", 2)])
     bench.receive(SimFrame(2, b"\xff" * 7 + b"\xfc"))
-    result = scan_bus(BenchBus(bench), listen=hear)
+    result = scan_bus(BenchBus(bench), listen=advance_and_listen)
     assert [node.state for node in result.found] == ["enabled"]
     assert bench.motors[0].servo.torque == 0.0
 
@@ -237,7 +237,7 @@ def test_two_drives_with_one_number_are_found(spec):
 
 def test_two_motors_that_answer_on_one_identifier_are_found():
     specs = [drive_spec("mit", 1), replace(drive_spec("mit", 2), options={"reply_id": 0x11})]
-    result = scan_bus(BenchBus(SimulatedDriveBench(specs)), listen=hear)
+    result = scan_bus(BenchBus(SimulatedDriveBench(specs)), listen=advance_and_listen)
     assert ["answers on 0x11 as motor" in node.notes[0] for node in result.found] == [True, True]
 
 
@@ -263,7 +263,7 @@ def test_a_sensor_node_is_found_unless_drives_on_the_bus_use_sync(tmp_path):
     beside = {"mit": True, "cia402": False}
     for protocol, seen in beside.items():
         bench = HandBench(hand_file(tmp_path, [protocol]))
-        result = scan_bus(BenchBus(bench.simulated_hand.world), listen=hear)
+        result = scan_bus(BenchBus(bench.simulated_hand.world), listen=advance_and_listen)
         bench.simulated_hand.close()
         assert len([node for node in result.found if node.protocol == protocol]) == 4
         sensors = [node for node in result.found if node.protocol == "sensor"]
@@ -341,4 +341,4 @@ def test_the_last_frame_of_a_host_that_has_ended_is_no_host():
     bench = SimulatedDriveBench([drive_spec("mit", 1)])
     bus = BenchBus(bench)
     bus.waiting = [SimFrame(0x7FF, bytes(8))]
-    assert scan_bus(bus, listen=hear).foreign == ()
+    assert scan_bus(bus, listen=advance_and_listen).foreign == ()

@@ -7,18 +7,18 @@ import os
 
 import pytest
 
-from benchmarks.seeds import demo
+from benchmarks.seeds import run_demo
 from handctl.campaign.scenarios import ALL_PROTOCOLS
 from handctl.hand.hand_loading import packaged_hands
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
-CASES = [
+DEMO_CASES = [
     (hand, protocol, seed)
     for hand in packaged_hands()
     for protocol in ALL_PROTOCOLS
     for seed in range(20)
 ]
-SAMPLE = [("jamia11", "mit", 7), ("t42", "mit", 3)]
+SAMPLE_CASES = [("jamia11", "mit", 7), ("t42", "mit", 3)]
 """Cases that are tested by day.
 
 Regression: the first case ended with the fault N04 in commissioning. The hand of the second case
@@ -29,9 +29,9 @@ tests/runtime/test_lockstep_again.py runs CiA 402 drives twice.
 
 
 @pytest.mark.timeout(300)
-@pytest.mark.parametrize(("hand", "protocol", "seed"), CASES if NIGHTLY else SAMPLE)
+@pytest.mark.parametrize(("hand", "protocol", "seed"), DEMO_CASES if NIGHTLY else SAMPLE_CASES)
 def test_the_demo_meets_its_requirements_with_every_seed(
     hand: str, protocol: str, seed: int
 ) -> None:
-    figures = demo(hand, protocol, seed)
+    figures = run_demo(hand, protocol, seed)
     assert not figures["why"], figures

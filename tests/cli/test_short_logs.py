@@ -11,7 +11,7 @@ from handctl.log.read.reader import RunLog
 from handctl.log.record import TICK_SIZES_STRUCT
 from handctl.log.write.writer import LogWriter
 
-GRASP = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
+GRASP_LOG = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 
 
 def ticks_of(log: RunLog) -> list[bytes]:
@@ -24,7 +24,7 @@ def ticks_of(log: RunLog) -> list[bytes]:
     ]
 
 
-def write(path: Path, log: RunLog, ticks: Sequence[bytes]) -> str:
+def write_log(path: Path, log: RunLog, ticks: Sequence[bytes]) -> str:
     """Write a complete log with the header of another log and given ticks, and return its path."""
     writer = LogWriter(path, log.header, lambda *what: None, 1)
     for tick in ticks:
@@ -38,16 +38,16 @@ def write(path: Path, log: RunLog, ticks: Sequence[bytes]) -> str:
 )
 @pytest.mark.filterwarnings("error")
 def test_every_verb_reads_or_refuses_a_short_log(
-    ticks: slice, place: Path, capsys: pytest.CaptureFixture[str]
+    ticks: slice, work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with RunLog(GRASP) as log:
-        short = write(place / "short.mcap", log, ticks_of(log)[ticks])
-    (place / "gains.toml").write_text("[motion]\nposition_error_m = 3e-4\n")
+    with RunLog(GRASP_LOG) as log:
+        short = write_log(work_folder / "short.mcap", log, ticks_of(log)[ticks])
+    (work_folder / "gains.toml").write_text("[motion]\nposition_error_m = 3e-4\n")
     verbs = {
         ("log", "info", short): (0,),
         ("log", "check", short): (0,),
-        ("log", "diff", short, str(GRASP)): (0,),
-        ("log", "diff", str(GRASP), short): (0,),
+        ("log", "diff", short, str(GRASP_LOG)): (0,),
+        ("log", "diff", str(GRASP_LOG), short): (0,),
         ("log", "export", "--csv", short): (0,),
         ("log", "export", "--lerobot", short): (0, 2),
         ("report", short): (0,),
@@ -60,7 +60,7 @@ def test_every_verb_reads_or_refuses_a_short_log(
         assert len(error_lines) <= 1, words
 
 
-def _later(tick: bytes, ticks: int, period_ns: int) -> bytes:
+def _shifted_tick(tick: bytes, ticks: int, period_ns: int) -> bytes:
     """Return a recorded tick that is moved by a number of ticks in time."""
     at = TICK_SIZES_STRUCT.size + 4
     k, t_ns = struct.unpack_from("<qq", tick, at)
@@ -69,13 +69,13 @@ def _later(tick: bytes, ticks: int, period_ns: int) -> bytes:
 
 @pytest.mark.parametrize("what", ["far apart", "in no order"])
 def test_an_inconsistent_clock_in_a_log_is_refused(
-    what: str, place: Path, capsys: pytest.CaptureFixture[str]
+    what: str, work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with RunLog(GRASP) as log:
+    with RunLog(GRASP_LOG) as log:
         ticks, period_ns = ticks_of(log), log.header.period_ns
-        far = ticks[:300] + [_later(tick, 10**11, period_ns) for tick in ticks[300:]]
-        odd = write(
-            place / "odd.mcap", log, far if what == "far apart" else ticks[311:] + ticks[:311]
+        far = ticks[:300] + [_shifted_tick(tick, 10**11, period_ns) for tick in ticks[300:]]
+        odd = write_log(
+            work_folder / "odd.mcap", log, far if what == "far apart" else ticks[311:] + ticks[:311]
         )
     assert main(["log", "check", odd]) == 1
     assert main(["report", odd]) == 0

@@ -16,22 +16,24 @@ from handctl.cli.main import main
 from handctl.paper.bench.pool import worker_pool
 from handctl.tune.search.workers import ProcessPool
 
-VERSION = (sys.executable, "-m", "handctl.cli", "--version")
-BUFFERED = {key: value for key, value in os.environ.items() if key != "PYTHONUNBUFFERED"}
+VERSION_COMMAND = (sys.executable, "-m", "handctl.cli", "--version")
+BUFFERED_ENVIRONMENT = {
+    key: value for key, value in os.environ.items() if key != "PYTHONUNBUFFERED"
+}
 
 
-def shell(redirected, words=VERSION, **environment):
+def run_in_shell(redirected, words=VERSION_COMMAND, **environment):
     """Run a command in a shell with redirected streams. Return its exit code, output and errors."""
     command = ["sh", "-c", f'exec "$0" "$@" {redirected}', *words]
     ran = subprocess.run(
-        command, env=BUFFERED | environment, capture_output=True, text=True, check=False
+        command, env=BUFFERED_ENVIRONMENT | environment, capture_output=True, text=True, check=False
     )
     return ran.returncode, ran.stdout, ran.stderr
 
 
 @pytest.mark.parametrize("unbuffered", ["", "1"])
 def test_a_full_disk_for_the_output_is_one_line(unbuffered):
-    code, _, err = shell("> /dev/full", PYTHONUNBUFFERED=unbuffered)
+    code, _, err = run_in_shell("> /dev/full", PYTHONUNBUFFERED=unbuffered)
     assert code == 1
     assert err.startswith("handctl: ")
     assert err.endswith("No space left on device\n")
@@ -45,7 +47,9 @@ def test_output_without_a_reader_is_no_error(verb):
     read, write = os.pipe()
     os.close(read)
     command = (sys.executable, "-m", "handctl.cli", *verb)
-    ran = subprocess.run(command, env=BUFFERED, stdout=write, stderr=subprocess.PIPE, check=False)
+    ran = subprocess.run(
+        command, env=BUFFERED_ENVIRONMENT, stdout=write, stderr=subprocess.PIPE, check=False
+    )
     os.close(write)
     assert (ran.returncode, ran.stderr) == (0, b"")
 
@@ -73,17 +77,17 @@ def test_the_name_of_a_file_is_no_markup(capsys):
 
 @pytest.mark.parametrize("closed", [">&-", "<&-", "2>&-", ">&- 2>&- <&-"])
 def test_closed_streams_are_no_error(closed):
-    code, _, err = shell(closed)
+    code, _, err = run_in_shell(closed)
     assert (code, err) == (0, "")
 
 
-def test_characters_that_a_terminal_cannot_show_are_escaped(place):
+def test_characters_that_a_terminal_cannot_show_are_escaped(work_folder):
     words = (sys.executable, "-m", "handctl.cli", "log", "info", "h\u00e4nd\udcff.mcap")
-    code, _, err = shell("", words, PYTHONIOENCODING="ascii")
+    code, _, err = run_in_shell("", words, PYTHONIOENCODING="ascii")
     assert code == 2
     assert "h\\xe4nd" in err
     words = (sys.executable, "-m", "handctl.cli", "sim", "--bus", "local:\u00e4\udcff", "--dry-run")
-    code, out, err = shell("", words, PYTHONIOENCODING="ascii")
+    code, out, err = run_in_shell("", words, PYTHONIOENCODING="ascii")
     assert (code, err) == (0, "")
     assert "\\xe4\\udcff" in out
 
@@ -120,7 +124,7 @@ def test_signal_ignored_through_nohup_stays_ignored():
         signal.signal(signal.SIGHUP, before)
 
 
-def test_a_run_in_lockstep_that_is_interrupted_keeps_its_log(place, monkeypatch, capsys):
+def test_a_run_in_lockstep_that_is_interrupted_keeps_its_log(work_folder, monkeypatch, capsys):
     def interrupted(entry, out):
         if entry.k == 100:
             os.kill(os.getpid(), signal.SIGINT)
@@ -167,21 +171,21 @@ def test_workers_ignore_the_ctrl_c_of_a_terminal(monkeypatch, workers):
         )
 
 
-def test_a_worker_of_the_paper_leaves_no_folder(place):
+def test_a_worker_of_the_paper_leaves_no_folder(work_folder):
     command = [sys.executable, "-m", "handctl.paper.bench.worker"]
     worker = subprocess.Popen(
-        command, env=os.environ | {"TMPDIR": str(place)}, stdin=subprocess.PIPE, stderr=-1
+        command, env=os.environ | {"TMPDIR": str(work_folder)}, stdin=subprocess.PIPE, stderr=-1
     )
-    while not list(place.glob("handctl-paper-*")):
+    while not list(work_folder.glob("handctl-paper-*")):
         assert worker.poll() is None
         time.sleep(0.02)
     worker.send_signal(signal.SIGINT)
     worker.terminate()
     assert worker.communicate()[1] == b""
-    assert list(place.iterdir()) == []
+    assert list(work_folder.iterdir()) == []
 
 
-BUGGY = """
+BUGGY_PROGRAM = """
 import atexit, sys
 import handctl.cli.checks.doctor
 from handctl.cli.main import main
@@ -192,7 +196,7 @@ sys.exit(main())
 
 
 def test_a_bug_in_handctl_is_shown_with_traceback_and_its_own_exit_code():
-    ended = subprocess.run([sys.executable, "-c", BUGGY], capture_output=True, text=True)
+    ended = subprocess.run([sys.executable, "-c", BUGGY_PROGRAM], capture_output=True, text=True)
     assert ended.returncode == 70
     assert "KeyError: 'nobody thought of this'" in ended.stderr
     assert (

@@ -26,32 +26,32 @@ from handctl.core.hand_model import HandModel
 from handctl.errors import ConfigError
 from handctl.hand.hand_loading import load_hand
 
-KEY = "tendon.index_tendon.motion_force_N"
-FILE = '[[tendon]]\nname = "index_tendon"\nmotion_force_N = 5.0\n'
+FORCE_KEY = "tendon.index_tendon.motion_force_N"
+FORCES_FILE_TEXT = '[[tendon]]\nname = "index_tendon"\nmotion_force_N = 5.0\n'
 
 
 @pytest.fixture(scope="module")
-def jamia() -> HandModel:
+def jamia_model() -> HandModel:
     """Return the model of the hand jamia with the default gains."""
     return HandModel.from_hand(load_hand("jamia"), Gains(), 500.0)
 
 
 def own_force(force: float) -> Gains:
     """Return gains with a given force for the tendon of jamia's index finger [N]."""
-    return with_values(Gains(), {KEY: force}, "test")
+    return with_values(Gains(), {FORCE_KEY: force}, "test")
 
 
-def test_a_tendon_with_a_force_of_its_own_differs_from_the_others(jamia: HandModel) -> None:
-    shared = design_motion(jamia.space, Gains(), jamia.period)
-    own = design_motion(jamia.space, own_force(5.0), jamia.period)
+def test_a_tendon_with_a_force_of_its_own_differs_from_the_others(jamia_model: HandModel) -> None:
+    shared = design_motion(jamia_model.space, Gains(), jamia_model.period)
+    own = design_motion(jamia_model.space, own_force(5.0), jamia_model.period)
     all_five = design_motion(
-        jamia.space, with_values(Gains(), {"motion.force_N": 5.0}, "test"), jamia.period
+        jamia_model.space, with_values(Gains(), {"motion.force_N": 5.0}, "test"), jamia_model.period
     )
     assert own.stiffness[0] == all_five.stiffness[0] < shared.stiffness[0]
     assert np.array_equal(own.stiffness[1:], shared.stiffness[1:])
     assert np.array_equal(own.tension, shared.tension)
     tension = with_values(Gains(), {"tendon.index_tendon.tension_force_N": 2.0}, "test")
-    held = design_motion(jamia.space, tension, jamia.period)
+    held = design_motion(jamia_model.space, tension, jamia_model.period)
     assert held.tension[0] < shared.tension[0]
     assert np.array_equal(held.stiffness, shared.stiffness)
 
@@ -63,17 +63,17 @@ def test_the_text_of_the_gains_reads_back(tmp_path: Path) -> None:
     path = tmp_path / "gains.toml"
     path.write_text(gains_text(gains, GainsProvenance(hand="jamia")))
     assert load_gains_file(path).gains == gains
-    assert values_by_key(gains)[KEY] == 5.0
+    assert values_by_key(gains)[FORCE_KEY] == 5.0
     assert with_values(gains, values_by_key(gains), "test") == gains
 
 
 def test_a_tendon_without_its_own_force_uses_the_common_force() -> None:
-    assert different_values(Gains(), own_force(5.0)) == {KEY: (Gains().motion.force_N, 5.0)}
-    assert different_values(own_force(5.0), Gains()) == {KEY: (5.0, Gains().motion.force_N)}
+    assert different_values(Gains(), own_force(5.0)) == {FORCE_KEY: (Gains().motion.force_N, 5.0)}
+    assert different_values(own_force(5.0), Gains()) == {FORCE_KEY: (5.0, Gains().motion.force_N)}
     assert different_values(Gains(), own_force(Gains().motion.force_N)) == {}
     events = gain_change_events(Gains(), own_force(5.0))
     assert [(event.where, event.text) for event in events] == [
-        (KEY, "5.0"),
+        (FORCE_KEY, "5.0"),
         ("", "taken over: 1 changed"),
     ]
 
@@ -81,27 +81,30 @@ def test_a_tendon_without_its_own_force_uses_the_common_force() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (FILE + FILE, "tendon 'index_tendon' is there twice"),
-        (FILE.replace("5.0", "0.0"), "tendon[index_tendon].motion_force_N: greater than 0"),
+        (FORCES_FILE_TEXT + FORCES_FILE_TEXT, "tendon 'index_tendon' is there twice"),
         (
-            FILE.replace("5.0", "501.0"),
+            FORCES_FILE_TEXT.replace("5.0", "0.0"),
+            "tendon[index_tendon].motion_force_N: greater than 0",
+        ),
+        (
+            FORCES_FILE_TEXT.replace("5.0", "501.0"),
             "tendon[index_tendon].motion_force_N: less than or equal to 500",
         ),
-        (FILE.replace("motion_force_N", "motion_farce_N"), "motion_force_N?"),
-        (FILE.replace('name = "index_tendon"\n', ""), "missing"),
-        (FILE.replace("index_tendon", "index_tendom"), "no tendon 'index_tendom'"),
+        (FORCES_FILE_TEXT.replace("motion_force_N", "motion_farce_N"), "motion_force_N?"),
+        (FORCES_FILE_TEXT.replace('name = "index_tendon"\n', ""), "missing"),
+        (FORCES_FILE_TEXT.replace("index_tendon", "index_tendom"), "no tendon 'index_tendom'"),
     ],
 )
 def test_a_wrong_entry_is_refused_in_one_line(
-    place: Path, capsys: pytest.CaptureFixture[str], text: str, message: str
+    work_folder: Path, capsys: pytest.CaptureFixture[str], text: str, message: str
 ) -> None:
-    (place / "new.toml").write_text("schema = 1\n" + text)
+    (work_folder / "new.toml").write_text("schema = 1\n" + text)
     assert main(["gains", "apply", "new.toml", "--hand", "jamia"]) == 2
     line = capsys.readouterr().err
     assert line.count("\n") == 1
     for part in message.split(": "):
         assert part in line
-    assert not (place / "jamia.gains.toml").exists()
+    assert not (work_folder / "jamia.gains.toml").exists()
 
 
 @pytest.mark.parametrize(
@@ -118,16 +121,16 @@ def test_a_key_that_no_tendon_can_have_is_unknown(key: str) -> None:
         bounds_after_check(key, 5.0, "test")
 
 
-def test_a_running_controller_refuses_a_tendon_of_another_hand(jamia: HandModel) -> None:
+def test_a_running_controller_refuses_a_tendon_of_another_hand(jamia_model: HandModel) -> None:
     gains = with_values(Gains(), {"tendon.wrist_flex.motion_force_N": 5.0}, "test", live=True)
-    progress = DesignCache().advance(jamia, PendingGains(gains))
+    progress = DesignCache().advance(jamia_model, PendingGains(gains))
     assert progress is not None
     assert progress.pending is None
     assert "no tendon 'wrist_flex'" in progress.events[0].text
 
 
 def test_a_hand_with_packaged_gains_shows_them(
-    place: Path, capsys: pytest.CaptureFixture[str]
+    work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["gains", "show", "--hand", "orca_like", "-q"]) == 0
     shown = capsys.readouterr().out
@@ -135,7 +138,7 @@ def test_a_hand_with_packaged_gains_shows_them(
     assert f"{'tendon.index_pip.motion_force_N':<38} {force:<10g} packaged" in shown
     assert main(["gains", "diff", "--hand", "orca_like"]) == 0
     assert "0 of" in capsys.readouterr().out
-    (place / "all.toml").write_text("schema = 1\n")
+    (work_folder / "all.toml").write_text("schema = 1\n")
     assert main(["gains", "apply", "all.toml", "--hand", "orca_like"]) == 0
     capsys.readouterr()
     assert main(["gains", "diff", "--hand", "orca_like"]) == 0
@@ -144,4 +147,6 @@ def test_a_hand_with_packaged_gains_shows_them(
         in capsys.readouterr().out
     )
     assert main(["gains", "rollback", "--to", "0", "--hand", "orca_like"]) == 0
-    assert load_gains_file(place / "orca_like.gains.toml").gains == packaged_gains("orca_like")
+    assert load_gains_file(work_folder / "orca_like.gains.toml").gains == packaged_gains(
+        "orca_like"
+    )

@@ -24,10 +24,10 @@ from handctl.programs.calibration import Calibration, TendonCalibration, load_ca
 from handctl.session.calibration import write_calibration
 from handctl.tune.scoring import GainScore
 from handctl.tune.search.search import SearchResult, SearchTrial
-from tests.cli.refused import refused
+from tests.cli.command_refusals import refusal_line
 
-GOLDEN = str(Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap")
-A = Namespace(candidate="new.toml", hand="jamia")
+GOLDEN_LOG = str(Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap")
+CANDIDATE_ARGS = Namespace(candidate="new.toml", hand="jamia")
 
 
 @pytest.fixture
@@ -41,16 +41,16 @@ def fake_search(monkeypatch):
     return trials
 
 
-def test_a_search_without_a_good_trial_prints_json(fake_search, place, capsys):
+def test_a_search_without_a_good_trial_prints_json(fake_search, work_folder, capsys):
     fake_search.append(SearchTrial(0, {}, GainScore(1.0, 2.0, 3.0, 60.0, 0.5)))
     assert main(["tune", "search", "--plants", "1", "--trials", "1", "--json"]) == 1
     result = json.loads(capsys.readouterr().out)
     assert (result["trials"], result["good"], result["best"], result["gains"]) == (1, 0, None, None)
-    assert not (place / "jamia.search.toml").exists()
+    assert not (work_folder / "jamia.search.toml").exists()
 
 
 @pytest.mark.parametrize("words", [(), ("--json",)])
-def test_a_design_without_stable_gains_writes_nothing(place, capsys, monkeypatch, words):
+def test_a_design_without_stable_gains_writes_nothing(work_folder, capsys, monkeypatch, words):
     def refuses(*words):
         raise ValueError("no authority keeps the margins")
 
@@ -59,10 +59,10 @@ def test_a_design_without_stable_gains_writes_nothing(place, capsys, monkeypatch
     said = capsys.readouterr()
     assert said.err == "handctl: tune design: no authority keeps the margins; nothing is written\n"
     assert not words or json.loads(said.out)["gains"] is None
-    assert not list(place.iterdir())
+    assert not list(work_folder.iterdir())
 
 
-def test_poles_that_are_not_stable_in_simulation_are_not_written(place, capsys, monkeypatch):
+def test_poles_that_are_not_stable_in_simulation_are_not_written(work_folder, capsys, monkeypatch):
     monkeypatch.setattr(
         "handctl.tune.loops.steps.RestTest._simulate",
         lambda self, model: ": plant 1 of 1 swings by 9 N",
@@ -72,20 +72,23 @@ def test_poles_that_are_not_stable_in_simulation_are_not_written(place, capsys, 
         "not stable on every plant: plant 1 of 1 swings by 9 N; nothing is written"
         in capsys.readouterr().err
     )
-    assert not list(place.iterdir())
+    assert not list(work_folder.iterdir())
 
 
-def scored(tracking):
+def gain_score(tracking):
     return GainScore(tracking, 2.0, 3.0, 60.0, 0.0)
 
 
 def test_a_measure_is_worse_only_beyond_its_spread():
     from handctl.tune.verify import compare_rounds
 
-    runs = [[scored(1.0), scored(1.0 + 0.01 * i), *[scored(3.0 + 0.01 * i)] * 3] for i in range(3)]
+    runs = [
+        [gain_score(1.0), gain_score(1.0 + 0.01 * i), *[gain_score(3.0 + 0.01 * i)] * 3]
+        for i in range(3)
+    ]
     assert [one.verdict for one in compare_rounds(runs)] == ["worse", "same", "same", "same"]
     assert compare_rounds([runs[0]])[0].verdict == "worse"
-    noisy = [[scored(1.0), scored(1.0), *[scored(new)] * 3] for new in (0.5, 1.0, 2.0)]
+    noisy = [[gain_score(1.0), gain_score(1.0), *[gain_score(new)] * 3] for new in (0.5, 1.0, 2.0)]
     assert compare_rounds(noisy)[0].verdict == "same"
 
 
@@ -93,7 +96,7 @@ def test_a_measure_is_worse_only_beyond_its_spread():
 def test_gains_that_are_worse_are_verified_only_if_that_is_accepted(capsys, accept, code):
     from handctl.cli.tuning.tune_verify import _report_verification
 
-    rounds = [scored(1.0), scored(1.0), scored(3.0), scored(3.0), scored(3.0)]
+    rounds = [gain_score(1.0), gain_score(1.0), gain_score(3.0), gain_score(3.0), gain_score(3.0)]
     run = {"through": True, "returned": None, "failure": "", "rounds": rounds, "judged_by": "truth"}
     run |= {"log": "l", "picture": "p"}
     args = Namespace(candidate="new.toml", hand="jamia", accept_worse=accept, json=False)
@@ -104,13 +107,13 @@ def test_gains_that_are_worse_are_verified_only_if_that_is_accepted(capsys, acce
     assert ("--accept-worse" in said) != accept
 
 
-def test_an_existing_commissioning_log_is_accepted(place):
+def test_an_existing_commissioning_log_is_accepted(work_folder):
     from handctl.session.plan import commission_log
 
-    first = commission_log(place / "run.mcap")
+    first = commission_log(work_folder / "run.mcap")
     assert first.name == "run.commission.mcap"
     first.write_text("")
-    assert commission_log(place / "run.mcap").name == "run.commission-2.mcap"
+    assert commission_log(work_folder / "run.mcap").name == "run.commission-2.mcap"
 
 
 def test_a_digit_whose_sweep_touches_another_digit_is_blocked():
@@ -130,14 +133,14 @@ def test_a_digit_whose_sweep_touches_another_digit_is_blocked():
     assert blocked_digits(SimpleNamespace(events=[], phases=phases)) == {}
 
 
-def test_springs_too_weak_to_stretch_against_are_refused_in_one_line(place, capsys):
+def test_springs_too_weak_to_stretch_against_are_refused_in_one_line(work_folder, capsys):
     text = (
         load_hand("jamia")
         .to_toml()
         .replace("spring_preload_rad = [", "spring_preload_rad = [0.01, 0.01, 0.01]#[", 1)
     )
-    (place / "weak.toml").write_text(text)
-    said = refused(capsys, "identify", "--lockstep", "--hand", "weak.toml", "--dry-run")
+    (work_folder / "weak.toml").write_text(text)
+    said = refusal_line(capsys, "identify", "--lockstep", "--hand", "weak.toml", "--dry-run")
     assert "digit[index].spring_preload_rad: the springs open the joints with" in said
 
 
@@ -159,7 +162,7 @@ def test_units_in_brackets_are_no_markup(fake_search, capsys):
             "picture": "p",
         },
         (),
-        A,
+        CANDIDATE_ARGS,
     )
     assert "[deg]" in capsys.readouterr().out
 
@@ -168,30 +171,30 @@ def test_units_in_brackets_are_no_markup(fake_search, capsys):
     "words",
     [
         ("identify", "--lockstep"),
-        ("identify", "--from-log", GOLDEN),
+        ("identify", "--from-log", GOLDEN_LOG),
         ("tune", "verify", "new.toml", "--lockstep"),
         ("commission", "--bus", "local:nobody"),
         ("jog", "index", "--tension", "8", "--bus", "local:nobody"),
         ("demo", "--lockstep"),
-        ("replay", "drive", GOLDEN, "--bus", "local:nobody"),
+        ("replay", "drive", GOLDEN_LOG, "--bus", "local:nobody"),
     ],
 )
-def test_a_dry_run_writes_nothing_and_answers_in_json(place, capsys, words):
-    (place / "new.toml").write_text("schema = 1\n")
+def test_a_dry_run_writes_nothing_and_answers_in_json(work_folder, capsys, words):
+    (work_folder / "new.toml").write_text("schema = 1\n")
     assert main([*words, "--dry-run", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["hand"] == "jamia"
-    assert [path.name for path in place.iterdir()] == ["new.toml"]
+    assert [path.name for path in work_folder.iterdir()] == ["new.toml"]
 
 
 @pytest.mark.parametrize(
-    "words", [(), ("--from-log", GOLDEN, "--lockstep"), ("--lockstep", "--bus", "local:nobody")]
+    "words", [(), ("--from-log", GOLDEN_LOG, "--lockstep"), ("--lockstep", "--bus", "local:nobody")]
 )
 def test_an_identification_refuses_two_sources(capsys, words):
-    assert "expected one of them" in refused(capsys, "identify", *words)
+    assert "expected one of them" in refusal_line(capsys, "identify", *words)
 
 
-def test_a_calibration_in_lockstep_does_not_replace_the_real_one(place, capsys, monkeypatch):
-    hand, own = load_hand("jamia"), place / "jamia.calibration.toml"
+def test_a_calibration_in_lockstep_does_not_replace_the_real_one(work_folder, capsys, monkeypatch):
+    hand, own = load_hand("jamia"), work_folder / "jamia.calibration.toml"
     nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     rows = dict.fromkeys(hand.tendon_names, nothing)
     made = Calibration(
@@ -243,9 +246,9 @@ def _replace_identification(monkeypatch, made, found):
     monkeypatch.setattr("handctl.cli.tuning.identify.result_table", lambda tendons: [])
 
 
-def test_for_a_digit_in_contact_only_motor_and_tendon_are_written(place, capsys, monkeypatch):
+def test_for_a_digit_in_contact_only_motor_and_tendon_are_written(work_folder, capsys, monkeypatch):
     """One line names the digit, the parameters that are not written, the reason, and the next step."""
-    hand, path = load_hand("jamia"), place / "own.toml"
+    hand, path = load_hand("jamia"), work_folder / "own.toml"
     nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     rows = dict.fromkeys(hand.tendon_names, nothing)
     made = Calibration(
@@ -268,9 +271,9 @@ def test_for_a_digit_in_contact_only_motor_and_tendon_are_written(place, capsys,
 
 
 @pytest.mark.parametrize("others", [(), ("ring",), ("ring", "thumb")])
-def test_a_fit_of_a_blocked_digit_is_not_written(place, capsys, monkeypatch, others):
+def test_a_fit_of_a_blocked_digit_is_not_written(work_folder, capsys, monkeypatch, others):
     """Regression: fingers touched each other, and a spring parameter of 3.05 instead of 1.2 was stored."""
-    hand, path = load_hand("jamia"), place / "own.toml"
+    hand, path = load_hand("jamia"), work_folder / "own.toml"
     nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     rows = dict.fromkeys(hand.tendon_names, nothing)
     made = Calibration(
@@ -300,18 +303,18 @@ def test_a_fit_of_a_blocked_digit_is_not_written(place, capsys, monkeypatch, oth
     "words", [("--output", "x.png"), ("--output", "x.toml", "--picture", "./x.toml")]
 )
 @pytest.mark.parametrize("kind", ["design", "search"])
-def test_gains_and_picture_are_two_files(place, capsys, kind, words):
-    """A command refuses the same name for both, because the picture would overwrite the gains."""
-    assert "the name of the picture" in refused(capsys, "tune", kind, "--plants", "1", *words)
-    assert not list(place.iterdir())
+def test_gains_and_picture_are_two_files(work_folder, capsys, kind, words):
+    """CANDIDATE_ARGS command refuses the same name for both, because the picture would overwrite the gains."""
+    assert "the name of the picture" in refusal_line(capsys, "tune", kind, "--plants", "1", *words)
+    assert not list(work_folder.iterdir())
 
 
 @pytest.mark.parametrize(
     "name", ["jamia.calibration.toml", "jamia.gains.toml", "mine.study", "jamia.study"]
 )
 @pytest.mark.parametrize("option", ["--output", "--picture"])
-def test_tuning_overwrites_no_other_file_of_the_hand(place, capsys, name, option):
-    (place / "mine.study").write_text("mine")
+def test_tuning_overwrites_no_other_file_of_the_hand(work_folder, capsys, name, option):
+    (work_folder / "mine.study").write_text("mine")
     words = (
         "tune",
         "search",
@@ -324,20 +327,20 @@ def test_tuning_overwrites_no_other_file_of_the_hand(place, capsys, name, option
         option,
         name,
     )
-    assert "expected another name" in refused(capsys, *words)
-    assert (place / "mine.study").read_text() == "mine"
+    assert "expected another name" in refusal_line(capsys, *words)
+    assert (work_folder / "mine.study").read_text() == "mine"
 
 
-def test_a_log_of_a_simulated_hand_is_not_used_for_the_real_hand(place, capsys):
-    assert main(["identify", "--from-log", GOLDEN, "--dry-run", "--json"]) == 0
+def test_a_log_of_a_simulated_hand_is_not_used_for_the_real_hand(work_folder, capsys):
+    assert main(["identify", "--from-log", GOLDEN_LOG, "--dry-run", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["calibration"] == "jamia.lockstep.calibration.toml"
-    real = place / "real.mcap"
-    with RunLog(Path(GOLDEN)) as log:
+    real = work_folder / "real.mcap"
+    with RunLog(Path(GOLDEN_LOG)) as log:
         LogWriter(real, replace(log.header, deterministic=False), lambda *what: None, 1).finish(
             "finished", 0
         )
-    assert "is of a simulated hand" in refused(
-        capsys, "identify", "--from-log", str(real), "--from-log", GOLDEN
+    assert "is of a simulated hand" in refusal_line(
+        capsys, "identify", "--from-log", str(real), "--from-log", GOLDEN_LOG
     )
 
 
@@ -354,7 +357,7 @@ def test_repeated_options_are_collected():
     ("words", "line"),
     [
         (
-            ("identify", "--from-log", GOLDEN, "--digits", "thumb"),
+            ("identify", "--from-log", GOLDEN_LOG, "--digits", "thumb"),
             "--digits: together with --from-log",
         ),
         (("identify", "--lockstep", "--seed", "-1"), "--seed: -1; expected 0 or more"),
@@ -366,11 +369,11 @@ def test_repeated_options_are_collected():
         (("bus", "plan", "--rate", "1e-300"), "--rate: 1e-300; expected 1 to 10000 Hz"),
     ],
 )
-def test_options_that_do_not_fit_together_are_refused(place, capsys, words, line):
-    assert line in refused(capsys, *words)
+def test_options_that_do_not_fit_together_are_refused(work_folder, capsys, words, line):
+    assert line in refusal_line(capsys, *words)
 
 
-PERTURBING = [
+PERTURBING_COMMANDS = [
     ("identify", "--lockstep", "--dry-run"),
     ("tune", "design", "--plants", "1"),
     ("tune", "search", "--plants", "1", "--trials", "1"),
@@ -380,7 +383,7 @@ PERTURBING = [
 """Commands that simulate the hand in their own process. ``sim`` starts a simulator, see test_simulate."""
 
 
-@pytest.mark.parametrize("verb", PERTURBING, ids=lambda words: "-".join(words[:2]))
+@pytest.mark.parametrize("verb", PERTURBING_COMMANDS, ids=lambda words: "-".join(words[:2]))
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -398,10 +401,10 @@ PERTURBING = [
         ),
     ],
 )
-def test_a_wrong_perturbation_is_one_line_in_every_verb(place, capsys, verb, words, said):
-    (place / "new.toml").write_text("schema = 1\n")
-    assert said in refused(capsys, *verb, "--perturb", *words)
-    assert [path.name for path in place.iterdir()] == ["new.toml"]
+def test_a_wrong_perturbation_is_one_line_in_every_verb(work_folder, capsys, verb, words, said):
+    (work_folder / "new.toml").write_text("schema = 1\n")
+    assert said in refusal_line(capsys, *verb, "--perturb", *words)
+    assert [path.name for path in work_folder.iterdir()] == ["new.toml"]
 
 
 @pytest.mark.parametrize(
@@ -468,7 +471,7 @@ def test_plants_are_perturbed_unless_the_perturbed_hand_was_identified(fit):
 
 @pytest.mark.nightly
 def test_parameters_identified_in_lockstep_are_tuned_verified_and_applied_in_lockstep(
-    place, capsys
+    work_folder, capsys
 ):
     """Each command line is the one that the previous command has printed as next, with fewer trials."""
     words = "identify --lockstep --digits index --seed 7 --perturb stiffness=0.8 friction=1.2 --log id.mcap"
@@ -484,4 +487,4 @@ def test_parameters_identified_in_lockstep_are_tuned_verified_and_applied_in_loc
     assert main([*words, "--seeds", "1", "--accept-worse", "--log", "verify.mcap"]) == 0
     [line] = [line for line in capsys.readouterr().out.splitlines() if "gains apply" in line]
     assert main(shlex.split(line.partition("handctl ")[2])) == 0
-    assert (place / "jamia.gains.toml").exists()
+    assert (work_folder / "jamia.gains.toml").exists()

@@ -18,11 +18,11 @@ from handctl.drives import protocol_registry
 from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.log.read.reader import RunLog
 
-BUS = ("--bus", "local:does-not-exist")
-GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
+ABSENT_BUS_OPTION = ("--bus", "local:does-not-exist")
+GOLDEN_LOG = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 
 
-HEAVY = {"numpy", "numba", "scipy", "mcap", "handctl.hand.description"}
+HEAVY_MODULES = {"numpy", "numba", "scipy", "mcap", "handctl.hand.description"}
 """Modules that no help may import, because their import would delay it noticeably."""
 
 
@@ -34,7 +34,7 @@ from handctl.cli.main import main
 for words in {words!r}:
     with contextlib.suppress(SystemExit), contextlib.redirect_stdout(io.StringIO()):
         main(words)
-    print(words[0], *({HEAVY!r} & set(sys.modules)))
+    print(words[0], *({HEAVY_MODULES!r} & set(sys.modules)))
 """
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert ended.stdout.split() == sorted(VERB_HELP)
@@ -51,8 +51,8 @@ def json_output(capsys, *words):
     return code, json.loads(out)
 
 
-DRY = {
-    "run": (*BUS, "--task", "grasp.toml"),
+DRY_RUN_WORDS = {
+    "run": (*ABSENT_BUS_OPTION, "--task", "grasp.toml"),
     "config show": (),
     "config list": (),
     "config check": ("--task", "grasp.toml"),
@@ -60,56 +60,64 @@ DRY = {
 }
 
 
-@pytest.mark.parametrize("verb", DRY)
+@pytest.mark.parametrize("verb", DRY_RUN_WORDS)
 def test_every_verb_prints_json_without_hardware(capsys, verb):
     dry = ("--dry-run",) if verb == "run" else ()
-    code, said = json_output(capsys, *verb.split(), *DRY[verb], *dry)
+    code, said = json_output(capsys, *verb.split(), *DRY_RUN_WORDS[verb], *dry)
     assert code in ((0, 1) if verb == "doctor" else (0,))  # 1 if there is a finding
     assert said
 
 
 def test_config_show_and_run_plan_the_same_bus_load(capsys):
     _, config = json_output(capsys, "config", "show", "--hand", "jamia11")
-    _, plan = json_output(capsys, "run", "--hand", "jamia11", *BUS, "--dry-run")
+    _, plan = json_output(capsys, "run", "--hand", "jamia11", *ABSENT_BUS_OPTION, "--dry-run")
     assert config["rate_hz"] == plan["rate_hz"] == 200.0
     assert config["bus_load"]["main"] == plan["bus_load"] < 0.7
     assert plan["buses"] == ["local:does-not-exist"]
     assert config["hand"]["name"] == "jamia11"
 
 
-DRY_RUNS = {
-    "run": BUS,
-    "commission": BUS,
-    "jog": ("thumb", "--angle", "10", *BUS),
-    "sim": BUS,
+DRY_RUN_CASES = {
+    "run": ABSENT_BUS_OPTION,
+    "commission": ABSENT_BUS_OPTION,
+    "jog": ("thumb", "--angle", "10", *ABSENT_BUS_OPTION),
+    "sim": ABSENT_BUS_OPTION,
     "demo": ("--lockstep",),
-    "identify": BUS,
-    "replay drive": (str(GOLDEN), *BUS),
-    "scan": BUS,
-    "conformance": ("--protocol", "mit", "--node", "1", "--torque-limit-Nm", "0.1", *BUS),
+    "identify": ABSENT_BUS_OPTION,
+    "replay drive": (str(GOLDEN_LOG), *ABSENT_BUS_OPTION),
+    "scan": ABSENT_BUS_OPTION,
+    "conformance": (
+        "--protocol",
+        "mit",
+        "--node",
+        "1",
+        "--torque-limit-Nm",
+        "0.1",
+        *ABSENT_BUS_OPTION,
+    ),
 }
 
 
-@pytest.mark.parametrize("verb", DRY_RUNS)
-def test_a_dry_run_opens_and_writes_nothing(place, capsys, verb):
-    words = (*verb.split(), *DRY_RUNS[verb], "--dry-run")
+@pytest.mark.parametrize("verb", DRY_RUN_CASES)
+def test_a_dry_run_opens_and_writes_nothing(work_folder, capsys, verb):
+    words = (*verb.split(), *DRY_RUN_CASES[verb], "--dry-run")
     assert main(words) == 0
     assert capsys.readouterr().out
     code, said = json_output(capsys, *words)
     assert code == 0
     assert said
-    assert not any(place.iterdir())
+    assert not any(work_folder.iterdir())
     assert not any(os.scandir(os.environ["HANDCTL_RUN_DIR"]))
 
 
-def test_a_dry_run_prints_the_gains(place, capsys):
+def test_a_dry_run_prints_the_gains(work_folder, capsys):
     Path("new.toml").write_text("schema = 1\n[motion]\nforce_N = 14\n")
     code, said = json_output(capsys, "tune", "verify", "new.toml", "--lockstep", "--dry-run")
     assert (code, said["gains"]) == (0, "new.toml")
 
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory):
+def small_log(tmp_path_factory):
     """Return the path of a small log of a successful run."""
     from handctl.core.tick_types import TELEMETRY_AXES, HandMode, Telemetry, TickIn, TickOut
     from handctl.hand.hand_loading import load_hand
@@ -133,49 +141,49 @@ def log(tmp_path_factory):
     return path
 
 
-def test_log_info_counts_the_ticks_of_a_complete_log(log, capsys):
-    code, said = json_output(capsys, "log", "info", str(log))
+def test_log_info_counts_the_ticks_of_a_complete_log(small_log, capsys):
+    code, said = json_output(capsys, "log", "info", str(small_log))
     assert (code, said["whole"], said["ticks"]) == (0, True, 3000)
-    assert main(["log", "info", str(log)]) == 0
+    assert main(["log", "info", str(small_log)]) == 0
     assert "3000" in capsys.readouterr().out
 
 
-def test_a_truncated_log_is_reported_and_recovered(log, place, capsys):
-    data = log.read_bytes()
-    (place / "cut.mcap").write_bytes(data[: len(data) * 2 // 3])
+def test_a_truncated_log_is_reported_and_recovered(small_log, work_folder, capsys):
+    data = small_log.read_bytes()
+    (work_folder / "cut.mcap").write_bytes(data[: len(data) * 2 // 3])
     code, said = json_output(capsys, "log", "info", "cut.mcap")
     assert (code, said["whole"]) == (3, False)
     assert 0 < said["ticks"] < 3000
     code, found = json_output(capsys, "log", "recover", "cut.mcap")
     assert (code, found["status"]) == (3, "lossy")
-    with RunLog(place / "cut.recovered.mcap") as whole:
+    with RunLog(work_folder / "cut.recovered.mcap") as whole:
         assert not whole.warning
         assert len(whole) == said["ticks"]
 
 
-def test_a_complete_log_is_recovered_unchanged(log, place, capsys):
-    shutil.copy(log, "run.mcap")
+def test_a_complete_log_is_recovered_unchanged(small_log, work_folder, capsys):
+    shutil.copy(small_log, "run.mcap")
     code, found = json_output(capsys, "log", "recover", "run.mcap", "--output", "new.mcap")
     assert (code, found["status"], found["lost"]) == (0, "whole", [])
-    with RunLog(log) as old, RunLog(place / "new.mcap") as new:
+    with RunLog(small_log) as old, RunLog(work_folder / "new.mcap") as new:
         assert np.array_equal(old.times, new.times)
 
 
-def test_a_log_cut_before_its_first_chunk_cannot_be_recovered(log, place, capsys):
-    (place / "head.mcap").write_bytes(log.read_bytes()[:64])
+def test_a_log_cut_before_its_first_chunk_cannot_be_recovered(small_log, work_folder, capsys):
+    (work_folder / "head.mcap").write_bytes(small_log.read_bytes()[:64])
     code, found = json_output(capsys, "log", "recover", "head.mcap")
     assert (code, found["status"]) == (1, "nothing")
-    assert not (place / "head.recovered.mcap").exists()
+    assert not (work_folder / "head.recovered.mcap").exists()
 
 
 @pytest.mark.parametrize("what", ["info", "recover"])
 @pytest.mark.parametrize("content", [b"", b"garbage" * 1000, None])
-def test_file_that_is_not_a_log_is_bad_input(place, capsys, what, content):
+def test_file_that_is_not_a_log_is_bad_input(work_folder, capsys, what, content):
     if content is not None:
-        (place / "x.mcap").write_bytes(content)
+        (work_folder / "x.mcap").write_bytes(content)
     assert main(["log", what, "x.mcap"]) == 2
     assert capsys.readouterr().err.count("\n") == 1
-    assert not (place / "x.recovered.mcap").exists()
+    assert not (work_folder / "x.recovered.mcap").exists()
 
 
 def test_folder_is_refused_as_log(capsys):

@@ -20,14 +20,14 @@ from handctl.session.calibration import previous_identified, run_commissioning, 
 from handctl.session.run import make_controller, run_lockstep
 from tests.drives.protocol_bench import hand_file
 
-FIRST, SECOND = ("0x4000",), ("0x8000",)
-GOAL = {"do": "move", "angle_deg": {"index": 5.0}, "duration_s": 0.2}
+FIRST_SERIALS, SECOND_SERIALS = ("0x4000",), ("0x8000",)
+MOVE_GOAL = {"do": "move", "angle_deg": {"index": 5.0}, "duration_s": 0.2}
 
 
-class Bench:
+class CalibratedBench:
     """A simulated hand in virtual time, and the plan of its controller."""
 
-    def __init__(self, place, hand, serials=()):
+    def __init__(self, work_folder, hand, serials=()):
         import argparse
 
         from handctl.cli.console.options import add_run_options
@@ -35,7 +35,7 @@ class Bench:
         parser = argparse.ArgumentParser()
         add_run_options(parser, bus_required=False)
         self.args = parser.parse_args(["--hand", str(hand), "--json"])
-        self.plan, self.place = make_plan(self.args, lockstep=True), place
+        self.plan, self.work_folder = make_plan(self.args, lockstep=True), work_folder
         self.peer = load_peer(
             SIMULATED_HAND_ENTRY,
             hand_path=str(hand),
@@ -48,31 +48,36 @@ class Bench:
         return run_lockstep(plan, controller, log, self.clock)
 
     def commission(self, name):
-        calibration, _ = run_commissioning(self.plan, self.place / f"{name}.mcap", self.runner)
+        calibration, _ = run_commissioning(
+            self.plan, self.work_folder / f"{name}.mcap", self.runner
+        )
         return calibration
 
     def jog(self, calibration, name):
-        program = JogProgram(MoveDigits.model_validate(GOAL), 0.4)
+        program = JogProgram(MoveDigits.model_validate(MOVE_GOAL), 0.4)
         controller = make_controller(self.plan, program, calibration, True)
-        return self.runner(self.plan, controller, self.place / f"{name}.mcap")
+        return self.runner(self.plan, controller, self.work_folder / f"{name}.mcap")
 
 
-def modes(log):
+def mode_texts(log):
     with RunLog(log) as run:
         return [event.event.text for event in run.events if event.event.name == "mode"]
 
 
 @pytest.mark.parametrize("protocols", [[name] for name in GUARDED_PROTOCOLS], ids="+".join)
 def test_the_second_hand_of_a_design_is_not_armed_with_the_first_one_s_calibration(
-    place, protocols
+    work_folder, protocols
 ):
     """Regression: two hands of a design were used in one folder. The second got the tares and zeros of the first."""
-    hand = hand_file(place, protocols)
-    first, second = Bench(place, hand, FIRST), Bench(place, hand, SECOND)
+    hand = hand_file(work_folder, protocols)
+    first, second = (
+        CalibratedBench(work_folder, hand, FIRST_SERIALS),
+        CalibratedBench(work_folder, hand, SECOND_SERIALS),
+    )
     calibration = first.commission("first")
     assert set(calibration.drive) == {motor.name for motor in load_hand(str(hand)).motor}
     assert not any(text.startswith("node") for text in calibration.drive.values())
-    path = place / "c.toml"
+    path = work_folder / "c.toml"
     write_calibration(path, calibration)
     assert load_calibration(path, first.plan.hand) == calibration, (
         "the calibration is stored without changes"
@@ -90,17 +95,20 @@ def test_the_second_hand_of_a_design_is_not_armed_with_the_first_one_s_calibrati
         assert f"{name} is drive " in outcome.state.failure
         assert f"but was calibrated with drive {text}" in outcome.state.failure
     assert "\n" not in outcome.state.failure
-    assert [text.partition(":")[0] for text in modes(place / "other.mcap")][
+    assert [text.partition(":")[0] for text in mode_texts(work_folder / "other.mcap")][
         -1
     ] == "READY -> DONE", "the hand was not armed"
     for one in (first, second):
         one.peer.close()
 
 
-def test_replaced_drive_is_named_before_arming(place):
-    hand = hand_file(place, ["mit"])
+def test_replaced_drive_is_named_before_arming(work_folder):
+    hand = hand_file(work_folder, ["mit"])
     motor = load_hand(str(hand)).motor[0].name
-    before, after = Bench(place, hand, FIRST), Bench(place, hand, (*FIRST, f"{motor}=0x77"))
+    before, after = (
+        CalibratedBench(work_folder, hand, FIRST_SERIALS),
+        CalibratedBench(work_folder, hand, (*FIRST_SERIALS, f"{motor}=0x77")),
+    )
     failure = after.jog(before.commission("before"), "after").state.failure
     assert failure.startswith(f"{motor} is drive 0x77, but was calibrated with drive 0x40")
     assert failure.count(" is drive ") == 1
@@ -108,22 +116,22 @@ def test_replaced_drive_is_named_before_arming(place):
         one.peer.close()
 
 
-def test_a_log_names_its_drives_and_repeats(place, capsys):
-    bench = Bench(place, "jamia", SECOND)
+def test_a_log_names_its_drives_and_repeats(work_folder, capsys):
+    bench = CalibratedBench(work_folder, "jamia", SECOND_SERIALS)
     calibration = bench.commission("made")
     bench.jog(
         calibration.model_copy(update={"drive": dict.fromkeys(calibration.drive, "0x1")}), "refused"
     )
     bench.peer.close()
-    assert modes(place / "refused.mcap")[-1].startswith("READY -> DONE: ")
+    assert mode_texts(work_folder / "refused.mcap")[-1].startswith("READY -> DONE: ")
     assert main(["replay", "execute", "refused.mcap", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["differing"] == 0
 
 
-def test_a_calibration_of_an_earlier_version_is_accepted_with_a_notice(place, capsys):
-    bench = Bench(place, "jamia")
+def test_a_calibration_of_an_earlier_version_is_accepted_with_a_notice(work_folder, capsys):
+    bench = CalibratedBench(work_folder, "jamia")
     calibration = bench.commission("made").model_copy(update={"drive": {}})
-    path = place / "old.toml"
+    path = work_folder / "old.toml"
     write_calibration(path, calibration)
     assert "drive" not in tomllib.loads(path.read_text())
     old = load_calibration(path, bench.plan.hand)
@@ -137,9 +145,9 @@ def test_a_calibration_of_an_earlier_version_is_accepted_with_a_notice(place, ca
     bench.peer.close()
 
 
-def test_identified_values_of_other_drives_are_not_used(place, capsys):
-    bench = Bench(place, "jamia")
-    calibration, path = bench.commission("made"), place / "c.toml"
+def test_identified_values_of_other_drives_are_not_used(work_folder, capsys):
+    bench = CalibratedBench(work_folder, "jamia")
+    calibration, path = bench.commission("made"), work_folder / "c.toml"
     bench.peer.close()
     hand = bench.plan.hand
     write_calibration(path, calibration)

@@ -14,7 +14,7 @@ from firmware_sim.hand_description import SimulatorError
 from fuzz import blind, files, logs, texts, wire
 from fuzz.__main__ import MAX_INPUT_BYTES, fuzz_target
 from fuzz.drives import FUZZED_DRIVES
-from fuzz.targets import TARGET_FACTORIES, seeds
+from fuzz.targets import TARGET_FACTORIES, seed_inputs
 from handctl.drives.contract import DrivePhase
 
 DOCUMENT_TARGETS = ("hand", "task", "trajectory", "gains", "calibration", "log")
@@ -29,9 +29,9 @@ def test_an_unchanged_document_is_accepted(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", [*FUZZED_DRIVES, "hand-text", "log-bytes", "request", "fault"])
 def test_seeds_of_a_corpus_are_accepted(name: str, tmp_path: Path) -> None:
     target = TARGET_FACTORIES[name](tmp_path)
-    seed_inputs = seeds(name, tmp_path)
-    assert seed_inputs
-    assert all(target(seed[: MAX_INPUT_BYTES[name]]) for seed in seed_inputs), (
+    seeds = seed_inputs(name, tmp_path)
+    assert seeds
+    assert all(target(seed[: MAX_INPUT_BYTES[name]]) for seed in seeds), (
         "inputs of the largest length are accepted"
     )
 
@@ -45,7 +45,7 @@ def test_seeds_of_a_drive_s_corpus_reach_torque(name: str, tmp_path: Path) -> No
         DrivePhase.ENABLED,
     }
     ours = wire.selectable_identifiers(motor, seen)
-    for data in seeds(name, tmp_path):
+    for data in seed_inputs(name, tmp_path):
         state, t_ns, recorded = seen[data[0]]
         sent = [frame for frame, _ in wire.frames_of_input(data, ours, t_ns)]
         assert [(frame.can_id, frame.data) for frame in sent] == [
@@ -62,7 +62,7 @@ def test_a_changed_field_of_a_log_is_found_by_its_check(
     error_lines: list[str] = []
     monkeypatch.setattr(files, "check_one_line", lambda error: error_lines.append(str(error)))
     target = TARGET_FACTORIES["log"](tmp_path)
-    parts = logs._parts(tmp_path / "small.mcap")
+    parts = logs._log_parts(tmp_path / "small.mcap")
     messages = (
         (i, at)
         for i, part in enumerate(parts)
@@ -94,7 +94,7 @@ def test_the_fuzz_target_rejects_an_empty_or_two_line_refusal(
 def test_fuzzing_without_an_accepted_input_is_a_failure(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert blind.fuzz(
+    assert blind.feed_inputs(
         lambda data: data > b"b", iter([b"a", b"b", b"c"] * 100), tmp_path, 0.0, 256
     ) == (256, 85)
     monkeypatch.chdir(tmp_path)

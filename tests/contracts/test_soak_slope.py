@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from fuzz import soak
-from fuzz.soak import MIN_SLOPE_TIME_S, WARM_S, MemorySample, memory_slope
+from fuzz.soak import MIN_SLOPE_TIME_S, WARM_UP_S, MemorySample, memory_slope
 from handctl.hand.hand_loading import load_hand
 from handctl.programs.calibration import load_calibration
 
@@ -51,7 +51,10 @@ def test_a_controller_gets_a_calibration_of_its_hand(
 def test_growth_is_reported_in_mebibytes_per_hour() -> None:
     assert memory_slope(memory_samples(3600.0, mib_per_h=2.0)) == pytest.approx(2.0, abs=0.01)
     assert memory_slope(
-        [one._replace(rss=one.rss + 9 * (one.t < WARM_S)) for one in memory_samples(3600.0)]
+        [
+            one._replace(rss_mib=one.rss_mib + 9 * (one.time_s < WARM_UP_S))
+            for one in memory_samples(3600.0)
+        ]
     ) == pytest.approx(0.0)
 
 
@@ -62,7 +65,9 @@ def test_memory_that_is_freed_and_allocated_again_is_no_growth() -> None:
     """
     falling_back = memory_samples(2400.0)
     low = [
-        one._replace(rss=one.rss - 1.5 * (600 <= one.t < 1170 and one.t % 300 > 30))
+        one._replace(
+            rss_mib=one.rss_mib - 1.5 * (600 <= one.time_s < 1170 and one.time_s % 300 > 30)
+        )
         for one in falling_back
     ]
     assert memory_slope(low) == pytest.approx(0.0, abs=1e-6)
@@ -72,5 +77,5 @@ def test_memory_that_is_freed_and_allocated_again_is_no_growth() -> None:
 
 
 def test_too_short_a_time_has_no_slope() -> None:
-    assert memory_slope(memory_samples(WARM_S + MIN_SLOPE_TIME_S - 60.0)) is None
-    assert memory_slope(memory_samples(WARM_S + MIN_SLOPE_TIME_S + 60.0)) is not None
+    assert memory_slope(memory_samples(WARM_UP_S + MIN_SLOPE_TIME_S - 60.0)) is None
+    assert memory_slope(memory_samples(WARM_UP_S + MIN_SLOPE_TIME_S + 60.0)) is not None

@@ -1,7 +1,7 @@
 """Synthetic estimates, measurements and states of a hand, for tests of the code that uses the filter.
 
-``ControllerState`` holds all numbers of a tick. ``SyntheticEstimate`` and ``SensorReadings`` are the parts of a state that
-tests make up. ``state_with_estimate`` puts an estimate into a state, and ``estimate_of`` takes it
+``ControllerState`` holds all numbers of a tick. ``SyntheticEstimate`` and ``SensorReadings`` are the
+parts of a state that tests make up. ``state_with_estimate`` puts an estimate into a state, and ``estimate_of`` takes it
 out again.
 """
 

@@ -11,16 +11,18 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-ROOT = Path(__file__).parents[2]
-FENCE = re.compile(r"^( *)```(\w*)(?: title=\"([^\"]*)\")?\n(.*?)^ *```$", re.MULTILINE | re.DOTALL)
-READY_S = 120.0
+REPOSITORY_ROOT = Path(__file__).parents[2]
+FENCE_PATTERN = re.compile(
+    r"^( *)```(\w*)(?: title=\"([^\"]*)\")?\n(.*?)^ *```$", re.MULTILINE | re.DOTALL
+)
+READY_TIMEOUT_S = 120.0
 """Longest time until a process prints its first line [s], including compilation."""
 
-RUN_S = 600.0
+BLOCK_TIMEOUT_S = 600.0
 """Longest time that a block of commands may run on a busy machine [s]."""
 
 
-class Block(NamedTuple):
+class FencedBlock(NamedTuple):
     """A fenced block of a page: its language, its title and its text."""
 
     language: str
@@ -28,34 +30,36 @@ class Block(NamedTuple):
     text: str
 
 
-def blocks(path: Path) -> list[Block]:
+def read_blocks(path: Path) -> list[FencedBlock]:
     """Return the fenced blocks of a page in order."""
-    found = FENCE.finditer(path.read_text(encoding="utf-8"))
+    found = FENCE_PATTERN.finditer(path.read_text(encoding="utf-8"))
     return [
-        Block(match[2], match[3] or "", re.sub(f"^{match[1]}", "", match[4], flags=re.MULTILINE))
+        FencedBlock(
+            match[2], match[3] or "", re.sub(f"^{match[1]}", "", match[4], flags=re.MULTILINE)
+        )
         for match in found
     ]
 
 
-def is_run(block: Block) -> bool:
+def is_executed(block: FencedBlock) -> bool:
     """Return True for a block of commands that a test executes, and for a block that it writes to a file."""
-    return (block.language == "sh" and "not run" not in block.title) or is_file(block)
+    return (block.language == "sh" and "not run" not in block.title) or is_file_block(block)
 
 
-def is_file(block: Block) -> bool:
+def is_file_block(block: FencedBlock) -> bool:
     """Return True for a block with a Python program or a TOML file. Its title is the name of the file."""
     return block.language in ("python", "toml") and bool(
         re.fullmatch(r"[\w-]+\.(py|toml)", block.title)
     )
 
 
-def stays_open(block: Block) -> bool:
+def stays_open(block: FencedBlock) -> bool:
     """Return True for a block whose command keeps running during the commands after it."""
     return "stays open" in block.title
 
 
 def run_blocks(
-    parts: Sequence[Block],
+    page_blocks: Sequence[FencedBlock],
     prepare: Callable[[Path], None] | None = None,
     beside: Sequence[str] = (),
 ) -> None:
@@ -73,20 +77,24 @@ def run_blocks(
     others: list[subprocess.Popen[str]] = []
     if prepare:
         prepare(folder)
-    for block in filter(is_file, parts):
-        (folder / block.title).write_text(on_the_embedded_bus(block.text))
+    for block in filter(is_file_block, page_blocks):
+        (folder / block.title).write_text(with_local_bus(block.text))
     try:
         for command in beside:
             start_beside(command, others, words)
-        for block in parts:
-            if block.language != "sh" or not is_run(block):
+        for block in page_blocks:
+            if block.language != "sh" or not is_executed(block):
                 continue
             if stays_open(block):
-                start_beside(on_the_embedded_bus(block.text), others, words)
+                start_beside(with_local_bus(block.text), others, words)
                 continue
-            script = f"set -e\n{on_the_embedded_bus(block.text)}"
+            script = f"set -e\n{with_local_bus(block.text)}"
             ran = subprocess.run(
-                ["bash", "-c", script], capture_output=True, timeout=RUN_S, check=False, **words
+                ["bash", "-c", script],
+                capture_output=True,
+                timeout=BLOCK_TIMEOUT_S,
+                check=False,
+                **words,
             )
             assert ran.returncode == 0, f"{block.text}\n{ran.stdout[-1000:]}\n{ran.stderr[-2000:]}"
             assert "Traceback" not in ran.stderr
@@ -107,9 +115,9 @@ def start_beside(
     )
     stdout = others[-1].stdout
     assert stdout
-    assert select.select([stdout], [], [], READY_S)[0], command
+    assert select.select([stdout], [], [], READY_TIMEOUT_S)[0], command
 
 
-def on_the_embedded_bus(text: str) -> str:
+def with_local_bus(text: str) -> str:
     """Return commands with a local bus in place of SocketCAN, because not every kernel has SocketCAN."""
     return re.sub(r"socketcan:(v?can\d)", r"local:\1", text)

@@ -12,27 +12,29 @@ import pytest
 from handctl.cli.main import VERB_HELP, verb_parser
 from handctl.errors import ConfigError
 
-ROOT = Path(__file__).parents[2]
-DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-FENCE = re.compile(r"^ *```.*?^ *```$", re.MULTILINE | re.DOTALL)
+REPOSITORY_ROOT = Path(__file__).parents[2]
+DOCUMENTS = [REPOSITORY_ROOT / "README.md", *sorted((REPOSITORY_ROOT / "docs").rglob("*.md"))]
+FENCE_PATTERN = re.compile(r"^ *```.*?^ *```$", re.MULTILINE | re.DOTALL)
 
 
-def commands(text: str) -> list[list[str]]:
+def commands_in(text: str) -> list[list[str]]:
     """Return the words of each command in a document. Commands that a shell would change are left out."""
     lines = re.findall(r"`handctl ([^`\n]+)`", text)
-    for block in FENCE.findall(text):
+    for block in FENCE_PATTERN.findall(text):
         lines += re.findall(r"^ *(?:sudo )?handctl ([^\n#;&|]+)$", block, re.MULTILINE)
     plain = [line for line in lines if not re.search(r"[<>\[\]]|\.\.\.", line)]
     return [words for words in map(shlex.split, plain) if words[0] in VERB_HELP]
 
 
-@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.relative_to(ROOT).as_posix())
+@pytest.mark.parametrize(
+    "path", DOCUMENTS, ids=lambda path: path.relative_to(REPOSITORY_ROOT).as_posix()
+)
 def test_every_argument_is_known(path: Path) -> None:
-    refused = [refusal(words) for words in commands(path.read_text(encoding="utf-8"))]
+    refused = [parser_refusal(words) for words in commands_in(path.read_text(encoding="utf-8"))]
     assert [text for text in refused if "unknown" in text] == []
 
 
-def refusal(words: list[str]) -> str:
+def parser_refusal(words: list[str]) -> str:
     """Return the error text with which a command is refused, or an empty text if it is accepted."""
     try:
         verb_parser(words[0]).parse_args(words[1:])
@@ -44,6 +46,6 @@ def refusal(words: list[str]) -> str:
 
 
 def test_a_wrong_argument_is_unknown() -> None:
-    ((verb, *words),) = commands("`handctl log info move.mcap move.log`")
+    ((verb, *words),) = commands_in("`handctl log info move.mcap move.log`")
     with pytest.raises(ConfigError, match="unknown argument"):
         verb_parser(verb).parse_args(words)

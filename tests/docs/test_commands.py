@@ -9,46 +9,62 @@ from typing import Any
 
 import pytest
 
-from tests.docs.command_blocks import ROOT, blocks, is_file, is_run, run_blocks, stays_open
-
-PAGES = sorted(
-    [*(ROOT / "docs" / "start").glob("*.md"), *(ROOT / "docs" / "tutorials").glob("*.md")]
+from tests.docs.command_blocks import (
+    REPOSITORY_ROOT,
+    is_executed,
+    is_file_block,
+    read_blocks,
+    run_blocks,
+    stays_open,
 )
-BLOCKS = {path.relative_to(ROOT / "docs").as_posix(): blocks(path) for path in PAGES}
-RUN = {page: [block for block in parts if is_run(block)] for page, parts in BLOCKS.items()}
+
+PAGE_FILES = sorted(
+    [
+        *(REPOSITORY_ROOT / "docs" / "start").glob("*.md"),
+        *(REPOSITORY_ROOT / "docs" / "tutorials").glob("*.md"),
+    ]
+)
+BLOCKS_BY_PAGE = {
+    path.relative_to(REPOSITORY_ROOT / "docs").as_posix(): read_blocks(path) for path in PAGE_FILES
+}
+EXECUTED_BLOCKS = {
+    page: [block for block in parts if is_executed(block)] for page, parts in BLOCKS_BY_PAGE.items()
+}
 """Blocks of each page that a test executes, or writes to the file that their title names."""
-LONG = ("start/first-hand.md", "tutorials/policy.md", "tutorials/tune-gains.md")
+LONG_PAGES = ("start/first-hand.md", "tutorials/policy.md", "tutorials/tune-gains.md")
 """Pages whose commands run only at night.
 
 Each of these pages takes a minute, and its commands also occur in other pages.
 """
 
 
-def cases() -> Iterator[Any]:
+def page_cases() -> Iterator[Any]:
     """Yield the pages that contain commands, with their test markers.
 
     Pages with a process in real time have the marker of tests on the real clock.
     """
-    for page, parts in RUN.items():
+    for page, parts in EXECUTED_BLOCKS.items():
         if any(block.language == "sh" for block in parts):
             marks = [pytest.mark.realtime, pytest.mark.alone] if any(map(stays_open, parts)) else []
-            if page in LONG:
+            if page in LONG_PAGES:
                 marks.append(pytest.mark.nightly)
             yield pytest.param(page, marks=marks)
 
 
-@pytest.mark.parametrize("page", list(cases()))
+@pytest.mark.parametrize("page", list(page_cases()))
 def test_the_commands_of_a_page_run(page: str) -> None:
-    run_blocks(RUN[page])
+    run_blocks(EXECUTED_BLOCKS[page])
 
 
 def test_every_block_has_a_known_kind() -> None:
-    for page, parts in BLOCKS.items():
+    for page, parts in BLOCKS_BY_PAGE.items():
         for block in parts:
             assert block.language in ("sh", "python", "toml", "text"), page
-            assert block.language not in ("python", "toml") or is_file(block), page
+            assert block.language not in ("python", "toml") or is_file_block(block), page
 
 
 def test_most_blocks_are_run() -> None:
-    shell = [block for parts in BLOCKS.values() for block in parts if block.language == "sh"]
+    shell = [
+        block for parts in BLOCKS_BY_PAGE.values() for block in parts if block.language == "sh"
+    ]
     assert sum("not run" in block.title for block in shell) < len(shell) / 3

@@ -16,21 +16,34 @@ from typing import Any
 import pytest
 
 from handctl.hand.hand_loading import hand_path
-from tests.docs.command_blocks import ROOT, Block, blocks, is_file, is_run, run_blocks, stays_open
+from tests.docs.command_blocks import (
+    REPOSITORY_ROOT,
+    FencedBlock,
+    is_executed,
+    is_file_block,
+    read_blocks,
+    run_blocks,
+    stays_open,
+)
 
-DOCS = ROOT / "docs"
-ELSEWHERE = {"how-to/lerobot.md": "tests/lerobot/test_environment.py"}
+DOCS_FOLDER = REPOSITORY_ROOT / "docs"
+PAGES_TESTED_ELSEWHERE = {"how-to/lerobot.md": "tests/lerobot/test_environment.py"}
 """Pages whose commands are run by another test, because the commands need other packages."""
-BLOCKS = {
-    path.relative_to(DOCS).as_posix(): blocks(path)
-    for path in (*sorted((DOCS / "how-to").glob("*.md")), DOCS / "reference" / "tasks.md")
-    if path.relative_to(DOCS).as_posix() not in ELSEWHERE
+BLOCKS_BY_PAGE = {
+    path.relative_to(DOCS_FOLDER).as_posix(): read_blocks(path)
+    for path in (
+        *sorted((DOCS_FOLDER / "how-to").glob("*.md")),
+        DOCS_FOLDER / "reference" / "tasks.md",
+    )
+    if path.relative_to(DOCS_FOLDER).as_posix() not in PAGES_TESTED_ELSEWHERE
 }
-RUN = {page: [block for block in parts if is_run(block)] for page, parts in BLOCKS.items()}
-SHORT = ("how-to/logs.md", "how-to/other-tools.md")
+EXECUTED_BLOCKS = {
+    page: [block for block in parts if is_executed(block)] for page, parts in BLOCKS_BY_PAGE.items()
+}
+SHORT_PAGES = ("how-to/logs.md", "how-to/other-tools.md")
 """Pages whose commands run by day. Each of the others takes from ten seconds to minutes and runs at night."""
 SIMULATED_HAND = "handctl sim --hand jamia --bus local:lab --time-scale 0.5"
-BESIDE = {
+SIMULATOR_COMMANDS = {
     "how-to/bring-up.md": ("handctl sim --hand mine.toml --bus local:can0",),
     "how-to/drive-modes.md": (
         "python -m firmware_sim drive mit --ids 1 --bus local:can0",
@@ -38,55 +51,65 @@ BESIDE = {
     ),
 }
 """Commands of simulators that replace the hardware of a page."""
-ANSWERED = {"how-to/drive-modes.md": ("handctl jog ", "handctl jog --yes ")}
+ANSWERED_COMMANDS = {"how-to/drive-modes.md": ("handctl jog ", "handctl jog --yes ")}
 """Commands that ask before they move a motor, and the commands with the answer that replace them."""
-STIFFER = "schema = 1\n\n[motion]\nforce_N = 16.0\n\n[tension]\nintegral_per_s = 4.0\n"
-LIVE = [pytest.mark.realtime, pytest.mark.alone, pytest.mark.nightly]
+STIFFER_GAINS = "schema = 1\n\n[motion]\nforce_N = 16.0\n\n[tension]\nintegral_per_s = 4.0\n"
+REALTIME_MARKS = [pytest.mark.realtime, pytest.mark.alone, pytest.mark.nightly]
 
 
-def prepare(golden: str, folder: Path) -> None:
+def prepare_folder(golden: str, folder: Path) -> None:
     """Write files that would belong to the reader: a log, a hand file, a task and gains."""
     (folder / "logs").mkdir()
     for name in ("RUN.mcap", "run.mcap", "logs/RUN.mcap"):
-        shutil.copy(ROOT / "logs" / "golden" / f"{golden}.mcap", folder / name)
+        shutil.copy(REPOSITORY_ROOT / "logs" / "golden" / f"{golden}.mcap", folder / name)
     shutil.copy(hand_path("jamia"), folder / "mine.toml")
-    shutil.copy(ROOT / "src" / "handctl" / "tasks" / "grasp.toml", folder / "mine-task.toml")
-    (folder / "stiffer.toml").write_text(STIFFER, encoding="utf-8")
+    shutil.copy(
+        REPOSITORY_ROOT / "src" / "handctl" / "tasks" / "grasp.toml", folder / "mine-task.toml"
+    )
+    (folder / "stiffer.toml").write_text(STIFFER_GAINS, encoding="utf-8")
 
 
 def files_for(page: str) -> Callable[[Path], None]:
     """Return the function that writes the files of a page. The page about ended runs gets a log with a fault."""
-    return partial(prepare, "jamia-fault" if page == "how-to/why-a-run-ended.md" else "jamia-grasp")
+    return partial(
+        prepare_folder, "jamia-fault" if page == "how-to/why-a-run-ended.md" else "jamia-grasp"
+    )
 
 
-def cases() -> Iterator[Any]:
+def page_cases() -> Iterator[Any]:
     """Yield the pages that contain commands, with their test markers."""
-    for page, parts in RUN.items():
+    for page, parts in EXECUTED_BLOCKS.items():
         if any(block.language == "sh" and not stays_open(block) for block in parts):
-            live = page in BESIDE or any(map(stays_open, parts))
+            live = page in SIMULATOR_COMMANDS or any(map(stays_open, parts))
             yield pytest.param(
-                page, marks=LIVE if live else [] if page in SHORT else [pytest.mark.nightly]
+                page,
+                marks=REALTIME_MARKS
+                if live
+                else []
+                if page in SHORT_PAGES
+                else [pytest.mark.nightly],
             )
 
 
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize("page", list(cases()))
+@pytest.mark.parametrize("page", list(page_cases()))
 def test_the_commands_of_a_page_run(page: str) -> None:
-    asked, answered = ANSWERED.get(page, ("", ""))
+    asked, answered = ANSWERED_COMMANDS.get(page, ("", ""))
     parts = [
         block._replace(text=block.text.replace(asked, answered)) if asked else block
-        for block in RUN[page]
+        for block in EXECUTED_BLOCKS[page]
     ]
-    run_blocks(parts, files_for(page), BESIDE.get(page, ()))
+    run_blocks(parts, files_for(page), SIMULATOR_COMMANDS.get(page, ()))
 
 
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("page", [
-    pytest.param(page, marks=LIVE) for page, parts in RUN.items() if any(block.language == "python" for block in parts)
+    pytest.param(page, marks=REALTIME_MARKS)
+    for page, parts in EXECUTED_BLOCKS.items() if any(block.language == "python" for block in parts)
 ])  # fmt: skip
 def test_the_programs_of_a_page_run(page: str) -> None:
-    programs = [block for block in RUN[page] if block.language == "python"]
-    calls = [Block("sh", "", f"python {block.title}\n") for block in programs]
+    programs = [block for block in EXECUTED_BLOCKS[page] if block.language == "python"]
+    calls = [FencedBlock("sh", "", f"python {block.title}\n") for block in programs]
     run_blocks([*programs, *calls], files_for(page), (SIMULATED_HAND,))
 
 
@@ -96,7 +119,7 @@ def test_the_programs_of_a_page_run(page: str) -> None:
 @pytest.mark.timeout(900)
 def test_the_commands_of_the_readme_run() -> None:
     text = (
-        (ROOT / "README.md")
+        (REPOSITORY_ROOT / "README.md")
         .read_text(encoding="utf-8")
         .partition("## Four uses")[2]
         .partition("\n## ")[0]
@@ -105,19 +128,23 @@ def test_the_commands_of_the_readme_run() -> None:
     simulators = [line.strip() for line in lines if line.startswith("handctl sim")]
     assert len(simulators) == 1
     assert len(lines) == 6
-    commands = [Block("sh", "", line) for line in lines if line.strip() not in simulators]
+    commands = [FencedBlock("sh", "", line) for line in lines if line.strip() not in simulators]
     # The README advises a slower time on a slow machine. A machine that also runs other tests is
     # slow.
-    run_blocks(commands, partial(prepare, "jamia-grasp"), [f"{simulators[0]} --time-scale 0.3"])
+    run_blocks(
+        commands, partial(prepare_folder, "jamia-grasp"), [f"{simulators[0]} --time-scale 0.3"]
+    )
 
 
 def test_every_command_has_a_kind() -> None:
-    for page, parts in BLOCKS.items():
+    for page, parts in BLOCKS_BY_PAGE.items():
         for block in parts:
             plain = block.language in ("", "text")
             assert not plain or not re.search(
                 r"^(handctl|python -m firmware_sim) ", block.text, re.MULTILINE
             ), page
             assert (
-                block.language != "python" or is_file(block) or "handctl.connect" not in block.text
+                block.language != "python"
+                or is_file_block(block)
+                or "handctl.connect" not in block.text
             ), page

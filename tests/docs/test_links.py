@@ -8,14 +8,14 @@ from typing import Any
 import pytest
 import yaml
 
-ROOT = Path(__file__).parents[2]
-DOCS = ROOT / "docs"
-DOCUMENTS = sorted([*ROOT.glob("*.md"), *DOCS.rglob("*.md")])
-CODE = re.compile(r"^```.*?^```$|``.*?``|`[^`\n]*`", re.MULTILINE | re.DOTALL)
-LINK = re.compile(r"\]\(([^)\s]+)\)|src=\"([^\"]+)\"")
+REPOSITORY_ROOT = Path(__file__).parents[2]
+DOCS_FOLDER = REPOSITORY_ROOT / "docs"
+DOCUMENTS = sorted([*REPOSITORY_ROOT.glob("*.md"), *DOCS_FOLDER.rglob("*.md")])
+CODE_PATTERN = re.compile(r"^```.*?^```$|``.*?``|`[^`\n]*`", re.MULTILINE | re.DOTALL)
+LINK_PATTERN = re.compile(r"\]\(([^)\s]+)\)|src=\"([^\"]+)\"")
 
 
-def anchors(path: Path) -> set[str]:
+def heading_anchors(path: Path) -> set[str]:
     """Return the anchors of a document's headings."""
     headings = re.findall(
         r"^#+ (.*)$", re.sub(r"^```.*?^```$", "", path.read_text(), flags=re.M | re.S), re.MULTILINE
@@ -26,46 +26,54 @@ def anchors(path: Path) -> set[str]:
     return {re.sub(r"[\s-]+", "-", text) for text in plain}
 
 
-@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.relative_to(ROOT).as_posix())
+@pytest.mark.parametrize(
+    "path", DOCUMENTS, ids=lambda path: path.relative_to(REPOSITORY_ROOT).as_posix()
+)
 def test_every_link_leads_somewhere(path: Path) -> None:
     dead = []
-    for match in LINK.finditer(CODE.sub("", path.read_text(encoding="utf-8"))):
+    for match in LINK_PATTERN.finditer(CODE_PATTERN.sub("", path.read_text(encoding="utf-8"))):
         name, _, anchor = (match[1] or match[2]).partition("#")
         if re.match(r"[a-z]+:", name):
             continue
         target = path.parent / name if name else path
-        if not target.exists() or (anchor and anchor not in anchors(target)):
+        if not target.exists() or (anchor and anchor not in heading_anchors(target)):
             dead.append(match[1])
     assert dead == []
 
 
-def leaves(entry: Any) -> list[str]:
+def navigation_pages(entry: Any) -> list[str]:
     """Return all pages in a part of the navigation."""
     if isinstance(entry, str):
         return [entry]
     values = entry.values() if isinstance(entry, dict) else entry
-    return [page for value in values for page in leaves(value)]
+    return [page for value in values for page in navigation_pages(value)]
 
 
-def titles(entry: Any) -> dict[str, str]:
+def navigation_titles(entry: Any) -> dict[str, str]:
     """Return the titles of the pages in a part of the navigation. Pages without a title are left out."""
     if isinstance(entry, str):
         return {}
     if isinstance(entry, list):
-        return {page: title for part in entry for page, title in titles(part).items()}
+        return {page: title for part in entry for page, title in navigation_titles(part).items()}
     named = {value: key for key, value in entry.items() if isinstance(value, str)}
-    return named | {page: title for part in entry.values() for page, title in titles(part).items()}
+    return named | {
+        page: title for part in entry.values() for page, title in navigation_titles(part).items()
+    }
 
 
 def test_a_page_has_the_same_title_everywhere() -> None:
-    named = titles(yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))["nav"])
+    named = navigation_titles(
+        yaml.safe_load((REPOSITORY_ROOT / "mkdocs.yml").read_text(encoding="utf-8"))["nav"]
+    )
     assert len(set(named.values())) == len(named)
     for page, title in named.items():
         assert (
-            re.findall(r"^# (.*)$", (DOCS / page).read_text(encoding="utf-8"), re.MULTILINE)[0]
+            re.findall(r"^# (.*)$", (DOCS_FOLDER / page).read_text(encoding="utf-8"), re.MULTILINE)[
+                0
+            ]
             == title
         ), page
-    for index in DOCS.glob("*/index.md"):
+    for index in DOCS_FOLDER.glob("*/index.md"):
         rows = re.findall(
             r"^\|.*\[([^\]]+)\]\(([\w-]+\.md)\)", index.read_text(encoding="utf-8"), re.MULTILINE
         )
@@ -75,10 +83,10 @@ def test_a_page_has_the_same_title_everywhere() -> None:
 
 
 def test_every_page_is_in_the_navigation_once() -> None:
-    settings = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
-    listed = leaves(settings["nav"])
+    settings = yaml.safe_load((REPOSITORY_ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
+    listed = navigation_pages(settings["nav"])
     waiting = settings["not_in_nav"].split()
-    pages = {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}
+    pages = {path.relative_to(DOCS_FOLDER).as_posix() for path in DOCS_FOLDER.rglob("*.md")}
     assert len(set(listed)) == len(listed)
     assert set(listed) <= pages
     unlisted = {

@@ -12,15 +12,15 @@ from typing import Any
 import pytest
 import yaml
 
-ROOT = Path(__file__).parents[2]
-DOCS = ROOT / "docs"
-PAGE = DOCS / "evidence" / "lookups.md"
+REPOSITORY_ROOT = Path(__file__).parents[2]
+DOCS_FOLDER = REPOSITORY_ROOT / "docs"
+LOOKUPS_PAGE = DOCS_FOLDER / "evidence" / "lookups.md"
 MOST_CLICKS, MOST_WORDS, TOLERANCE_WORDS = 3, 400, 50
 """Limits of clicks and of words above an answer.
 
 The last number is how far the words on the evidence page may differ from those counted.
 """
-QUESTIONS = {
+ANSWER_BY_QUESTION = {
     "How do I stop the hand?": ("index.md", "", r"press Ctrl-C, or run `handctl stop"),
     "How do I stop it when a program hangs?": ("how-to/stop.md", "a-program-hangs", r"`handctl stop --bus BUS`, or"),
     "Which adapter do I buy?": ("how-to/adapters.md", "", r"\*\*Which adapter to buy\.\*\*"),
@@ -34,9 +34,9 @@ QUESTIONS = {
 """For each question: the page, the anchor of a heading, and the beginning of the answer."""
 
 
-def section(page: str, anchor: str) -> str:
+def section_lines(page: str, anchor: str) -> str:
     """Return the text of a page from a heading on. Without an anchor, return the whole page."""
-    text = (DOCS / page).read_text(encoding="utf-8")
+    text = (DOCS_FOLDER / page).read_text(encoding="utf-8")
     for match in re.finditer(r"^#+ (.*)$", text, re.MULTILINE):
         plain = re.sub(r"[^\w\s-]", "", match[1]).strip().lower()
         if anchor and re.sub(r"[\s-]+", "-", plain) == anchor:
@@ -47,13 +47,13 @@ def section(page: str, anchor: str) -> str:
 
 def words_above(page: str, anchor: str, answer: str) -> int:
     """Return the number of words between the target of the last click and the answer."""
-    text = section(page, anchor)
+    text = section_lines(page, anchor)
     match = re.search(answer, text)
     assert match, f"{page}: no {answer}"
     return len(re.findall(r"[^\W_][\w.-]*", text[: match.start()]))
 
 
-def clicks(page: str, anchor: str) -> int:
+def click_count(page: str, anchor: str) -> int:
     """Return the number of clicks from the front page to a heading.
 
     The page takes a link, or a tab and an entry. The heading takes an entry of the table of
@@ -61,35 +61,35 @@ def clicks(page: str, anchor: str) -> int:
     """
     if page == "index.md":
         return 0
-    front = (DOCS / "index.md").read_text(encoding="utf-8")
-    nav = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))["nav"]
-    assert page in leaves(nav)
+    front = (DOCS_FOLDER / "index.md").read_text(encoding="utf-8")
+    nav = yaml.safe_load((REPOSITORY_ROOT / "mkdocs.yml").read_text(encoding="utf-8"))["nav"]
+    assert page in navigation_pages(nav)
     return (1 if f"({page})" in front else 2) + bool(anchor)
 
 
-def leaves(entry: Any) -> list[str]:
+def navigation_pages(entry: Any) -> list[str]:
     """Return all pages in a part of the navigation."""
     if isinstance(entry, str):
         return [entry]
     values = entry.values() if isinstance(entry, dict) else entry
-    return [page for value in values for page in leaves(value)]
+    return [page for value in values for page in navigation_pages(value)]
 
 
-@pytest.mark.parametrize("question", QUESTIONS)
+@pytest.mark.parametrize("question", ANSWER_BY_QUESTION)
 def test_an_answer_is_found_soon(question: str) -> None:
-    page, anchor, answer = QUESTIONS[question]
-    assert clicks(page, anchor) <= MOST_CLICKS
+    page, anchor, answer = ANSWER_BY_QUESTION[question]
+    assert click_count(page, anchor) <= MOST_CLICKS
     assert words_above(page, anchor, answer) <= MOST_WORDS
 
 
 def test_the_page_has_these_numbers() -> None:
     rows = re.findall(
         r"^\| (.*\?) \| .* \| (\d+) \| (\d+) \| .* \|$",
-        PAGE.read_text(encoding="utf-8"),
+        LOOKUPS_PAGE.read_text(encoding="utf-8"),
         re.MULTILINE,
     )
-    right = [(q, str(clicks(page, anchor)), str(words_above(page, anchor, answer)))
-             for q, (page, anchor, answer) in QUESTIONS.items()]  # fmt: skip
+    right = [(q, str(click_count(page, anchor)), str(words_above(page, anchor, answer)))
+             for q, (page, anchor, answer) in ANSWER_BY_QUESTION.items()]  # fmt: skip
     assert [row[:2] for row in rows] == [row[:2] for row in right]
     far = [
         row

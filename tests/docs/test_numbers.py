@@ -10,10 +10,13 @@ from handctl.cli.main import main
 from tools.figures.numbers import TABLE_PATTERN, rows_of
 from tools.figures.runs import DEMO_COMMAND
 
-ROOT = Path(__file__).parents[2]
-PAGES = [ROOT / "README.md", ROOT / "docs" / "start" / "ten-minutes.md"]
-NUMBER = re.compile(r"\d+(?:\.\d+)?")
-TOLERANCE, ROUNDED = 0.1, 0.051
+REPOSITORY_ROOT = Path(__file__).parents[2]
+PAGES_WITH_NUMBERS = [
+    REPOSITORY_ROOT / "README.md",
+    REPOSITORY_ROOT / "docs" / "start" / "ten-minutes.md",
+]
+NUMBER_PATTERN = re.compile(r"\d+(?:\.\d+)?")
+RELATIVE_TOLERANCE, ROUNDING_TOLERANCE = 0.1, 0.051
 """Permitted relative difference of numbers from another processor, and half of the last printed digit."""
 
 
@@ -22,12 +25,14 @@ def test_the_numbers_are_fresh(tmp_path: Path, capsys: pytest.CaptureFixture[str
     right = " ".join(
         f"{name} {value}" for name, value in rows_of(json.loads(capsys.readouterr().out))
     )
-    for page in PAGES:
+    for page in PAGES_WITH_NUMBERS:
         places = [match[2] for match in TABLE_PATTERN.finditer(page.read_text(encoding="utf-8"))]
         assert len(places) == 1, page
         written = " ".join(places[0].splitlines()[2:])
-        pairs = zip(NUMBER.findall(written), NUMBER.findall(right), strict=True)
+        pairs = zip(NUMBER_PATTERN.findall(written), NUMBER_PATTERN.findall(right), strict=True)
         off = [
-            (a, b) for a, b in pairs if abs(float(a) - float(b)) > TOLERANCE * float(b) + ROUNDED
+            (a, b)
+            for a, b in pairs
+            if abs(float(a) - float(b)) > RELATIVE_TOLERANCE * float(b) + ROUNDING_TOLERANCE
         ]
         assert off == [], f"{page.name}: run make figures NAMES=numbers"

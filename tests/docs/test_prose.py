@@ -5,71 +5,81 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
+REPOSITORY_ROOT = Path(__file__).parents[2]
 DOCUMENTS = [
-    ROOT / "README.md",
-    ROOT / "SECURITY.md",
-    ROOT / "CONTRIBUTING.md",
-    *sorted((ROOT / "docs").rglob("*.md")),
+    REPOSITORY_ROOT / "README.md",
+    REPOSITORY_ROOT / "SECURITY.md",
+    REPOSITORY_ROOT / "CONTRIBUTING.md",
+    *sorted((REPOSITORY_ROOT / "docs").rglob("*.md")),
 ]
-SENTENCES = 5
+MAX_SENTENCES = 5
 """Largest number of sentences that a paragraph may have."""
-FENCE = re.compile(r"^ *```.*?^ *```$", re.MULTILINE | re.DOTALL)
-NO_PROSE = ("|", "#", "<!--", "    ")
+FENCE_PATTERN = re.compile(r"^ *```.*?^ *```$", re.MULTILINE | re.DOTALL)
+NON_PROSE_PREFIXES = ("|", "#", "<!--", "    ")
 
 
-def paragraphs(text: str) -> list[str]:
+def paragraphs_of(text: str) -> list[str]:
     """Return the paragraphs of a document without code and tables. Each entry of a list is a paragraph."""
-    unquoted = re.sub(r"^> ?", "", FENCE.sub("", text), flags=re.MULTILINE)
+    unquoted = re.sub(r"^> ?", "", FENCE_PATTERN.sub("", text), flags=re.MULTILINE)
     blocks = re.split(r"\n\s*\n", unquoted)
-    prose = [block for block in blocks if not block.lstrip("\n").startswith(NO_PROSE)]
+    prose = [block for block in blocks if not block.lstrip("\n").startswith(NON_PROSE_PREFIXES)]
     return [entry for block in prose for entry in re.split(r"\n(?=\s*(?:- |\d+\. ))", block)]
 
 
-def sentences(paragraph: str) -> int:
+def sentence_count(paragraph: str) -> int:
     """Count the sentences of a paragraph. A full stop within code or an abbreviation does not end a sentence."""
     plain = re.sub(r"\b(?:e\.g|i\.e|Eq|Fig|Sec)\.", "", re.sub(r"`[^`]*`", "x", paragraph))
     return len(re.findall(r"[.!?](?=\s|$|\*|\))", plain))
 
 
-@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.relative_to(ROOT).as_posix())
+@pytest.mark.parametrize(
+    "path", DOCUMENTS, ids=lambda path: path.relative_to(REPOSITORY_ROOT).as_posix()
+)
 def test_no_paragraph_is_long(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
-    assert [part[:60] for part in paragraphs(text) if sentences(part) > SENTENCES] == []
+    assert [part[:60] for part in paragraphs_of(text) if sentence_count(part) > MAX_SENTENCES] == []
 
 
-@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.relative_to(ROOT).as_posix())
+@pytest.mark.parametrize(
+    "path", DOCUMENTS, ids=lambda path: path.relative_to(REPOSITORY_ROOT).as_posix()
+)
 def test_a_second_paragraph_of_a_list_entry_is_indented_by_four(path: Path) -> None:
     # With fewer than four spaces, the site ends the list. It then shows the marks of the next
     # entries as text.
-    text = FENCE.sub("", path.read_text(encoding="utf-8"))
+    text = FENCE_PATTERN.sub("", path.read_text(encoding="utf-8"))
     assert re.findall(r"\n\n {1,3}\S.*", text) == []
 
 
-@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.relative_to(ROOT).as_posix())
+@pytest.mark.parametrize(
+    "path", DOCUMENTS, ids=lambda path: path.relative_to(REPOSITORY_ROOT).as_posix()
+)
 def test_no_line_begins_with_a_number_that_ends_a_sentence(path: Path) -> None:
     # The site takes a line such as "126. The identifiers" for an entry of a list. Real entries are
     # numbered from 1.
-    text = FENCE.sub("", path.read_text(encoding="utf-8"))
+    text = FENCE_PATTERN.sub("", path.read_text(encoding="utf-8"))
     numbers = [int(number) for number in re.findall(r"^ *(\d+)\. ", text, re.MULTILINE)]
     assert [b for a, b in zip([0, *numbers], numbers, strict=False) if b not in (1, a + 1)] == []
 
 
-@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.relative_to(ROOT).as_posix())
+@pytest.mark.parametrize(
+    "path", DOCUMENTS, ids=lambda path: path.relative_to(REPOSITORY_ROOT).as_posix()
+)
 def test_no_code_has_a_bar_behind_a_backslash(path: Path) -> None:
     # The site would show the backslash. `<code>A&#124;B</code>` is shown correctly on the site and
     # on GitHub.
-    text = FENCE.sub("", path.read_text(encoding="utf-8"))
+    text = FENCE_PATTERN.sub("", path.read_text(encoding="utf-8"))
     assert re.findall(r"`[^`\n]*\\\|[^`\n]*`", text) == []
 
 
 def test_six_sentences_are_counted() -> None:
-    assert sentences("A `b.c. d.` is. One (two). *Three.* Four? Five! Six.") == 6
+    assert sentence_count("A `b.c. d.` is. One (two). *Three.* Four? Five! Six.") == 6
 
 
 def test_the_glossary_is_in_order_and_has_no_term_twice() -> None:
     rows = re.findall(
-        r"^\| ([^|]+) \|", (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8"), re.MULTILINE
+        r"^\| ([^|]+) \|",
+        (REPOSITORY_ROOT / "docs" / "glossary.md").read_text(encoding="utf-8"),
+        re.MULTILINE,
     )
     letters = [re.sub(r"[^a-z]", "", term.lower()) for term in rows if term not in ("term", "---")]
     assert len(set(letters)) == len(letters)

@@ -6,21 +6,26 @@ from pathlib import Path
 import pytest
 
 from handctl.cli.main import VERB_HELP
-from tools.reference.blocks import BLOCK_FUNCTIONS, BLOCK_PATTERN, filled_page, pages
-from tools.reference.topics import registered
+from tools.reference.blocks import BLOCK_FUNCTIONS, BLOCK_PATTERN, filled_page, pages_with_blocks
+from tools.reference.topics import packaged_hand_topics
 
-ROOT = Path(__file__).parents[2]
-PAGES = {path.relative_to(ROOT).as_posix(): (text, right) for path, text, right in pages(ROOT)}
+REPOSITORY_ROOT = Path(__file__).parents[2]
+GENERATED_PAGES = {
+    path.relative_to(REPOSITORY_ROOT).as_posix(): (text, right)
+    for path, text, right in pages_with_blocks(REPOSITORY_ROOT)
+}
 
 
-@pytest.mark.parametrize("page", PAGES)
+@pytest.mark.parametrize("page", GENERATED_PAGES)
 def test_no_page_is_stale(page: str) -> None:
-    text, right = PAGES[page]
+    text, right = GENERATED_PAGES[page]
     assert text == right, f"{page} is stale; run python -m tools.reference"
 
 
 def test_every_block_has_a_page() -> None:
-    written = {match[2] for text, _ in PAGES.values() for match in BLOCK_PATTERN.finditer(text)}
+    written = {
+        match[2] for text, _ in GENERATED_PAGES.values() for match in BLOCK_PATTERN.finditer(text)
+    }
     assert written == set(BLOCK_FUNCTIONS)
 
 
@@ -31,13 +36,13 @@ def test_a_changed_block_is_stale() -> None:
 
 
 def test_every_verb_has_a_section_with_its_example() -> None:
-    page = PAGES["docs/reference/verbs.md"][0]
+    page = GENERATED_PAGES["docs/reference/verbs.md"][0]
     for verb in VERB_HELP:
         section = page.split(f"\n### handctl {verb}\n")[1].split("\n### ")[0]
         assert "example:\n" in section, verb
 
 
 def test_every_topic_of_a_log_has_a_row() -> None:
-    page = PAGES["docs/reference/topics.md"][0]
-    for topic, (kind, _) in registered().items():
+    page = GENERATED_PAGES["docs/reference/topics.md"][0]
+    for topic, (kind, _) in packaged_hand_topics().items():
         assert re.search(rf"^\| `{re.escape(topic)}` \| \[?`{kind}`", page, re.MULTILINE), topic

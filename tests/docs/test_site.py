@@ -6,8 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).parents[2]
-FETCHED = re.compile(
+REPOSITORY_ROOT = Path(__file__).parents[2]
+FETCHING_ELEMENT_PATTERN = re.compile(
     r"<(?:script|img|iframe)[^>]*src=\"https?:[^\"]+|<link[^>]*rel=\"stylesheet\"[^>]*https?:[^\"]+"
 )
 """Elements of a page whose content a browser would load from another server."""
@@ -26,16 +26,16 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
     ]
     environment = os.environ | {"NO_MKDOCS_2_WARNING": "1", "http_proxy": "http://127.0.0.1:9"}
     built = subprocess.run(
-        words, cwd=ROOT, env=environment, capture_output=True, text=True, check=False
+        words, cwd=REPOSITORY_ROOT, env=environment, capture_output=True, text=True, check=False
     )
     assert built.returncode == 0, built.stderr
     assert built.stderr == ""
     made = sorted((tmp_path / "site").rglob("*.html"))
     assert (
-        len(made) == len(list((ROOT / "docs").rglob("*.md"))) + 1
+        len(made) == len(list((REPOSITORY_ROOT / "docs").rglob("*.md"))) + 1
     )  # the error page 404.html is added
     texts = [page.read_text(encoding="utf-8") for page in made]
-    assert [match[0] for text in texts for match in FETCHED.finditer(text)] == []
+    assert [match[0] for text in texts for match in FETCHING_ELEMENT_PATTERN.finditer(text)] == []
     # A list without an empty line before it becomes a part of the paragraph above it.
     paragraphs = [part for text in texts for part in re.findall(r"<p>(.*?)</p>", text, re.DOTALL)]
     assert [

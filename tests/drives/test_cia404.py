@@ -514,9 +514,9 @@ def test_the_log_s_hand_is_the_same() -> None:
 
 
 def test_a_scan_finds_amplifiers_with_their_channels(bench: AmplifierBench) -> None:
-    from tests.cli.test_scan import BenchBus, hear
+    from tests.cli.test_scan import BenchBus, advance_and_listen
 
-    result = scan_bus(BenchBus(bench.simulated_hand.world), listen=hear)
+    result = scan_bus(BenchBus(bench.simulated_hand.world), listen=advance_and_listen)
     found = [node for node in result.found if node.protocol == "cia404"]
     assert [(node.node_id, node.options["channels_per_node"]) for node in found] == [
         (0x21, 2),

@@ -16,29 +16,35 @@ from nbclient import NotebookClient
 
 from handctl.cli.main import main
 from handctl.hand.hand_loading import load_hand
-from tests.runtime.processes import HOMED, READY_S, end, scaled, write_homed
+from tests.runtime.processes import (
+    HOMED_OPTIONS,
+    READY_TIMEOUT_S,
+    end_process,
+    time_scale_options,
+    write_homed_calibration,
+)
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
+EXAMPLES_FOLDER = Path(__file__).parents[2] / "examples"
 REALTIME = pytest.mark.realtime
-SCALE = 1.0
+TIME_SCALE = 1.0
 
 
 @contextmanager
-def serving(*words):
+def hand_serving(*words):
     """Run a simulator that an example needs. The block begins when the simulator is ready."""
     process = subprocess.Popen(
         [sys.executable, *words], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     )
     try:
-        assert select.select([process.stdout], [], [], READY_S)[0], "no ready line"
+        assert select.select([process.stdout], [], [], READY_TIMEOUT_S)[0], "no ready line"
         assert process.stdout.readline().startswith("firmware_sim: ready")
         yield
     finally:
-        end(process)
+        end_process(process)
 
 
 @pytest.fixture(autouse=True)
-def place(tmp_path, monkeypatch):
+def work_folder(tmp_path, monkeypatch):
     """Change to an empty folder. Sockets are in another folder with a short path."""
     with tempfile.TemporaryDirectory(prefix="h-") as short:
         monkeypatch.setenv("HANDCTL_RUN_DIR", short)
@@ -54,9 +60,9 @@ def grasp_log(tmp_path_factory):
     return path
 
 
-def example(name, *words, stdin=""):
+def run_example(name, *words, stdin=""):
     """Run an example program and return its output."""
-    command = [sys.executable, str(EXAMPLES / name), *words]
+    command = [sys.executable, str(EXAMPLES_FOLDER / name), *words]
     ran = subprocess.run(
         command, capture_output=True, text=True, timeout=280, input=stdin, check=False
     )
@@ -65,7 +71,7 @@ def example(name, *words, stdin=""):
     return ran.stdout
 
 
-def numbers(text):
+def numbers_in(text):
     """Return all numbers in a text."""
     return [float(number) for number in re.findall(r"-?\d+(?:\.\d+)?", text)]
 
@@ -79,21 +85,21 @@ def check_picture(name):
 
 
 @contextmanager
-def hand(repeat_time_scale, *words, name="jamia"):
+def simulated_hand(repeat_time_scale, *words, name="jamia"):
     """Run the simulated hand of the examples in slowed time. Yield the command-line options of its controller."""
-    scale = scaled(SCALE * repeat_time_scale)
-    write_homed(Path("c.toml"), load_hand(name))
-    with serving(
-        "-m", "firmware_sim", "--hand", name, "--bus", "local:lab", *HOMED, *words, *scale
+    scale = time_scale_options(TIME_SCALE * repeat_time_scale)
+    write_homed_calibration(Path("c.toml"), load_hand(name))
+    with hand_serving(
+        "-m", "firmware_sim", "--hand", name, "--bus", "local:lab", *HOMED_OPTIONS, *words, *scale
     ):
         yield ("--calibration", "c.toml", *scale)
 
 
 @REALTIME
 def test_connect_and_move(repeat_time_scale):
-    with hand(repeat_time_scale, "--scene", "none") as options:
-        out = example("connect_and_move.py", *options)
-    angles = [numbers(line)[-1] for line in out.splitlines() if line.endswith("deg")]
+    with simulated_hand(repeat_time_scale, "--scene", "none") as options:
+        out = run_example("connect_and_move.py", *options)
+    angles = [numbers_in(line)[-1] for line in out.splitlines() if line.endswith("deg")]
     assert len(angles) == 11
     assert np.abs(np.array(angles[:9]) - 30.0).max() < 3.0
     assert Path(out.splitlines()[-1].removeprefix("log: ")).is_file()
@@ -101,27 +107,29 @@ def test_connect_and_move(repeat_time_scale):
 
 @REALTIME
 def test_stream_sine(repeat_time_scale):
-    with hand(repeat_time_scale, "--scene", "none") as options:
-        out = example("stream_sine.py", *options)
+    with simulated_hand(repeat_time_scale, "--scene", "none") as options:
+        out = run_example("stream_sine.py", *options)
     assert "accepted=300, clipped=0" in out
-    assert numbers(out.splitlines()[-1])[0] < 1.5
+    assert numbers_in(out.splitlines()[-1])[0] < 1.5
     check_picture("sine.png")
 
 
 @REALTIME
 def test_retarget(repeat_time_scale):
-    with hand(repeat_time_scale, "--scene", "none", name="jamia11") as options:
-        out = example("retarget.py", *options)
+    with simulated_hand(repeat_time_scale, "--scene", "none", name="jamia11") as options:
+        out = run_example("retarget.py", *options)
     assert "accepted=300" in out
-    assert numbers(out.splitlines()[-1])[0] < 6.0
+    assert numbers_in(out.splitlines()[-1])[0] < 6.0
     check_picture("retarget.png")
 
 
 @REALTIME
 def test_teleoperate(repeat_time_scale):
-    with hand(repeat_time_scale, "--scene", "none") as options:
-        out = example("teleoperate.py", *options, stdin="index=40 middle=20\nnonsense\nthumb=10\n")
-    angles = np.array(numbers(out.partition("StreamStatus")[0]))
+    with simulated_hand(repeat_time_scale, "--scene", "none") as options:
+        out = run_example(
+            "teleoperate.py", *options, stdin="index=40 middle=20\nnonsense\nthumb=10\n"
+        )
+    angles = np.array(numbers_in(out.partition("StreamStatus")[0]))
     assert np.abs(angles[:3].mean() - 40.0) < 3.0
     assert np.abs(angles[3:6].mean() - 20.0) < 3.0
     assert np.abs(angles[9:].mean() - 10.0) < 3.0
@@ -129,20 +137,20 @@ def test_teleoperate(repeat_time_scale):
 
 @REALTIME
 def test_single_motor():
-    with serving("-m", "firmware_sim", "drive", "mit", "--ids", "1", "--bus", "local:bench"):
-        out = example("single_motor.py").splitlines()
-    assert numbers(out[0])[1] == pytest.approx(1.0)
-    assert abs(numbers(out[-2])[1]) < 0.05
+    with hand_serving("-m", "firmware_sim", "drive", "mit", "--ids", "1", "--bus", "local:bench"):
+        out = run_example("single_motor.py").splitlines()
+    assert numbers_in(out[0])[1] == pytest.approx(1.0)
+    assert abs(numbers_in(out[-2])[1]) < 0.05
     assert out[-1] == "the drive has confirmed that it is off"
 
 
 @REALTIME
 def test_notebook(repeat_time_scale, monkeypatch):
-    notebook = nbformat.read(EXAMPLES / "notebook.ipynb", as_version=4)
+    notebook = nbformat.read(EXAMPLES_FOLDER / "notebook.ipynb", as_version=4)
     assert not any(cell.get("outputs") for cell in notebook.cells), (
         "the notebook is stored without outputs"
     )
-    with hand(repeat_time_scale, "--scene", "cylinder") as options:
+    with simulated_hand(repeat_time_scale, "--scene", "cylinder") as options:
         monkeypatch.setenv("HANDCTL_OPTIONS", " ".join(options))
         NotebookClient(
             notebook, timeout=240, kernel_name="python3", resources={"metadata": {"path": "."}}
@@ -157,16 +165,16 @@ def test_notebook(repeat_time_scale, monkeypatch):
 
 
 def test_push():
-    soft, stiff = (numbers(line)[1] for line in example("push.py").splitlines())
+    soft, stiff = (numbers_in(line)[1] for line in run_example("push.py").splitlines())
     assert 2.0 < soft < stiff - 1.0 < 8.0
     check_picture("push.png")
 
 
 def test_read_log(grasp_log):
-    out = example("read_log.py", str(grasp_log))
+    out = run_example("read_log.py", str(grasp_log))
     assert "index touches" in out
     tensions = {
-        line.split()[0]: numbers(line)
+        line.split()[0]: numbers_in(line)
         for line in out.splitlines()
         if line.startswith(("hold", "home"))
     }
@@ -174,12 +182,12 @@ def test_read_log(grasp_log):
 
 
 def test_plot_grasp(grasp_log):
-    example("plot_grasp.py", str(grasp_log))
+    run_example("plot_grasp.py", str(grasp_log))
     check_picture("grasp.png")
 
 
 def test_own_hand():
-    refused, mine, contact, result = example("own_hand.py").splitlines()
+    refused, mine, contact, result = run_example("own_hand.py").splitlines()
     assert refused.endswith("link_lenght_m: unknown key; expected link_length_m")
     assert mine == "mine: 11 joints, 4 tendons, 4 motors"
     assert contact == "in contact: index, middle, ring, thumb"
@@ -187,31 +195,31 @@ def test_own_hand():
 
 
 def test_inject_fault():
-    out = example("inject_fault.py").splitlines()
+    out = run_example("inject_fault.py").splitlines()
     assert "T01 a tendon snapped: index_tendon" in out[0]
-    assert numbers(out[0])[0] <= 60.0
+    assert numbers_in(out[0])[0] <= 60.0
     assert "DISARM -> DONE" in out[-2]
     assert out[-1] == "failure: fault T01 index_tendon"
 
 
 def test_train_policy_begins():
-    out = example("train_policy.py", "1").splitlines()
+    out = run_example("train_policy.py", "1").splitlines()
     assert len(out) == 1
     check_picture("training.png")
 
 
 @pytest.mark.nightly
 def test_train_policy_learns():
-    rewards = [numbers(line)[1] for line in example("train_policy.py").splitlines()]
+    rewards = [numbers_in(line)[1] for line in run_example("train_policy.py").splitlines()]
     assert rewards[0] < 0.4
     assert rewards[-1] > 0.75
 
 
 def test_every_example_has_a_test_and_a_row_in_the_table():
-    names = {path.stem for path in EXAMPLES.iterdir() if path.suffix in (".py", ".ipynb")}
+    names = {path.stem for path in EXAMPLES_FOLDER.iterdir() if path.suffix in (".py", ".ipynb")}
     assert len(names) >= 10
     tests = {name.removeprefix("test_") for name in globals() if name.startswith("test_")}
-    table = (EXAMPLES / "README.md").read_text("utf-8")
+    table = (EXAMPLES_FOLDER / "README.md").read_text("utf-8")
     for name in names:
         assert any(test.startswith(name) for test in tests), name
         assert f"]({name}." in table, name

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from benchmarks import hidden
+from benchmarks import hidden_faults
 from handctl.campaign.scenarios import FREE_STAGE, GRASP_STAGE
 from handctl.campaign.stage import CAMPAIGN_TASK, advance_to, hand_with_protocol, homed_run
 from handctl.controller.relaxing import SETPOINT_MARGIN_N
@@ -165,10 +165,12 @@ def test_relaxing_after_a_doubtful_load_cell_begins_at_the_tension_of_a_moving_d
 ) -> None:
     """Regression: relaxing began at the last command of an unstable loop, 160 N. A slack tendon then reached 317 N."""
     hand = hand_with_protocol("jamia", "odrive")
-    with homed_run(hand, 400.0, seed, task=hidden.task()) as simulation:
+    with homed_run(hand, 400.0, seed, task=hidden_faults.rising_hold_task()) as simulation:
         free_ticks = 0
         out = simulation.tick()
-        while not hidden.is_at_stage("free", out, free_ticks := free_ticks + (out.phase == "free")):
+        while not hidden_faults.is_at_stage(
+            "free", out, free_ticks := free_ticks + (out.phase == "free")
+        ):
             out = simulation.tick()
         simulation.peer.inject(fault)
         assert simulation.until(lambda out: out.mode == HandMode.RELAX, 2.0)

@@ -17,11 +17,11 @@ from firmware_sim.nodes.odrive import bench as odrive_bench
 from firmware_sim.programs.drive import SimulatedDriveBench
 from firmware_sim.programs.drive_types import drive_spec
 
-MS = 1_000_000
-ENABLE = b"\xff" * 7 + b"\xfc"
+NS_PER_MS = 1_000_000
+ENABLE_PAYLOAD = b"\xff" * 7 + b"\xfc"
 
 
-def register(bench: SimulatedDriveBench, node: int, number: int) -> bytes:
+def read_register(bench: SimulatedDriveBench, node: int, number: int) -> bytes:
     (reply,) = bench.receive(Frame(0x7FF, bytes((node, 0, 0x33, number, 0, 0, 0, 0))))
     assert reply.can_id == node + 0x10
     return reply.data[4:]
@@ -31,16 +31,18 @@ def register(bench: SimulatedDriveBench, node: int, number: int) -> bytes:
 def test_an_mit_motor_has_the_manufacturers_ranges_and_no_watchdog(kind: str) -> None:
     bench = SimulatedDriveBench([drive_spec("mit", 2, kind), drive_spec("mit", 5, kind)])
     for node in (2, 5):
-        ranges = [struct.unpack("<f", register(bench, node, number))[0] for number in (21, 22, 23)]
+        ranges = [
+            struct.unpack("<f", read_register(bench, node, number))[0] for number in (21, 22, 23)
+        ]
         assert ranges == pytest.approx(mit_bench.MOTOR_TYPE_RANGES[kind])
-        assert register(bench, node, 9) == bytes(4)
-        assert register(bench, node, 35) == b"\4\0\0\0"
+        assert read_register(bench, node, 9) == bytes(4)
+        assert read_register(bench, node, 35) == b"\4\0\0\0"
 
 
 def test_a_motor_set_to_fd_reports_it_and_answers_in_fd() -> None:
     bench = SimulatedDriveBench([drive_spec("mit", 1, fd=True)])
-    assert register(bench, 1, 35)[0] == 9
-    (reply,) = bench.receive(Frame(1, ENABLE, FDF | BRS))
+    assert read_register(bench, 1, 35)[0] == 9
+    (reply,) = bench.receive(Frame(1, ENABLE_PAYLOAD, FDF | BRS))
     assert reply.flags == FDF | BRS
 
 
@@ -49,14 +51,14 @@ def test_a_free_shaft_turns_by_its_inertia() -> None:
     for command, data in ((0x0B, struct.pack("<II", 1, 1)), (0x07, struct.pack("<I", 8))):
         bench.receive(Frame(command, data))
     bench.receive(Frame(0x0E, struct.pack("<f", 0.1)))
-    bench.advance(200 * MS)
+    bench.advance(200 * NS_PER_MS)
     spec = drive_spec("odrive", 0, inertia=1e-3)
     expected = (
         (0.1 - spec.coulomb) / spec.viscous * (1.0 - math.exp(-0.2 * spec.viscous / spec.inertia))
     )
     assert bench.motors[0].omega == pytest.approx(expected, rel=0.03)
     bench.receive(Frame(0x07, struct.pack("<I", 1)))
-    bench.advance(20_000 * MS)
+    bench.advance(20_000 * NS_PER_MS)
     assert abs(bench.motors[0].omega) < 0.01, "friction stops the shaft"
 
 
@@ -64,29 +66,29 @@ def test_an_odrive_follows_positions_and_velocities() -> None:
     bench = SimulatedDriveBench([drive_spec("odrive", 3)])
     bench.receive(Frame(3 << 5 | 0x07, struct.pack("<I", 8)))
     bench.receive(Frame(3 << 5 | 0x0C, struct.pack("<fhh", 1.5, 0, 0)))
-    bench.advance(2000 * MS)
+    bench.advance(2000 * NS_PER_MS)
     assert bench.motors[0].theta == pytest.approx(1.5 * math.tau, abs=0.1)
     bench.receive(Frame(3 << 5 | 0x07, struct.pack("<I", 1)))
     bench.receive(Frame(3 << 5 | 0x0B, struct.pack("<II", 2, 1)))
     bench.receive(Frame(3 << 5 | 0x07, struct.pack("<I", 8)))
     bench.receive(Frame(3 << 5 | 0x0D, struct.pack("<ff", -2.0, 0.0)))
-    bench.advance(3000 * MS)
+    bench.advance(3000 * NS_PER_MS)
     assert bench.motors[0].omega == pytest.approx(-2.0 * math.tau, rel=0.05)
     bench.receive(Frame(3 << 5 | 0x0C, struct.pack("<fhh", math.nan, 0, 0)))
     assert bench.motors[0].servo.kd == 0.0
 
 
-def speed_at(
+def bench_and_speed_at(
     protocol: str, torque: float, kind: str = "", inertia: float | None = None
 ) -> tuple[SimulatedDriveBench, float]:
     """Return a bench after five seconds with a torque command [N m], and the speed of its shaft [rad/s]."""
     bench = SimulatedDriveBench([drive_spec(protocol, 2, kind, inertia=inertia)])
     spec = drive_spec(protocol, 2, kind)
     code = round((torque / spec.torque_max + 1.0) / 2.0 * 4095)
-    bench.receive(Frame(2, ENABLE))
+    bench.receive(Frame(2, ENABLE_PAYLOAD))
     for _ in range(50):
         bench.receive(Frame(2, (0x7FFF7FF << 36 | code).to_bytes(8, "big")))
-        bench.advance(bench.t_ns + 100 * MS)
+        bench.advance(bench.t_ns + 100 * NS_PER_MS)
     return bench, bench.motors[0].omega
 
 
@@ -98,25 +100,25 @@ def test_a_damiao_motor_turns_no_faster_than_its_no_load_speed(
     """Regression: 1 N m drove a DM4310 motor to 76 rad/s, although its no-load speed is 21 rad/s."""
     shaft = mit_bench.shaft_of_mit_motor(kind)
     for sign in (1.0, -1.0):
-        _, speed = speed_at("mit", sign * 0.1 * shaft.peak, kind, inertia)
+        _, speed = bench_and_speed_at("mit", sign * 0.1 * shaft.peak, kind, inertia)
         assert 0.9 * shaft.top_speed < sign * speed <= shaft.top_speed
 
 
 def test_a_dm4310_turns_at_200_rpm_at_one_newton_metre() -> None:
-    _, speed = speed_at("mit", 1.0)
+    _, speed = bench_and_speed_at("mit", 1.0)
     assert speed == pytest.approx(200.0 / 60.0 * math.tau, rel=0.01)
 
 
 @pytest.mark.parametrize("kind", sorted(cubemars.FULL_SCALE))
 def test_a_cubemars_motor_turns_no_faster_than_its_no_load_speed(kind: str) -> None:
     shaft = cubemars.shaft_of_motor(kind)
-    _, speed = speed_at("mit", 0.1 * shaft.peak, kind)
+    _, speed = bench_and_speed_at("mit", 0.1 * shaft.peak, kind)
     assert 0.9 * shaft.top_speed < speed <= shaft.top_speed
 
 
 def test_a_motor_makes_no_more_than_its_peak_torque() -> None:
     """A DM4310 motor takes commands up to 10 N m, but its peak torque is 7 N m."""
-    bench, _ = speed_at("mit", 10.0, inertia=100.0)
+    bench, _ = bench_and_speed_at("mit", 10.0, inertia=100.0)
     assert bench.motors[0].torque == pytest.approx(7.0, rel=0.01)
 
 
@@ -131,7 +133,7 @@ def test_the_torque_falls_with_the_speed() -> None:
         (1.5, 0.0),
     ):
         motor.omega = fraction * rating.top_speed
-        bench.advance(bench.t_ns + 20 * MS)
+        bench.advance(bench.t_ns + 20 * NS_PER_MS)
         assert motor.torque == pytest.approx(expected, abs=0.15)
 
 
@@ -141,9 +143,9 @@ def send_to_odrive(bench: SimulatedDriveBench, *messages: tuple[int, bytes]) -> 
         bench.receive(Frame(3 << 5 | command, data))
 
 
-TORQUE_MODE = (0x0B, struct.pack("<II", 1, 1))
-CLOSED_LOOP = (0x07, struct.pack("<I", 8))
-IDLE = (0x07, struct.pack("<I", 1))
+TORQUE_MODE_MESSAGE = (0x0B, struct.pack("<II", 1, 1))
+CLOSED_LOOP_MESSAGE = (0x07, struct.pack("<I", 8))
+IDLE_MESSAGE = (0x07, struct.pack("<I", 1))
 
 
 @pytest.mark.parametrize("inertia", [2e-5, 1e-4, 1e-2])
@@ -151,19 +153,19 @@ def test_the_velocity_limit_of_an_odrive_acts_in_torque_control(inertia: float) 
     bench = SimulatedDriveBench([drive_spec("odrive", 3, inertia=inertia)])
     send_to_odrive(
         bench,
-        TORQUE_MODE,
+        TORQUE_MODE_MESSAGE,
         (0x0F, struct.pack("<ff", 2.0, 20.0)),
-        CLOSED_LOOP,
+        CLOSED_LOOP_MESSAGE,
         (0x0E, struct.pack("<f", 0.05)),
     )
-    bench.advance(10_000 * MS)
+    bench.advance(10_000 * NS_PER_MS)
     assert 1.5 * math.tau < bench.motors[0].omega <= 2.0 * math.tau
     send_to_odrive(bench, (0x0F, struct.pack("<ff", 1.0, 20.0)), (0x0E, struct.pack("<f", 0.05)))
-    bench.advance(bench.t_ns + 5_000 * MS)
+    bench.advance(bench.t_ns + 5_000 * NS_PER_MS)
     assert bench.motors[0].omega <= 1.0 * math.tau, "the drive brakes above its velocity limit"
-    send_to_odrive(bench, IDLE)
+    send_to_odrive(bench, IDLE_MESSAGE)
     bench.motors[0].omega = 100.0
-    bench.advance(bench.t_ns + 50 * MS)
+    bench.advance(bench.t_ns + 50 * NS_PER_MS)
     assert bench.motors[0].omega > 80.0, "an idle motor coasts"
 
 
@@ -172,12 +174,12 @@ def test_the_velocity_limit_of_an_odrive_acts_in_position_control() -> None:
     send_to_odrive(
         bench,
         (0x0F, struct.pack("<ff", 2.0, 20.0)),
-        CLOSED_LOOP,
+        CLOSED_LOOP_MESSAGE,
         (0x0C, struct.pack("<fhh", 20.0, 0, 0)),
     )
     fastest = 0.0
     for _ in range(100):
-        bench.advance(bench.t_ns + 50 * MS)
+        bench.advance(bench.t_ns + 50 * NS_PER_MS)
         fastest = max(fastest, bench.motors[0].omega)
     assert 1.8 * math.tau < fastest <= 2.0 * math.tau
 
@@ -185,12 +187,12 @@ def test_the_velocity_limit_of_an_odrive_acts_in_position_control() -> None:
 def test_a_trajectory_of_an_odrive_has_a_velocity_limit_of_its_own() -> None:
     bench = SimulatedDriveBench([drive_spec("odrive", 3)])
     send_to_odrive(
-        bench, (0x0B, struct.pack("<II", 3, 5)), (0x11, struct.pack("<f", 1.0)), CLOSED_LOOP
+        bench, (0x0B, struct.pack("<II", 3, 5)), (0x11, struct.pack("<f", 1.0)), CLOSED_LOOP_MESSAGE
     )
     send_to_odrive(bench, (0x0C, struct.pack("<fhh", 10.0, 0, 0)))
     fastest = 0.0
     for _ in range(300):
-        bench.advance(bench.t_ns + 50 * MS)
+        bench.advance(bench.t_ns + 50 * NS_PER_MS)
         fastest = max(fastest, bench.motors[0].omega)
     assert 0.8 * math.tau < fastest <= 1.02 * math.tau
     assert bench.motors[0].theta == pytest.approx(10.0 * math.tau, abs=0.2)
@@ -200,12 +202,12 @@ def test_the_current_limit_of_an_odrive_acts() -> None:
     bench = SimulatedDriveBench([drive_spec("odrive", 3, inertia=1.0)])
     send_to_odrive(
         bench,
-        TORQUE_MODE,
+        TORQUE_MODE_MESSAGE,
         (0x0F, struct.pack("<ff", 50.0, 4.0)),
-        CLOSED_LOOP,
+        CLOSED_LOOP_MESSAGE,
         (0x0E, struct.pack("<f", 1.0)),
     )
-    bench.advance(10 * MS)
+    bench.advance(10 * NS_PER_MS)
     assert bench.motors[0].torque == pytest.approx(4.0 * odrive_bench.TORQUE_CONSTANT, rel=0.01)
 
 
@@ -217,7 +219,7 @@ def test_an_odrive_answers_an_empty_data_frame_as_a_request(command: int) -> Non
     assert (data.can_id, data.data) == (remote.can_id, remote.data)
 
 
-def position_of(bench: SimulatedDriveBench) -> float:
+def encoder_position(bench: SimulatedDriveBench) -> float:
     (reply,) = bench.receive(Frame(3 << 5 | 0x09 | REMOTE_FLAG, b""))
     return float(struct.unpack_from("<f", reply.data)[0])
 
@@ -232,10 +234,10 @@ def test_an_odrive_obeys_set_absolute_position(firmware: str) -> None:
             struct.pack("<f", 7.25) if firmware == "0.6" else struct.pack("<i", 7 * 8192 + 2048),
         ),
     )
-    assert position_of(bench) == pytest.approx(7.25)
-    send_to_odrive(bench, CLOSED_LOOP, (0x0C, struct.pack("<fhh", 7.5, 0, 0)))
-    bench.advance(2000 * MS)
-    assert position_of(bench) == pytest.approx(7.5, abs=0.02)
+    assert encoder_position(bench) == pytest.approx(7.25)
+    send_to_odrive(bench, CLOSED_LOOP_MESSAGE, (0x0C, struct.pack("<fhh", 7.5, 0, 0)))
+    bench.advance(2000 * NS_PER_MS)
+    assert encoder_position(bench) == pytest.approx(7.5, abs=0.02)
 
 
 def test_an_odrive_calibrates() -> None:
@@ -243,20 +245,20 @@ def test_an_odrive_calibrates() -> None:
     bench = SimulatedDriveBench([replace(spec, options={**spec.options, "uncalibrated": True})])
 
     def beat() -> tuple[int, int]:
-        bench.advance(bench.t_ns + 200 * MS)
+        bench.advance(bench.t_ns + 200 * NS_PER_MS)
         beats = [frame for frame in bench.take_unsolicited() if frame.can_id == 3 << 5 | 0x01]
         return beats[-1].data[4], beats[-1].data[5]
 
-    send_to_odrive(bench, CLOSED_LOOP)
+    send_to_odrive(bench, CLOSED_LOOP_MESSAGE)
     assert beat() == (1, 14), "the error is a missing calibration"
     send_to_odrive(bench, (0x07, struct.pack("<I", 3)))
     assert beat() == (3, 1), "the calibration runs"
-    send_to_odrive(bench, IDLE)
+    send_to_odrive(bench, IDLE_MESSAGE)
     assert beat() == (1, 2), "the calibration was cancelled"
     send_to_odrive(bench, (0x07, struct.pack("<I", 3)))
-    bench.advance(bench.t_ns + 4_000 * MS)
+    bench.advance(bench.t_ns + 4_000 * NS_PER_MS)
     assert beat() == (1, 0)
-    send_to_odrive(bench, CLOSED_LOOP)
+    send_to_odrive(bench, CLOSED_LOOP_MESSAGE)
     assert beat() == (8, 0)
 
 
@@ -301,11 +303,11 @@ def test_the_watchdog_of_a_damiao_motor_is_selectable(
     for enabled, expected in ((True, polled), (False, idle)):
         bench = SimulatedDriveBench([replace(spec, options={"watchdog": behaviour})])
         bench.receive(Frame(0x7FF, b"\2\0\x55\x09" + struct.pack("<I", 2000)))
-        bench.receive(Frame(2, ENABLE if enabled else b"\xff" * 7 + b"\xfd"))
+        bench.receive(Frame(2, ENABLE_PAYLOAD if enabled else b"\xff" * 7 + b"\xfd"))
         for _ in range(30):
-            bench.advance(bench.t_ns + 20 * MS)
+            bench.advance(bench.t_ns + 20 * NS_PER_MS)
             if enabled:
-                register(bench, 2, 9)
+                read_register(bench, 2, 9)
         (reply,) = bench.receive(Frame(0x7FF, b"\2\0\xcc\0" + bytes(4)))
         assert reply.data[0] >> 4 == expected
 
@@ -331,53 +333,53 @@ def test_no_frame_ends_a_drive(protocol: str, fault: str) -> None:
                 bench.receive(
                     Frame(number & (0x1FFFFFFF if flags & EXTENDED_FLAG else 0x7FF) | flags, data)
                 )
-        bench.advance(bench.t_ns + 2 * MS)
+        bench.advance(bench.t_ns + 2 * NS_PER_MS)
         bench.take_unsolicited()
 
 
-def in_mode(mode: int) -> SimulatedDriveBench:
+def bench_in_mode(mode: int) -> SimulatedDriveBench:
     """Return a bench with one enabled Damiao motor in a control mode."""
     bench = SimulatedDriveBench([drive_spec("mit", 2)])
     bench.receive(Frame(0x7FF, b"\2\0\x55\x0a" + struct.pack("<I", mode)))
-    assert register(bench, 2, 10) == struct.pack("<I", mode)
-    bench.receive(Frame(2, ENABLE))
+    assert read_register(bench, 2, 10) == struct.pack("<I", mode)
+    bench.receive(Frame(2, ENABLE_PAYLOAD))
     return bench
 
 
 def test_a_damiao_motor_holds_a_velocity() -> None:
-    bench = in_mode(3)
+    bench = bench_in_mode(3)
     bench.receive(Frame(0x202, struct.pack("<f", -5.0)))
-    bench.advance(1000 * MS)
+    bench.advance(1000 * NS_PER_MS)
     assert bench.motors[0].omega == pytest.approx(-5.0, rel=0.05)
     bench.receive(Frame(0x202, struct.pack("<ff", 100.0, 0.0)))
-    bench.advance(3000 * MS)
+    bench.advance(3000 * NS_PER_MS)
     assert bench.motors[0].omega <= mit_bench.MOTOR_RATINGS["dm4310"].top_speed
 
 
 def test_a_damiao_motor_moves_to_a_position_within_a_speed() -> None:
-    bench = in_mode(2)
+    bench = bench_in_mode(2)
     bench.receive(Frame(0x102, struct.pack("<ff", 3.0, 2.0)))
     fastest = 0.0
     for _ in range(60):
-        bench.advance(bench.t_ns + 50 * MS)
+        bench.advance(bench.t_ns + 50 * NS_PER_MS)
         fastest = max(fastest, bench.motors[0].omega)
     assert 1.7 < fastest <= 2.2, "without a ramp the integrator overshoots"
     assert bench.motors[0].theta == pytest.approx(3.0, abs=0.01)
 
 
 def test_a_damiao_motor_moves_with_a_limited_torque() -> None:
-    bench = in_mode(4)
+    bench = bench_in_mode(4)
     bench.receive(Frame(0x302, struct.pack("<fHH", 3.0, 1000, 500)))
     strongest = 0.0
     for _ in range(200):
-        bench.advance(bench.t_ns + 2 * MS)
+        bench.advance(bench.t_ns + 2 * NS_PER_MS)
         strongest = max(strongest, abs(bench.motors[0].torque))
     assert strongest == pytest.approx(0.05 * 7.0, rel=0.02)
 
 
 @pytest.mark.parametrize("mode", [1, 2, 3, 4])
 def test_a_command_of_another_mode_is_answered_without_effect(mode: int) -> None:
-    bench = in_mode(mode)
+    bench = bench_in_mode(mode)
     commands = {
         1: Frame(2, (0x7FFF7FF << 36 | 0xFFF).to_bytes(8, "big")),
         2: Frame(0x102, struct.pack("<ff", 3.0, 2.0)),
@@ -388,15 +390,15 @@ def test_a_command_of_another_mode_is_answered_without_effect(mode: int) -> None
         if other != mode:
             (reply,) = bench.receive(frame)
             assert reply.data[0] >> 4 == 1
-    bench.advance(100 * MS)
+    bench.advance(100 * NS_PER_MS)
     assert bench.motors[0].theta == 0.0
     bench.receive(commands[mode])
-    bench.advance(bench.t_ns + 100 * MS)
+    bench.advance(bench.t_ns + 100 * NS_PER_MS)
     assert bench.motors[0].theta > 0.0
 
 
 def test_a_change_of_the_mode_ends_the_setpoint() -> None:
-    bench = in_mode(3)
+    bench = bench_in_mode(3)
     bench.receive(Frame(0x202, struct.pack("<f", 5.0)))
     bench.receive(Frame(0x7FF, b"\2\0\x55\x0a" + struct.pack("<I", 1)))
     assert (bench.motors[0].servo.kd, bench.motors[0].servo.speed_gain) == (0.0, 0.0)
@@ -412,11 +414,11 @@ def test_faults_act_on_bench_drives(protocol: str) -> None:
         "moteus": Frame(EXTENDED_FLAG | 0x8002, b"\x11\0\x50\x50", FDF),
         "robstride": Frame(EXTENDED_FLAG | 0xFD02, bytes(8)),
     }
-    bench.advance(10 * MS)
+    bench.advance(10 * NS_PER_MS)
     assert bench.receive(requests[protocol])
     bench.faults.inject("drop node=2 for=20ms")
     assert not bench.receive(requests[protocol])
-    bench.advance(40 * MS)
+    bench.advance(40 * NS_PER_MS)
     assert bench.receive(requests[protocol])
     bench.faults.inject(f"duplicate node={protocol}2")
     assert len(bench.receive(requests[protocol])) == 2
@@ -425,9 +427,9 @@ def test_faults_act_on_bench_drives(protocol: str) -> None:
 
 def test_a_fault_of_a_bench_drive_reaches_its_power_stage() -> None:
     bench = SimulatedDriveBench([drive_spec("mit", 2, inertia=1.0)])
-    bench.receive(Frame(2, ENABLE))
+    bench.receive(Frame(2, ENABLE_PAYLOAD))
     bench.faults.inject("runaway node=2 size=0.1")
-    bench.advance(20 * MS)
+    bench.advance(20 * NS_PER_MS)
     assert bench.motors[0].torque == pytest.approx(1.0, rel=0.05)
     bench.faults.inject("error node=2")
     (reply,) = bench.receive(Frame(0x7FF, b"\2\0\xcc\0" + bytes(4)))
@@ -444,7 +446,7 @@ def test_frames_for_no_node_are_counted() -> None:
     bench = SimulatedDriveBench([drive_spec("cia402", 32), drive_spec("mit", 1)])
     assert bench.receive(Frame(0x123, b"")) == []
     assert bench.foreign == 1
-    bench.advance(5 * MS)
+    bench.advance(5 * NS_PER_MS)
     assert [frame.can_id for frame in bench.take_unsolicited()] == [0x720]
 
 
@@ -481,46 +483,46 @@ def test_wrong_arguments_are_refused_in_one_line(
     assert text.count("\n") == 1
 
 
-def sdo(bench: SimulatedDriveBench, data: bytes) -> bytes:
+def sdo_reply(bench: SimulatedDriveBench, data: bytes) -> bytes:
     """Send an SDO request to CiA 402 node 33, and return the data of its last reply."""
     return bench.receive(Frame(0x600 + 33, data))[-1].data
 
 
 def test_a_cia402_drive_tells_its_name_in_segments() -> None:
     bench = SimulatedDriveBench([drive_spec("cia402", 33)])
-    head = sdo(bench, b"\x40\x08\x10\0" + bytes(4))
+    head = sdo_reply(bench, b"\x40\x08\x10\0" + bytes(4))
     text, toggle = b"", 0
     while len(text) < int.from_bytes(head[4:], "little"):
-        part = sdo(bench, bytes((0x60 | toggle << 4,)) + bytes(7))
+        part = sdo_reply(bench, bytes((0x60 | toggle << 4,)) + bytes(7))
         assert part[0] >> 4 & 1 == toggle
         text += part[1 : 8 - (part[0] >> 1 & 7)]
         toggle ^= 1
     assert text == b"firmware_sim CiA 402 drive"
     assert part[0] & 1, "the last segment is marked"
-    assert sdo(bench, b"\x60" + bytes(7))[0] == 0x80
+    assert sdo_reply(bench, b"\x60" + bytes(7))[0] == 0x80
 
 
 def test_a_cia402_drive_tells_its_counts_and_stores_its_settings() -> None:
     spec = drive_spec("cia402", 33)
     bench = SimulatedDriveBench([replace(spec, options={**spec.options, "counts_per_turn": 4096})])
-    assert int.from_bytes(sdo(bench, b"\x40\x8f\x60\1" + bytes(4))[4:], "little") == 4096
-    sdo(bench, b"\x2b\x72\x60\0" + struct.pack("<Hxx", 500))
+    assert int.from_bytes(sdo_reply(bench, b"\x40\x8f\x60\1" + bytes(4))[4:], "little") == 4096
+    sdo_reply(bench, b"\x2b\x72\x60\0" + struct.pack("<Hxx", 500))
     bench.receive(Frame(0, b"\x81\x21"))
-    assert sdo(bench, b"\x40\x72\x60\0" + bytes(4))[4:6] != struct.pack("<H", 500)
-    sdo(bench, b"\x2b\x72\x60\0" + struct.pack("<Hxx", 500))
-    sdo(bench, b"\x23\x10\x10\1save")
+    assert sdo_reply(bench, b"\x40\x72\x60\0" + bytes(4))[4:6] != struct.pack("<H", 500)
+    sdo_reply(bench, b"\x2b\x72\x60\0" + struct.pack("<Hxx", 500))
+    sdo_reply(bench, b"\x23\x10\x10\1save")
     bench.receive(Frame(0, b"\x81\x21"))
-    assert sdo(bench, b"\x40\x72\x60\0" + bytes(4))[4:6] == struct.pack("<H", 500)
+    assert sdo_reply(bench, b"\x40\x72\x60\0" + bytes(4))[4:6] == struct.pack("<H", 500)
 
 
 @pytest.mark.parametrize("rpm", [100, 600])
 def test_the_speed_limit_of_a_cia402_drive_acts(rpm: int) -> None:
     bench = SimulatedDriveBench([drive_spec("cia402", 33)])
-    sdo(bench, b"\x23\x80\x60\0" + struct.pack("<I", rpm))
-    sdo(bench, b"\x2f\x60\x60\0" + struct.pack("<Bxxx", 10))
-    sdo(bench, b"\x2b\x71\x60\0" + struct.pack("<hxx", 200))
+    sdo_reply(bench, b"\x23\x80\x60\0" + struct.pack("<I", rpm))
+    sdo_reply(bench, b"\x2f\x60\x60\0" + struct.pack("<Bxxx", 10))
+    sdo_reply(bench, b"\x2b\x71\x60\0" + struct.pack("<hxx", 200))
     for word in (0x06, 0x07, 0x0F):
-        sdo(bench, b"\x2b\x40\x60\0" + struct.pack("<Hxx", word))
-    bench.advance(5_000 * MS)
+        sdo_reply(bench, b"\x2b\x40\x60\0" + struct.pack("<Hxx", word))
+    bench.advance(5_000 * NS_PER_MS)
     top = rpm / 60.0 * math.tau
     assert 0.8 * top < bench.motors[0].omega <= top

@@ -16,7 +16,7 @@ from firmware_sim.simulated_world import SimulatedWorld
 from firmware_sim.truth_file import read_truth
 
 
-def closing(hand: str, native: bool = True, compiled: bool = True) -> Plant:
+def closing_hand(hand: str, native: bool = True, compiled: bool = True) -> Plant:
     """Build a simulated hand that closes on a cylinder.
 
     Its tendons are slack at first and then taut. Motors follow a torque, a position, or a
@@ -33,7 +33,7 @@ def closing(hand: str, native: bool = True, compiled: bool = True) -> Plant:
     return plant
 
 
-def state(plant: Plant) -> list[str]:
+def exact_state(plant: Plant) -> list[str]:
     """Return all numbers of a hand's motion as texts that are exact to the last bit."""
     motors = [(m.theta, m.omega, m.torque, m.velocity, m.heat) for m in plant.motors.values()]
     tendons = [(tendon.tension, tendon.speed, tendon.slope) for tendon, _ in plant.tendons]
@@ -52,8 +52,8 @@ def state(plant: Plant) -> list[str]:
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 def test_all_ways_to_step_are_equal_to_the_bit(hand: str) -> None:
     """Steps in a block, single steps, steps by MuJoCo's bindings, and steps in Python give equal bits."""
-    block, single = closing(hand), closing(hand)
-    bindings, plain = closing(hand, native=False), closing(hand, compiled=False)
+    block, single = closing_hand(hand), closing_hand(hand)
+    bindings, plain = closing_hand(hand, native=False), closing_hand(hand, compiled=False)
     block.advance(401)
     for _ in range(401):
         for plant in (single, bindings, plain):
@@ -61,7 +61,7 @@ def test_all_ways_to_step_are_equal_to_the_bit(hand: str) -> None:
     assert max(block.tensions()) > 5.0, "tendons were under tension"
     for plant in (single, bindings, plain):
         assert plant.steps == block.steps == 401
-        assert state(plant) == state(block)
+        assert exact_state(plant) == exact_state(block)
 
 
 def test_compiled_and_python_worlds_send_equal_frames() -> None:
@@ -85,7 +85,7 @@ def test_compiled_and_python_worlds_send_equal_frames() -> None:
             for data in (b"\xff" * 7 + b"\xfc", bytes.fromhex("9fff7ff0ff0337ff")):
                 answers += world.receive(Frame(1, data))
             answers += world.receive(Frame(0x080, bytes((k,))))
-        outcomes.append((answers, state(world.plant)))
+        outcomes.append((answers, exact_state(world.plant)))
     assert outcomes[0] == outcomes[1]
 
 
@@ -101,7 +101,7 @@ def test_real_time_programs_do_not_import_the_compiler(module: str) -> None:
 
 
 def test_the_engine_has_native_addresses() -> None:
-    native = closing("jamia").engine.native
+    native = closing_hand("jamia").engine.native
     assert native is not None
     assert all(native)
 
@@ -116,7 +116,7 @@ def test_the_world_steps_in_blocks_between_events() -> None:
         near.advance(k * 1_000_000)
     near.advance(250_250_000)
     assert far.t_ns == near.t_ns == 250_000_000
-    assert state(far.plant) == state(near.plant)
+    assert exact_state(far.plant) == exact_state(near.plant)
     assert [node.wake_ns for bus in far.nodes for node in bus] == [
         node.wake_ns for bus in near.nodes for node in bus
     ]

@@ -22,8 +22,8 @@ from handctl.hand.hand_loading import load_hand as described
 
 TICK_NS = 2_000_000
 FIRST_NODE = 0x10
-PROTOCOLS = ("mit", "odrive", "cia402")
-OPTIONS = {
+TESTED_PROTOCOLS = ("mit", "odrive", "cia402")
+OPTIONS_BY_PROTOCOL = {
     "mit": "",
     "odrive": "[motor.options]\nendpoint_enable_watchdog = 201\nendpoint_watchdog_timeout = 202\n"
     "endpoint_torque_max = 203\nendpoint_torque_min = 204\n",
@@ -45,7 +45,7 @@ def hand_file(folder: Path, protocols: tuple[str, ...], buses: int = 1) -> str:
         )
         motors[i] = (
             (motor if buses == 1 or i < 2 else motor.replace('"main"', '"second"'))
-            + OPTIONS[protocol]
+            + OPTIONS_BY_PROTOCOL[protocol]
             + "\n"
         )
     if buses == 2:
@@ -57,7 +57,7 @@ def hand_file(folder: Path, protocols: tuple[str, ...], buses: int = 1) -> str:
     return str(path)
 
 
-def start(protocol: str, node: int) -> list[tuple[int, bytes]]:
+def enable_frames(protocol: str, node: int) -> list[tuple[int, bytes]]:
     """Return the frames that set up a drive and enable it to follow torque commands."""
     if protocol == "mit":
         return [(0x7FF, struct.pack("<HBBI", node, 0x55, 9, 4000)), (node, b"\xff" * 7 + b"\xfc")]
@@ -155,7 +155,7 @@ def disturb_frame(frame: Frame, rng: random.Random) -> list[Frame]:
     return rng.choice(other) if rng.random() < 0.03 else [frame]
 
 
-def stream(
+def frames_of_ticks(
     protocols: tuple[str, ...], ticks: int, seed: int, buses: int = 1
 ) -> Iterator[list[Frame]]:
     """Yield the frames of each tick: first the set-up of the drives, then commands.
@@ -171,7 +171,7 @@ def stream(
         frames = [Frame(0x080, bytes((k & 0xFF,)))]
         for protocol, node, bus in drives:
             sent = (
-                start(protocol, node)
+                enable_frames(protocol, node)
                 if k == 2
                 else frames_of_tick(protocol, node, k)
                 if k > 2
@@ -181,14 +181,14 @@ def stream(
         yield [other for frame in frames for other in disturb_frame(frame, rng)] if seed else frames
 
 
-CASES = [
-    *[((protocol,), 1, seed) for protocol in PROTOCOLS for seed in (0, 1, 2)],
+EXCHANGE_CASES = [
+    *[((protocol,), 1, seed) for protocol in TESTED_PROTOCOLS for seed in (0, 1, 2)],
     (("mit", "odrive", "cia402", "mit"), 1, 3),
     (("mit", "odrive", "cia402", "cia402"), 2, 4),
 ]
 
 
-@pytest.mark.parametrize(("protocols", "buses", "seed"), CASES)
+@pytest.mark.parametrize(("protocols", "buses", "seed"), EXCHANGE_CASES)
 def test_the_kernel_answers_as_the_nodes_do(
     protocols: tuple[str, ...], buses: int, seed: int, tmp_path: Path
 ) -> None:
@@ -198,7 +198,7 @@ def test_the_kernel_answers_as_the_nodes_do(
     ]
     rigs[1].world.faults.in_frames = True  # use the Python nodes for every frame
     count = 0
-    for k, frames in enumerate(stream(protocols, 400, seed, buses)):
+    for k, frames in enumerate(frames_of_ticks(protocols, 400, seed, buses)):
         answers, nodes = (rig.step(k * TICK_NS, frames) for rig in rigs)
         assert answers == nodes, f"tick {k}"
         count += len(answers)
@@ -213,13 +213,13 @@ def test_the_kernel_answers_as_the_nodes_do(
         assert truth.column("tension/index_tendon").max() > 10.0, "the drives follow their torques"
 
 
-@pytest.mark.parametrize("protocol", PROTOCOLS)
+@pytest.mark.parametrize("protocol", TESTED_PROTOCOLS)
 def test_cyclic_frames_do_not_reach_the_nodes_one_by_one(protocol: str, tmp_path: Path) -> None:
     rig = LockstepHand(hand_file(tmp_path, (protocol,)), seed=3)
     received = []
     receive = rig.world.receive
     rig.world.receive = lambda frame: received.append(frame) or receive(frame)  # type: ignore[method-assign, func-returns-value]
-    for k, frames in enumerate(stream((protocol,), 300, 0)):
+    for k, frames in enumerate(frames_of_ticks((protocol,), 300, 0)):
         if k == 10:
             received.clear()
         rig.step(k * TICK_NS, frames)

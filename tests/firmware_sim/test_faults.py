@@ -15,27 +15,31 @@ from firmware_sim.faults.fault_text import (
 from firmware_sim.hand_description import SimulatorError, load_hand
 from firmware_sim.lockstep_hand import LockstepHand
 
-HAND = load_hand("jamia")
-SYNC = 0x080
-REFRESH = Frame(0x7FF, bytes((1, 0, 0xCC, 0)))
+JAMIA_HAND = load_hand("jamia")
+SYNC_ID = 0x080
+REFRESH_FRAME = Frame(0x7FF, bytes((1, 0, 0xCC, 0)))
 
 
-def rig(seed=0):
+def make_rig(seed=0):
     return LockstepHand("jamia", seed=seed, homed=True)
 
 
-def answers_of_ticks(world, ticks, frames=(REFRESH,)):
+def answers_of_ticks(world, ticks, frames=(REFRESH_FRAME,)):
     """Run ticks with a SYNC and given frames in each, and return the replies of each tick."""
     answers = []
     for _ in range(ticks):
         k = world.world.t_ns // 2_000_000
-        answers.append(world.step(world.world.t_ns, [Frame(SYNC, bytes((k & 0xFF,))), *frames]))
+        answers.append(world.step(world.world.t_ns, [Frame(SYNC_ID, bytes((k & 0xFF,))), *frames]))
     return answers
 
 
 def test_a_fault_is_parsed_from_a_line():
-    fault = parse_fault("drop node=3 p=0.05 at=3s for=2s seed=7", HAND, 10)
-    assert (fault.kind, fault.component, fault.instance) == ("drop", "node", HAND.motors[2].name)
+    fault = parse_fault("drop node=3 p=0.05 at=3s for=2s seed=7", JAMIA_HAND, 10)
+    assert (fault.kind, fault.component, fault.instance) == (
+        "drop",
+        "node",
+        JAMIA_HAND.motors[2].name,
+    )
     assert (fault.start_ns, fault.duration_ns, fault.p, fault.seed) == (
         3_000_000_010,
         2_000_000_000,
@@ -59,33 +63,33 @@ def test_a_fault_is_parsed_from_a_line():
 )  # fmt: skip
 def test_wrong_faults_are_refused_in_one_line(text, words):
     with pytest.raises(SimulatorError) as caught:
-        parse_fault(text, HAND)
+        parse_fault(text, JAMIA_HAND)
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def second(kind: str, index: int) -> str:
+def second_motor_text(kind: str, index: int) -> str:
     """Return the text with the second motor of a fault, empty for a kind of fault that needs one motor."""
-    return f" with={HAND.motors[index].name}" if kind in TWO_MOTOR_KINDS else ""
+    return f" with={JAMIA_HAND.motors[index].name}" if kind in TWO_MOTOR_KINDS else ""
 
 
 FIRST_INSTANCES = [
-    f"{kind} {component}={instances_of_component(component, HAND, kind)[0]}{second(kind, -1)}"
+    f"{kind} {component}={instances_of_component(component, JAMIA_HAND, kind)[0]}{second_motor_text(kind, -1)}"
     for kind, fault_kind in FAULT_KINDS.items()
     for component in fault_kind.components
-    if instances_of_component(component, HAND, kind)
+    if instances_of_component(component, JAMIA_HAND, kind)
 ]
 LAST_INSTANCES = [
-    f"{kind} {component}={instances_of_component(component, HAND, kind)[-1]}{second(kind, 0)}"
+    f"{kind} {component}={instances_of_component(component, JAMIA_HAND, kind)[-1]}{second_motor_text(kind, 0)}"
     for kind, fault_kind in FAULT_KINDS.items()
     for component in fault_kind.components
-    if instances_of_component(component, HAND, kind)
+    if instances_of_component(component, JAMIA_HAND, kind)
 ]
 
 
 @pytest.mark.parametrize("text", FIRST_INSTANCES)
 def test_every_fault_has_an_effect_and_ends(text):
-    run = rig()
+    run = make_rig()
     run.world.plant.motors["index_motor"].servo.torque = 0.1
     run.world.plant.motors["index_motor"].servo.limit = 0.8
     answers_of_ticks(run, 5)
@@ -110,7 +114,7 @@ def test_no_size_of_any_fault_ends_the_simulator(text):
 
     Its part is the last one possible, which is the sensor node for some kinds.
     """
-    run = rig()
+    run = make_rig()
     for i, size in enumerate(("-1e12", "-1e6", "0", "1", "2", "1000", "1e6", "1e12")):
         with contextlib.suppress(SimulatorError):
             run.inject(f"{text} size={size} for=6ms seed={i}")
@@ -121,13 +125,13 @@ def test_no_size_of_any_fault_ends_the_simulator(text):
 @pytest.mark.parametrize("kind", DRIVE_KINDS)
 def test_the_sensor_node_is_no_drive(kind):
     with pytest.raises(SimulatorError, match="no node 'sensors'; expected one of index_motor"):
-        parse_fault(f"{kind} node=sensors", HAND)
+        parse_fault(f"{kind} node=sensors", JAMIA_HAND)
 
 
 def test_equal_seeds_lose_equal_frames():
     runs = []
     for seed in (1, 1, 2):
-        run = rig()
+        run = make_rig()
         run.inject(f"drop node=sensors p=0.3 seed={seed}")
         runs.append([len(answers) for answers in answers_of_ticks(run, 200)])
     assert runs[0] == runs[1] != runs[2]
@@ -136,11 +140,11 @@ def test_equal_seeds_lose_equal_frames():
 
 
 def test_a_delayed_frame_comes_late_and_a_reordered_one_behind_the_next():
-    run = rig()
+    run = make_rig()
     run.inject("delay node=sensors size=5")
     answers = answers_of_ticks(run, 10, ())
     assert [len(a) for a in answers[:3]] == [0, 0, 1]
-    run = rig()
+    run = make_rig()
     run.inject("reorder node=sensors")
     counters = [
         frame.data[0] & 0xF
@@ -152,7 +156,7 @@ def test_a_delayed_frame_comes_late_and_a_reordered_one_behind_the_next():
 
 
 def test_a_broken_tendon_is_slack_until_it_is_mended():
-    run = rig()
+    run = make_rig()
     motor = run.world.plant.motors["index_motor"]
     motor.servo.torque, motor.servo.limit = 0.15, 0.8
     answers_of_ticks(run, 150)
@@ -164,7 +168,7 @@ def test_a_broken_tendon_is_slack_until_it_is_mended():
     assert run.truth()["tension"][0] > 15.0
 
 
-MANY = (
+FAULT_TEXTS = (
     "drop node=index_motor p=0.2 for=60ms", "delay node=index_motor p=0.3 size=3.3 at=70500us",
     "flood bus=can0 size=2 at=17500us for=20ms", "foreign node=middle_motor at=31ms for=30ms",
     "runaway node=ring_motor size=0.5 at=25ms for=40ms", "reset node=thumb_motor at=50500us for=10ms",
@@ -175,17 +179,17 @@ def test_blocks_of_steps_end_at_every_event():
     """A hand that advances in blocks of steps has the frames, faults and motion of one that advances step by step."""
 
     def run(step_ns):
-        hand_rig = rig()
+        hand_rig = make_rig()
         world = hand_rig.world
-        for text in MANY:
-            hand_rig.inject(text.replace("can0", HAND.buses[0]))
+        for text in FAULT_TEXTS:
+            hand_rig.inject(text.replace("can0", JAMIA_HAND.buses[0]))
         frames = []
         for k in range(60):
             for t_ns in range(world.t_ns + step_ns, (k + 1) * 2_000_000 + 1, step_ns):
                 world.advance(t_ns)
             frames += [
-                *world.receive(REFRESH),
-                *world.receive(Frame(SYNC, bytes((k,)))),
+                *world.receive(REFRESH_FRAME),
+                *world.receive(Frame(SYNC_ID, bytes((k,)))),
                 *world.take_unsolicited(),
             ]
         state = [
@@ -196,4 +200,4 @@ def test_blocks_of_steps_end_at_every_event():
 
     far, near = run(2_000_000), run(500_000)
     assert far == near
-    assert sum(fault["felt"] > 0 for fault in far[1]) == len(MANY)
+    assert sum(fault["felt"] > 0 for fault in far[1]) == len(FAULT_TEXTS)

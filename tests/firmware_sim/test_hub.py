@@ -19,11 +19,11 @@ from firmware_sim.bus.hub import BusHub
 from firmware_sim.hand_description import SimulatorError
 from firmware_sim.socket_paths import bus_path, run_dir, truth_path
 
-SIZE = 72
-CLASSICAL, FD = 0, 4
+RECORD_BYTES = 72
+CLASSICAL_FLAGS, FD_FLAGS = 0, 4
 
 
-def record(can_id: int, data: bytes, flags: int = CLASSICAL, dropped: int = 0) -> bytes:
+def frame_record(can_id: int, data: bytes, flags: int = CLASSICAL_FLAGS, dropped: int = 0) -> bytes:
     """Return the bytes of the kernel's ``struct canfd_frame``, built without its code."""
     head = can_id.to_bytes(4, "little") + bytes((len(data), flags)) + dropped.to_bytes(2, "little")
     return head + data + bytes(64 - len(data))
@@ -41,7 +41,7 @@ def hub() -> Iterator[BusHub]:
     served.close()
 
 
-def settle(hub: BusHub) -> bytes:
+def serve_until_idle(hub: BusHub) -> bytes:
     """Let the hub serve until no socket is ready, and return the records for the owner of the hub."""
     received = b""
     while ready := select.select(hub.read_sockets(), [], [], 0.0)[0]:
@@ -50,7 +50,7 @@ def settle(hub: BusHub) -> bytes:
 
 
 @pytest.fixture
-def client(hub: BusHub) -> Iterator[Callable[[], socket.socket]]:
+def connect_client(hub: BusHub) -> Iterator[Callable[[], socket.socket]]:
     links = []
 
     def connect() -> socket.socket:
@@ -58,7 +58,7 @@ def client(hub: BusHub) -> Iterator[Callable[[], socket.socket]]:
         link.connect(str(bus_path("test")))
         link.setblocking(False)
         links.append(link)
-        settle(hub)
+        serve_until_idle(hub)
         return link
 
     yield connect
@@ -77,133 +77,134 @@ def read_all(link: socket.socket) -> bytes:
 
 
 def test_all_but_the_sender_get_every_record_in_order(
-    hub: BusHub, client: Callable[[], socket.socket]
+    hub: BusHub, connect_client: Callable[[], socket.socket]
 ) -> None:
-    a, b, c = client(), client(), client()
+    a, b, c = connect_client(), connect_client(), connect_client()
     batch = (
-        record(0x123, b"\x01\x02")
-        + record(1 << 31 | 0x1ABCDE, bytes(range(64)), FD | 1)
-        + record(0x7FF, b"")
+        frame_record(0x123, b"\x01\x02")
+        + frame_record(1 << 31 | 0x1ABCDE, bytes(range(64)), FD_FLAGS | 1)
+        + frame_record(0x7FF, b"")
     )
     a.sendall(batch)
-    assert settle(hub) == batch
+    assert serve_until_idle(hub) == batch
     assert (read_all(a), read_all(b), read_all(c)) == (b"", batch, batch)
 
 
 def test_the_owners_records_reach_every_client(
-    hub: BusHub, client: Callable[[], socket.socket]
+    hub: BusHub, connect_client: Callable[[], socket.socket]
 ) -> None:
-    a, b = client(), client()
-    hub.send(record(0x11, b"answer"))
-    assert read_all(a) == read_all(b) == record(0x11, b"answer")
+    a, b = connect_client(), connect_client()
+    hub.send(frame_record(0x11, b"answer"))
+    assert read_all(a) == read_all(b) == frame_record(0x11, b"answer")
 
 
 @pytest.mark.parametrize("cut", [1, 71, 73, 100, 143])
 def test_a_record_cut_in_two_arrives_whole(
-    hub: BusHub, client: Callable[[], socket.socket], cut: int
+    hub: BusHub, connect_client: Callable[[], socket.socket], cut: int
 ) -> None:
-    a, b = client(), client()
-    batch = record(1, b"one") + record(2, b"two")
+    a, b = connect_client(), connect_client()
+    batch = frame_record(1, b"one") + frame_record(2, b"two")
     a.sendall(batch[:cut])
-    settle(hub)
-    assert read_all(b) == batch[: cut - cut % SIZE]
+    serve_until_idle(hub)
+    assert read_all(b) == batch[: cut - cut % RECORD_BYTES]
     a.sendall(batch[cut:])
-    settle(hub)
-    assert read_all(b) == batch[cut - cut % SIZE :]
+    serve_until_idle(hub)
+    assert read_all(b) == batch[cut - cut % RECORD_BYTES :]
 
 
 def test_the_senders_reserved_bytes_do_not_look_like_drops(
-    hub: BusHub, client: Callable[[], socket.socket]
+    hub: BusHub, connect_client: Callable[[], socket.socket]
 ) -> None:
-    a, b = client(), client()
-    a.sendall(record(1, b"x", dropped=0x1234))
-    settle(hub)
-    assert read_all(b) == record(1, b"x", dropped=0)
+    a, b = connect_client(), connect_client()
+    a.sendall(frame_record(1, b"x", dropped=0x1234))
+    serve_until_idle(hub)
+    assert read_all(b) == frame_record(1, b"x", dropped=0)
 
 
-def numbers(data: bytes) -> list[tuple[int, int]]:
+def record_numbers(data: bytes) -> list[tuple[int, int]]:
     """Return the sequence number and the drop count in each of several records."""
-    assert len(data) % SIZE == 0
+    assert len(data) % RECORD_BYTES == 0
     rows = struct.iter_unpack("<4xBBHI60x", data)
     return [(number, dropped) for _, _, dropped, number in rows]
 
 
 def test_a_client_that_never_reads_blocks_nobody_and_its_drops_are_counted(
-    hub: BusHub, client: Callable[[], socket.socket]
+    hub: BusHub, connect_client: Callable[[], socket.socket]
 ) -> None:
-    reader, idle = client(), client()
+    reader, idle = connect_client(), connect_client()
     total, batch = 0, 1000
     received: list[tuple[int, int]] = []
     while hub.dropped < 70_000:  # more than a record's counter can hold
         hub.send(
             b"".join(
-                record(5, number.to_bytes(4, "little")) for number in range(total, total + batch)
+                frame_record(5, number.to_bytes(4, "little"))
+                for number in range(total, total + batch)
             )
         )
         total += batch
-        received += numbers(read_all(reader))
+        received += record_numbers(read_all(reader))
     assert received == [(number, 0) for number in range(total)]
 
     read = read_all(idle)
     hub.serve([])  # completes a partly sent record
     read += read_all(idle)
-    rows = numbers(read)
+    rows = record_numbers(read)
     assert rows == [(number, 0) for number in range(len(rows))], (
         "the first records are kept, complete and in order"
     )
     assert len(rows) + hub.dropped == total
-    hub.send(record(5, total.to_bytes(4, "little")))
-    assert numbers(read_all(idle)) == [(total, hub.dropped % 65536)]
+    hub.send(frame_record(5, total.to_bytes(4, "little")))
+    assert record_numbers(read_all(idle)) == [(total, hub.dropped % 65536)]
 
 
 def test_an_incomplete_record_is_completed_before_the_next(
-    hub: BusHub, client: Callable[[], socket.socket]
+    hub: BusHub, connect_client: Callable[[], socket.socket]
 ) -> None:
-    idle = client()
-    batch = b"".join(record(number, number.to_bytes(4, "little")) for number in range(2000))
+    idle = connect_client()
+    batch = b"".join(frame_record(number, number.to_bytes(4, "little")) for number in range(2000))
     while not hub.write_sockets():
         hub.send(batch)
         assert hub.dropped < 1_000_000, "the kernel accepted no part of a record"
-        batch += record(0, b"")  # so that the kernel cuts at another byte
+        batch += frame_record(0, b"")  # so that the kernel cuts at another byte
     dropped = hub.dropped
-    hub.send(record(1, b"while one is half sent"))
+    hub.send(frame_record(1, b"while one is half sent"))
     assert hub.dropped == dropped + 1
     first_part = read_all(idle)
-    assert len(first_part) % SIZE
+    assert len(first_part) % RECORD_BYTES
     hub.serve([])
     assert hub.write_sockets() == []
-    hub.send(record(0x7FF, b"next"))
+    hub.send(frame_record(0x7FF, b"next"))
     data = first_part + read_all(idle)
-    assert len(data) % SIZE == 0
-    assert data[-SIZE:] == record(0x7FF, b"next", dropped=hub.dropped % 65536)
+    assert len(data) % RECORD_BYTES == 0
+    assert data[-RECORD_BYTES:] == frame_record(0x7FF, b"next", dropped=hub.dropped % 65536)
 
 
 def test_drops_of_a_disconnected_client_still_count(
-    hub: BusHub, client: Callable[[], socket.socket]
+    hub: BusHub, connect_client: Callable[[], socket.socket]
 ) -> None:
-    stays, leaves = client(), client()
+    stays, leaves = connect_client(), connect_client()
     while not hub.dropped:
-        hub.send(record(1, b"") * 100)
+        hub.send(frame_record(1, b"") * 100)
         read_all(stays)
     before = hub.dropped
     leaves.close()
-    settle(hub)
+    serve_until_idle(hub)
     assert hub.clients == 1
     assert hub.dropped == before
-    hub.send(record(2, b"still here"))
-    assert read_all(stays) == record(2, b"still here")
+    hub.send(frame_record(2, b"still here"))
+    assert read_all(stays) == frame_record(2, b"still here")
 
 
 def test_a_second_hub_is_refused_and_the_first_goes_on(
-    hub: BusHub, client: Callable[[], socket.socket]
+    hub: BusHub, connect_client: Callable[[], socket.socket]
 ) -> None:
-    a, b = client(), client()
+    a, b = connect_client(), connect_client()
     with pytest.raises(SimulatorError, match=r"local:test is already served"):
         BusHub("test")
-    settle(hub)
-    a.sendall(record(3, b"alive"))
-    settle(hub)
-    assert read_all(b) == record(3, b"alive")
+    serve_until_idle(hub)
+    a.sendall(frame_record(3, b"alive"))
+    serve_until_idle(hub)
+    assert read_all(b) == frame_record(3, b"alive")
 
 
 def test_a_stale_socket_is_replaced() -> None:
@@ -213,7 +214,7 @@ def test_a_stale_socket_is_replaced() -> None:
     hub = BusHub("stale")
     link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     link.connect(str(bus_path("stale")))
-    settle(hub)
+    serve_until_idle(hub)
     assert hub.clients == 1
     link.close()
     hub.close()

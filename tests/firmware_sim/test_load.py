@@ -12,7 +12,7 @@ from firmware_sim.plant.plant import Plant
 from firmware_sim.scene.scene import load_scene
 from firmware_sim.truth_file import read_truth
 
-SCENE = """
+LOAD_SCENE = """
 name = "loaded"
 [object]
 shape = "cylinder"
@@ -27,10 +27,10 @@ direction = {direction}
 start_s = {start}
 rate_N_per_s = 10.0
 """
-TABLE = '[support]\ndrop_when = "never"'
+TABLE_TEXT = '[support]\ndrop_when = "never"'
 
 
-def scene(
+def write_scene(
     folder: Path,
     x: float = 0.0195,
     direction: str = "[0, 0, 2]",
@@ -38,12 +38,12 @@ def scene(
     support: str = "",
 ) -> str:
     path = folder / "loaded.toml"
-    path.write_text(SCENE.format(x=x, direction=direction, start=start, support=support))
+    path.write_text(LOAD_SCENE.format(x=x, direction=direction, start=start, support=support))
     return str(path)
 
 
 def test_a_free_object_gains_the_impulse_of_its_load_and_weight(tmp_path: Path) -> None:
-    plant = Plant(load_hand("jamia"), load_scene(scene(tmp_path, x=0.5)), homed=True)
+    plant = Plant(load_hand("jamia"), load_scene(write_scene(tmp_path, x=0.5)), homed=True)
     for _ in range(800):
         plant.step()
     impulse = 0.5 * 10.0 * (0.4 - 0.1) ** 2 - 0.2 * 9.81 * 0.4
@@ -53,7 +53,7 @@ def test_a_free_object_gains_the_impulse_of_its_load_and_weight(tmp_path: Path) 
 def test_the_truth_file_has_the_load_from_its_start_time(tmp_path: Path) -> None:
     truth = tmp_path / "truth"
     rig = LockstepHand(
-        "jamia", scene=scene(tmp_path, support=TABLE), truth_path=str(truth), homed=True
+        "jamia", scene=write_scene(tmp_path, support=TABLE_TEXT), truth_path=str(truth), homed=True
     )
     for k in range(100):
         rig.step(k * 2_000_000, [])
@@ -68,7 +68,9 @@ def test_the_truth_file_has_the_load_from_its_start_time(tmp_path: Path) -> None
 
 def test_normal_forces_carry_the_object_between_fingers_and_thumb(tmp_path: Path) -> None:
     hand = load_hand("jamia")
-    plant = Plant(hand, load_scene(scene(tmp_path, start=100.0, support=TABLE)), homed=True)
+    plant = Plant(
+        hand, load_scene(write_scene(tmp_path, start=100.0, support=TABLE_TEXT)), homed=True
+    )
     assert plant.measured_grip() == [0.0] * 5
     for motor in plant.motors.values():
         motor.servo.limit, motor.servo.torque = 0.8, 0.17
@@ -89,7 +91,7 @@ def test_normal_forces_carry_the_object_between_fingers_and_thumb(tmp_path: Path
 @pytest.mark.parametrize("direction", ["[0, 0, 0]", "[0, 0]", '["x", 0, 0]', "[nan, 0, 1]"])
 def test_wrong_loads_are_refused(direction: str, tmp_path: Path) -> None:
     with pytest.raises(SimulatorError, match=r"loaded\.toml"):
-        load_scene(scene(tmp_path, direction=direction))
+        load_scene(write_scene(tmp_path, direction=direction))
 
 
 def test_a_load_needs_an_object(tmp_path: Path) -> None:

@@ -19,17 +19,17 @@ from firmware_sim.nodes.mit.codec import (
     to_code,
 )
 
-RANGES = FrameRanges(12.5, 50.0, 0.8)
+FRAME_RANGES = FrameRanges(12.5, 50.0, 0.8)
 
 
-def bits(*fields: tuple[int, int]) -> bytes:
+def packed_bits(*fields: tuple[int, int]) -> bytes:
     """Pack fields (value, width) into bytes by a string of binary digits. The first field has the highest bits."""
     text = "".join(format(value, f"0{width}b") for value, width in fields)
     return bytes(int(text[i : i + 8], 2) for i in range(0, len(text), 8))
 
 
 def test_the_command_of_zeros_that_every_client_sends() -> None:
-    command = decode_command(bytes.fromhex("7fff7ff0000007ff"), RANGES)
+    command = decode_command(bytes.fromhex("7fff7ff0000007ff"), FRAME_RANGES)
     assert command.kp == 0.0
     assert command.kd == 0.0
     # Zero has no code. The nearest code is half a step below zero.
@@ -39,18 +39,18 @@ def test_the_command_of_zeros_that_every_client_sends() -> None:
 
 
 def test_each_field_lies_where_the_fact_sheet_says() -> None:
-    data = bits((0xFFFF, 16), (0, 12), (0xFFF, 12), (0, 12), (0xFFF, 12))
-    command = decode_command(data, RANGES)
+    data = packed_bits((0xFFFF, 16), (0, 12), (0xFFF, 12), (0, 12), (0xFFF, 12))
+    command = decode_command(data, FRAME_RANGES)
     assert command == pytest.approx((12.5, -50.0, 500.0, 0.0, 0.8))
-    data = bits((0, 16), (0xFFF, 12), (0, 12), (0xFFF, 12), (0, 12))
-    assert decode_command(data, RANGES) == pytest.approx((-12.5, 50.0, 0.0, 5.0, -0.8))
+    data = packed_bits((0, 16), (0xFFF, 12), (0, 12), (0xFFF, 12), (0, 12))
+    assert decode_command(data, FRAME_RANGES) == pytest.approx((-12.5, 50.0, 0.0, 5.0, -0.8))
 
 
 @given(st.tuples(*[st.integers(0, 4095)] * 4), st.integers(0, 65535))
 def test_a_command_is_read_exactly(codes: tuple[int, int, int, int], position: int) -> None:
     v, kp, kd, torque = codes
     command = decode_command(
-        bits((position, 16), (v, 12), (kp, 12), (kd, 12), (torque, 12)), RANGES
+        packed_bits((position, 16), (v, 12), (kp, 12), (kd, 12), (torque, 12)), FRAME_RANGES
     )
     exact = (
         Fraction(position) * 25 / 65535 - Fraction(25, 2),
@@ -63,9 +63,9 @@ def test_a_command_is_read_exactly(codes: tuple[int, int, int, int], position: i
 
 
 def test_feedback_byte_by_byte() -> None:
-    data = encode_feedback(0xD, 0x13, (12.5, -50.0, 0.8), RANGES, (25.9, 300.0))
+    data = encode_feedback(0xD, 0x13, (12.5, -50.0, 0.8), FRAME_RANGES, (25.9, 300.0))
     assert data == bytes([0xD3, 0xFF, 0xFF, 0x00, 0x0F, 0xFF, 25, 255])
-    assert encode_feedback(1, 4, (0.0, 0.0, 0.0), RANGES, (-3.0, 0.0)) == bytes.fromhex(
+    assert encode_feedback(1, 4, (0.0, 0.0, 0.0), FRAME_RANGES, (-3.0, 0.0)) == bytes.fromhex(
         "147fff7ff7ff0000"
     )
 
@@ -84,10 +84,10 @@ def test_the_middle_of_a_code_comes_back(code: int) -> None:
     assert to_code(from_code(code, 12.5, 16) + 0.5 * 25.0 / 65535, 12.5, 16) == code
 
 
-MOTION = st.tuples(*[st.floats(-60.0, 60.0)] * 3)
+MOTION_VALUES = st.tuples(*[st.floats(-60.0, 60.0)] * 3)
 
 
-@given(st.integers(0, 255), MOTION, st.floats(-50.0, 300.0), st.integers(0, 2**64 - 1))
+@given(st.integers(0, 255), MOTION_VALUES, st.floats(-50.0, 300.0), st.integers(0, 2**64 - 1))
 def test_compiled_kernels_equal_python(
     head: int, motion: tuple[float, ...], degrees: float, word: int
 ) -> None:
@@ -96,14 +96,16 @@ def test_compiled_kernels_equal_python(
     They are Python functions unless another test has compiled them.
     """
     kernels, signed = machine_code(mit_codec), word - (word >> 63 << 64)
-    feedback = (head, *motion, *RANGES, degrees, degrees)
+    feedback = (head, *motion, *FRAME_RANGES, degrees, degrees)
     word_of_python = mit_codec.write_feedback(*feedback)
     assert (
         kernels.write_feedback(*feedback)
         == kernels.write_feedback.py_func(*feedback)
         == word_of_python
     )
-    assert kernels.read_command(signed, *RANGES) == kernels.read_command.py_func(signed, *RANGES)
+    assert kernels.read_command(signed, *FRAME_RANGES) == kernels.read_command.py_func(
+        signed, *FRAME_RANGES
+    )
 
 
 def test_kernels_compile_without_a_cache_folder() -> None:

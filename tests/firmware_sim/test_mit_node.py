@@ -13,89 +13,89 @@ from firmware_sim.lockstep_hand import LockstepHand
 from firmware_sim.nodes.mit.node import FeedbackState, MitNode
 from firmware_sim.plant.motor import Motor
 
-MS = 1_000_000
-SPEC = load_hand("jamia").motors[1]
-ID = SPEC.node_id
+NS_PER_MS = 1_000_000
+MOTOR_SPEC = load_hand("jamia").motors[1]
+MOTOR_ID = MOTOR_SPEC.node_id
 FULL_TORQUE = bytes.fromhex("7fff7ff000000fff")
 
 
-class Bench:
+class MotorBench:
     """One motor with a free spool that is simulated in steps of 0.5 ms."""
 
     def __init__(self) -> None:
-        self.motor = Motor(SPEC, 0.5e-3)
-        self.node = MitNode(SPEC, self.motor, 0.1)
+        self.motor = Motor(MOTOR_SPEC, 0.5e-3)
+        self.node = MitNode(MOTOR_SPEC, self.motor, 0.1)
         self.t_ns = 0
 
     def run(self, milliseconds: float) -> None:
         for _ in range(round(milliseconds * 2)):
             self.motor.advance(0.0)
-            self.t_ns += MS // 2
+            self.t_ns += NS_PER_MS // 2
             if self.t_ns >= self.node.wake_ns:
                 self.node.wake(self.t_ns)
 
-    def ask(self, data: bytes, can_id: int = ID, flags: int = 0) -> bytes:
+    def reply_to(self, data: bytes, can_id: int = MOTOR_ID, flags: int = 0) -> bytes:
         answers = self.node.receive(Frame(can_id, data, flags), self.t_ns)
         assert answers is not None
         (answer,) = answers
-        assert answer.can_id == ID + 0x10
+        assert answer.can_id == MOTOR_ID + 0x10
         assert answer.flags == flags
         return answer.data
 
     def state(self) -> FeedbackState:
         return self.node.state
 
-    def special(self, code: int) -> int:
+    def send_special(self, code: int) -> int:
         """Send a special command to the motor, and return the state bits of its reply."""
-        return self.ask(b"\xff" * 7 + bytes([code]))[0] >> 4
+        return self.reply_to(b"\xff" * 7 + bytes([code]))[0] >> 4
 
-    def register(self, operation: int, number: int, value: bytes = bytes(4)) -> bytes:
-        return self.ask(struct.pack("<HBB", ID, operation, number) + value, can_id=0x7FF)
+    def send_register_request(self, operation: int, number: int, value: bytes = bytes(4)) -> bytes:
+        return self.reply_to(struct.pack("<HBB", MOTOR_ID, operation, number) + value, can_id=0x7FF)
 
 
 @pytest.fixture
-def bench() -> Bench:
-    return Bench()
+def bench() -> MotorBench:
+    return MotorBench()
 
 
-def test_a_motor_sends_only_answers(bench: Bench) -> None:
-    assert bench.node.receive(Frame(ID + 1, FULL_TORQUE), 0) is None
-    assert bench.node.receive(Frame(ID | EXTENDED_FLAG, FULL_TORQUE), 0) is None
-    other = struct.pack("<HBB4x", ID + 1, 0x33, 23)
+def test_a_motor_sends_only_answers(bench: MotorBench) -> None:
+    assert bench.node.receive(Frame(MOTOR_ID + 1, FULL_TORQUE), 0) is None
+    assert bench.node.receive(Frame(MOTOR_ID | EXTENDED_FLAG, FULL_TORQUE), 0) is None
+    other = struct.pack("<HBB4x", MOTOR_ID + 1, 0x33, 23)
     assert bench.node.receive(Frame(0x7FF, other), 0) is None
 
 
-def test_no_torque_until_enabled_and_none_after_disable(bench: Bench) -> None:
+def test_no_torque_until_enabled_and_none_after_disable(bench: MotorBench) -> None:
     for _ in range(20):
-        assert bench.ask(FULL_TORQUE)[0] >> 4 == FeedbackState.DISABLED
+        assert bench.reply_to(FULL_TORQUE)[0] >> 4 == FeedbackState.DISABLED
         bench.run(1)
     assert bench.motor.torque == 0.0
     assert bench.motor.theta == 0.0
-    assert bench.special(0xFC) == FeedbackState.ENABLED
-    bench.ask(FULL_TORQUE)
+    assert bench.send_special(0xFC) == FeedbackState.ENABLED
+    bench.reply_to(FULL_TORQUE)
     bench.run(5)
     assert bench.motor.torque == pytest.approx(0.8, rel=1e-3)
-    assert bench.special(0xFD) == FeedbackState.DISABLED
-    bench.ask(FULL_TORQUE)
+    assert bench.send_special(0xFD) == FeedbackState.DISABLED
+    bench.reply_to(FULL_TORQUE)
     bench.run(5)
     assert abs(bench.motor.torque) < 1e-6
 
 
-def test_enabling_does_not_bring_back_an_old_command(bench: Bench) -> None:
-    bench.special(0xFC)
-    bench.ask(FULL_TORQUE)
-    bench.special(0xFD)
-    bench.special(0xFC)
+def test_enabling_does_not_bring_back_an_old_command(bench: MotorBench) -> None:
+    bench.send_special(0xFC)
+    bench.reply_to(FULL_TORQUE)
+    bench.send_special(0xFD)
+    bench.send_special(0xFC)
     bench.run(5)
     assert abs(bench.motor.torque) < 0.8 * 0.01
 
 
 @pytest.mark.parametrize("timeout", [100, 1000])
-def test_the_watchdog_trips_on_time_and_latches(bench: Bench, timeout: int) -> None:
-    bench.register(0x55, 9, struct.pack("<I", timeout))
+def test_the_watchdog_trips_on_time_and_latches(bench: MotorBench, timeout: int) -> None:
+    bench.send_register_request(0x55, 9, struct.pack("<I", timeout))
     bench.run(1)
-    bench.special(0xFC)
-    bench.ask(FULL_TORQUE)
+    bench.send_special(0xFC)
+    bench.reply_to(FULL_TORQUE)
     limit_ms = timeout * 0.05
     bench.run(limit_ms - 0.5)
     assert bench.state() == FeedbackState.ENABLED
@@ -103,116 +103,116 @@ def test_the_watchdog_trips_on_time_and_latches(bench: Bench, timeout: int) -> N
     assert bench.state() == FeedbackState.COMMUNICATION_LOST
     bench.run(5)
     assert abs(bench.motor.torque) < 1e-6
-    assert bench.ask(FULL_TORQUE)[0] >> 4 == 0xD
-    assert bench.special(0xFC) == 0xD, "the enable command does not clear an error"
-    assert bench.special(0xFB) == FeedbackState.DISABLED
-    assert bench.special(0xFC) == FeedbackState.ENABLED
+    assert bench.reply_to(FULL_TORQUE)[0] >> 4 == 0xD
+    assert bench.send_special(0xFC) == 0xD, "the enable command does not clear an error"
+    assert bench.send_special(0xFB) == FeedbackState.DISABLED
+    assert bench.send_special(0xFC) == FeedbackState.ENABLED
 
 
-def test_commands_feed_the_watchdog_and_refresh_does_not(bench: Bench) -> None:
-    bench.register(0x55, 9, struct.pack("<I", 200))
-    bench.special(0xFC)
+def test_commands_feed_the_watchdog_and_refresh_does_not(bench: MotorBench) -> None:
+    bench.send_register_request(0x55, 9, struct.pack("<I", 200))
+    bench.send_special(0xFC)
     for _ in range(10):
         bench.run(9)
-        assert bench.ask(FULL_TORQUE)[0] >> 4 == FeedbackState.ENABLED
+        assert bench.reply_to(FULL_TORQUE)[0] >> 4 == FeedbackState.ENABLED
     bench.run(6)
-    bench.register(0xCC, 0)
+    bench.send_register_request(0xCC, 0)
     bench.run(6)
     assert bench.state() == FeedbackState.COMMUNICATION_LOST
 
 
-def test_the_watchdog_is_off_by_default(bench: Bench) -> None:
-    assert struct.unpack("<I", bench.register(0x33, 9)[4:]) == (0,)
-    bench.special(0xFC)
+def test_the_watchdog_is_off_by_default(bench: MotorBench) -> None:
+    assert struct.unpack("<I", bench.send_register_request(0x33, 9)[4:]) == (0,)
+    bench.send_special(0xFC)
     bench.run(500)
     assert bench.state() == FeedbackState.ENABLED
 
 
 @pytest.mark.parametrize(("number", "value"), [(21, 12.5), (22, 50.0), (23, 0.8)])
-def test_ranges_are_read_as_floats(bench: Bench, number: int, value: float) -> None:
-    reply = bench.register(0x33, number)
-    assert reply[:4] == struct.pack("<HBB", ID, 0x33, number)
+def test_ranges_are_read_as_floats(bench: MotorBench, number: int, value: float) -> None:
+    reply = bench.send_register_request(0x33, number)
+    assert reply[:4] == struct.pack("<HBB", MOTOR_ID, 0x33, number)
     assert struct.unpack("<f", reply[4:])[0] == pytest.approx(value)
 
 
-def test_writing_tmax_limits_the_torque_and_scales_the_answer(bench: Bench) -> None:
-    reply = bench.register(0x55, 23, struct.pack("<f", 0.2))
-    assert reply == struct.pack("<HBBf", ID, 0x55, 23, 0.2)
-    bench.special(0xFC)
-    bench.ask(FULL_TORQUE)
+def test_writing_tmax_limits_the_torque_and_scales_the_answer(bench: MotorBench) -> None:
+    reply = bench.send_register_request(0x55, 23, struct.pack("<f", 0.2))
+    assert reply == struct.pack("<HBBf", MOTOR_ID, 0x55, 23, 0.2)
+    bench.send_special(0xFC)
+    bench.reply_to(FULL_TORQUE)
     bench.run(5)
     assert bench.motor.torque == pytest.approx(0.2, rel=1e-3)
-    data = bench.ask(FULL_TORQUE)
+    data = bench.reply_to(FULL_TORQUE)
     assert ((data[4] & 0xF) << 8 | data[5]) >= 4093
 
 
-def test_the_torque_is_limited_to_the_motors_peak(bench: Bench) -> None:
-    bench.register(0x55, 23, struct.pack("<f", 10.0))
-    bench.special(0xFC)
-    bench.ask(FULL_TORQUE)
+def test_the_torque_is_limited_to_the_motors_peak(bench: MotorBench) -> None:
+    bench.send_register_request(0x55, 23, struct.pack("<f", 10.0))
+    bench.send_special(0xFC)
+    bench.reply_to(FULL_TORQUE)
     bench.run(5)
-    assert bench.motor.torque == pytest.approx(SPEC.torque_peak, rel=1e-3)
+    assert bench.motor.torque == pytest.approx(MOTOR_SPEC.torque_peak, rel=1e-3)
 
 
-def test_invalid_writes_are_ignored(bench: Bench) -> None:
-    bench.register(0x55, 10, struct.pack("<I", 5))
-    assert struct.unpack("<I", bench.register(0x33, 10)[4:]) == (1,)
-    bench.register(0x55, 23, struct.pack("<f", float("nan")))
-    assert struct.unpack("<f", bench.register(0x33, 23)[4:])[0] == pytest.approx(0.8)
+def test_invalid_writes_are_ignored(bench: MotorBench) -> None:
+    bench.send_register_request(0x55, 10, struct.pack("<I", 5))
+    assert struct.unpack("<I", bench.send_register_request(0x33, 10)[4:]) == (1,)
+    bench.send_register_request(0x55, 23, struct.pack("<f", float("nan")))
+    assert struct.unpack("<f", bench.send_register_request(0x33, 23)[4:])[0] == pytest.approx(0.8)
 
 
-def test_unknown_registers_and_short_frames_are_not_answered(bench: Bench) -> None:
-    assert bench.node.receive(Frame(0x7FF, struct.pack("<HBB4x", ID, 0x33, 200)), 0) == []
-    assert bench.node.receive(Frame(ID, b"\x01\x02"), 0) == []
+def test_unknown_registers_and_short_frames_are_not_answered(bench: MotorBench) -> None:
+    assert bench.node.receive(Frame(0x7FF, struct.pack("<HBB4x", MOTOR_ID, 0x33, 200)), 0) == []
+    assert bench.node.receive(Frame(MOTOR_ID, b"\x01\x02"), 0) == []
     assert bench.node.malformed == 2
 
 
-def test_registers_are_lost_at_power_off_unless_saved(bench: Bench) -> None:
-    bench.register(0x55, 9, struct.pack("<I", 77))
+def test_registers_are_lost_at_power_off_unless_saved(bench: MotorBench) -> None:
+    bench.send_register_request(0x55, 9, struct.pack("<I", 77))
     bench.node.power_cycle()
-    assert struct.unpack("<I", bench.register(0x33, 9)[4:]) == (0,)
-    bench.register(0x55, 9, struct.pack("<I", 77))
-    assert bench.register(0xAA, 0)[2:4] == b"\xaa\x01"
+    assert struct.unpack("<I", bench.send_register_request(0x33, 9)[4:]) == (0,)
+    bench.send_register_request(0x55, 9, struct.pack("<I", 77))
+    assert bench.send_register_request(0xAA, 0)[2:4] == b"\xaa\x01"
     bench.node.power_cycle()
-    assert struct.unpack("<I", bench.register(0x33, 9)[4:]) == (77,)
+    assert struct.unpack("<I", bench.send_register_request(0x33, 9)[4:]) == (77,)
 
 
-def test_zero_makes_the_present_position_zero_while_disabled(bench: Bench) -> None:
+def test_zero_makes_the_present_position_zero_while_disabled(bench: MotorBench) -> None:
     bench.motor.theta = 1.0
-    data = bench.ask(b"\xff" * 7 + b"\xfe")
+    data = bench.reply_to(b"\xff" * 7 + b"\xfe")
     position = int.from_bytes(data[1:3], "big") * 25.0 / 65535 - 12.5
     assert abs(position) <= 2 * 25.0 / 65535
 
 
-def test_the_answer_has_the_format_of_the_request(bench: Bench) -> None:
-    bench.ask(FULL_TORQUE, flags=FDF | BRS)
-    bench.ask(FULL_TORQUE, flags=FDF)
+def test_the_answer_has_the_format_of_the_request(bench: MotorBench) -> None:
+    bench.reply_to(FULL_TORQUE, flags=FDF | BRS)
+    bench.reply_to(FULL_TORQUE, flags=FDF)
 
 
-def test_the_servo_holds_a_position(bench: Bench) -> None:
-    bench.special(0xFC)
+def test_the_servo_holds_a_position(bench: MotorBench) -> None:
+    bench.send_special(0xFC)
     kp, kd = round(5.0 / 500 * 4095), round(0.05 / 5 * 4095)
     code = int((1.1 + 12.5) * 65535 / 25.0)
     word = code << 48 | 2047 << 36 | kp << 24 | kd << 12 | 2047
-    bench.ask(word.to_bytes(8, "big"))
+    bench.reply_to(word.to_bytes(8, "big"))
     bench.run(1000)
     # The encoder has an offset of 0.1 rad. Coulomb friction of 0.015 N m at 5 N m/rad leaves an
     # error of up to 3 mrad.
     assert bench.motor.theta == pytest.approx(1.0, abs=4e-3)
 
 
-def test_over_temperature_trips_the_motor(bench: Bench) -> None:
-    bench.register(0x55, 23, struct.pack("<f", 10.0))
-    bench.special(0xFC)
-    bench.ask(FULL_TORQUE)
-    while bench.state() == FeedbackState.ENABLED and bench.t_ns < 600_000 * MS:
+def test_over_temperature_trips_the_motor(bench: MotorBench) -> None:
+    bench.send_register_request(0x55, 23, struct.pack("<f", 10.0))
+    bench.send_special(0xFC)
+    bench.reply_to(FULL_TORQUE)
+    while bench.state() == FeedbackState.ENABLED and bench.t_ns < 600_000 * NS_PER_MS:
         elapsed_ns = bench.node.wake_ns - bench.t_ns
         bench.t_ns = bench.node.wake_ns
-        bench.motor.heat += SPEC.torque_peak**2 * elapsed_ns * 1e-9
+        bench.motor.heat += MOTOR_SPEC.torque_peak**2 * elapsed_ns * 1e-9
         bench.node.wake(bench.t_ns)
     assert bench.state() == FeedbackState.WINDING_HOT
-    assert bench.t_ns > 20_000 * MS
-    assert bench.ask(FULL_TORQUE)[7] >= 100
+    assert bench.t_ns > 20_000 * NS_PER_MS
+    assert bench.reply_to(FULL_TORQUE)[7] >= 100
 
 
 def test_a_motor_answers_only_at_its_new_identifier() -> None:
@@ -222,11 +222,17 @@ def test_a_motor_answers_only_at_its_new_identifier() -> None:
     def answered(can_id: int, data: bytes = torque) -> list[int]:
         return [frame.can_id for frame in world.receive(Frame(can_id, data))]
 
-    assert answered(ID) == [ID + 0x10]
-    assert answered(ID + 0x40) == []
+    assert answered(MOTOR_ID) == [MOTOR_ID + 0x10]
+    assert answered(MOTOR_ID + 0x40) == []
     assert world.foreign == 1
-    assert answered(0x7FF, struct.pack("<HBBI", ID, 0x55, 8, ID + 0x40)) == [ID + 0x10]
-    assert answered(ID + 0x40) == [ID + 0x10]
-    assert answered(ID) == []
-    assert answered(0x7FF, struct.pack("<HBBI", ID + 0x40, 0x55, 8, ID + 1)) == [ID + 0x10]
-    assert answered(ID + 1) == [ID + 0x10, ID + 0x11], "two motors have this identifier"
+    assert answered(0x7FF, struct.pack("<HBBI", MOTOR_ID, 0x55, 8, MOTOR_ID + 0x40)) == [
+        MOTOR_ID + 0x10
+    ]
+    assert answered(MOTOR_ID + 0x40) == [MOTOR_ID + 0x10]
+    assert answered(MOTOR_ID) == []
+    assert answered(0x7FF, struct.pack("<HBBI", MOTOR_ID + 0x40, 0x55, 8, MOTOR_ID + 1)) == [
+        MOTOR_ID + 0x10
+    ]
+    assert answered(MOTOR_ID + 1) == [MOTOR_ID + 0x10, MOTOR_ID + 0x11], (
+        "two motors have this identifier"
+    )

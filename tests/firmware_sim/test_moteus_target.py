@@ -12,11 +12,11 @@ from firmware_sim.plant.drivetrain import ENCODER_STEP
 from firmware_sim.programs.drive import SimulatedDriveBench
 from firmware_sim.programs.drive_types import drive_spec
 
-MS = 1_000_000
-NODE = 2
+NS_PER_MS = 1_000_000
+NODE_ID = 2
 KP, KD = 4.0, 0.05
 """Factory gains [N m/turn, N m s/turn]."""
-TURN = 2.0 * math.pi
+TURN_RAD = 2.0 * math.pi
 
 
 class OneDrive:
@@ -25,42 +25,42 @@ class OneDrive:
     def __init__(self, inertia: float = 1.0, direction: int = 1) -> None:
         """Switch the drive on in position mode, without torque."""
         self.bench = SimulatedDriveBench(
-            [replace(drive_spec("moteus", NODE, inertia=inertia), direction=direction)]
+            [replace(drive_spec("moteus", NODE_ID, inertia=inertia), direction=direction)]
         )
         (node,) = self.bench.nodes
         assert isinstance(node, MoteusNode)
         self.node, self.motor = node, self.bench.motors[0]
         for item in ("position_min", "position_max"):
             node.channel.items[f"servopos.{item}"] = math.nan
-        self.command(math.nan, kp=0.0, kd=0.0)
-        self.bench.advance(20 * MS)
-        self.command(math.nan, kp=0.0, kd=0.0)
+        self.send_command(math.nan, kp=0.0, kd=0.0)
+        self.bench.advance(20 * NS_PER_MS)
+        self.send_command(math.nan, kp=0.0, kd=0.0)
 
-    def send(self, data: bytes) -> bytes:
+    def reply_to(self, data: bytes) -> bytes:
         """Send a request and return the reply."""
-        (reply,) = self.bench.receive(Frame(EXTENDED_FLAG | 0x8000 | NODE, data, FDF | BRS))
+        (reply,) = self.bench.receive(Frame(EXTENDED_FLAG | 0x8000 | NODE_ID, data, FDF | BRS))
         return reply.data
 
-    def command(
+    def send_command(
         self, position: float, velocity: float = 0.0, torque: float = 0.0, kp: float = 1.0, kd: float = 1.0,
         limit: float = 0.5,
     ) -> None:  # fmt: skip
         """Send a position command [turn, turn/s, N m] with fractions of the gains and a watchdog of 0.2 s."""
-        self.send(
+        self.reply_to(
             b"\1\0\x0a\x0f\x20" + struct.pack("<fff", position, velocity, torque)
             + b"\x0f\x23" + struct.pack("<fff", kp, kd, limit) + b"\1\x2b\0\x0d\x27" + struct.pack("<f", 0.2)
         )  # fmt: skip
 
-    def register(self, number: int) -> float:
+    def read_register(self, number: int) -> float:
         """Read a register as float."""
-        reply = self.send(bytes((0x1D, number)))
+        reply = self.reply_to(bytes((0x1D, number)))
         assert reply[:2] == bytes((0x2D, number))
         value: float = struct.unpack_from("<f", reply, 2)[0]
         return value
 
-    def wait(self, milliseconds: int) -> None:
+    def pass_time(self, milliseconds: int) -> None:
         """Advance the time."""
-        self.bench.advance(self.bench.t_ns + milliseconds * MS)
+        self.bench.advance(self.bench.t_ns + milliseconds * NS_PER_MS)
 
 
 @pytest.mark.parametrize("direction", [1, -1])
@@ -69,16 +69,16 @@ def test_the_target_moves_with_the_velocity_until_the_next_command(
     position: float, velocity: float, direction: int
 ) -> None:
     drive = OneDrive(direction=direction)
-    drive.command(position, velocity)
-    drive.wait(30)
-    assert drive.register(0x038) == pytest.approx(position + 0.030 * velocity, abs=1e-6)
-    assert drive.register(0x039) == pytest.approx(velocity, abs=1e-6)
-    drive.command(position, velocity)
-    assert drive.register(0x038) == pytest.approx(position, abs=1e-6)
-    drive.wait(10)
-    drive.command(math.nan, -velocity)
-    drive.wait(10)
-    assert drive.register(0x038) == pytest.approx(position, abs=1e-6), (
+    drive.send_command(position, velocity)
+    drive.pass_time(30)
+    assert drive.read_register(0x038) == pytest.approx(position + 0.030 * velocity, abs=1e-6)
+    assert drive.read_register(0x039) == pytest.approx(velocity, abs=1e-6)
+    drive.send_command(position, velocity)
+    assert drive.read_register(0x038) == pytest.approx(position, abs=1e-6)
+    drive.pass_time(10)
+    drive.send_command(math.nan, -velocity)
+    drive.pass_time(10)
+    assert drive.read_register(0x038) == pytest.approx(position, abs=1e-6), (
         "without a position, the target goes on"
     )
 
@@ -87,38 +87,42 @@ def test_the_target_moves_with_the_velocity_until_the_next_command(
 @pytest.mark.parametrize(("kp", "kd"), [(1.0, 1.0), (0.25, 0.5), (0.0, 0.5), (0.5, 0.0)])
 def test_the_torque_is_that_of_the_scaled_gains(kp: float, kd: float, direction: int) -> None:
     drive = OneDrive(direction=direction)
-    drive.command(0.05, 0.4, 0.02, kp, kd)
-    drive.wait(5)
+    drive.send_command(0.05, 0.4, 0.02, kp, kd)
+    drive.pass_time(5)
     target = 0.05 + 0.005 * 0.4
-    exact = KP * kp * (target - drive.register(1)) + KD * kd * (0.4 - drive.register(2)) + 0.02
-    assert drive.register(3) == pytest.approx(exact, abs=KP * ENCODER_STEP / TURN + 1e-4)
+    exact = (
+        KP * kp * (target - drive.read_register(1))
+        + KD * kd * (0.4 - drive.read_register(2))
+        + 0.02
+    )
+    assert drive.read_register(3) == pytest.approx(exact, abs=KP * ENCODER_STEP / TURN_RAD + 1e-4)
     assert direction * drive.motor.torque == pytest.approx(
-        exact, abs=KP * ENCODER_STEP / TURN + 1e-4
+        exact, abs=KP * ENCODER_STEP / TURN_RAD + 1e-4
     )
 
 
 def test_a_limit_in_effect_is_reported_and_bounds_the_sum() -> None:
     drive = OneDrive()
-    drive.command(1.0, 0.0, 0.05, limit=0.3)
-    drive.wait(5)
-    assert drive.register(0x00F) == 102
-    assert drive.register(3) == pytest.approx(0.3, abs=1e-3)
-    drive.command(0.01, 0.0, 0.05, limit=0.3)
-    drive.wait(5)
-    assert drive.register(0x00F) == 0
+    drive.send_command(1.0, 0.0, 0.05, limit=0.3)
+    drive.pass_time(5)
+    assert drive.read_register(0x00F) == 102
+    assert drive.read_register(3) == pytest.approx(0.3, abs=1e-3)
+    drive.send_command(0.01, 0.0, 0.05, limit=0.3)
+    drive.pass_time(5)
+    assert drive.read_register(0x00F) == 0
 
 
 def test_a_stopped_drive_forgets_its_target() -> None:
     drive = OneDrive()
-    drive.command(0.4, 1.0)
-    drive.wait(50)
-    drive.send(b"\1\0\0")
-    drive.wait(50)
+    drive.send_command(0.4, 1.0)
+    drive.pass_time(50)
+    drive.reply_to(b"\1\0\0")
+    drive.pass_time(50)
     assert drive.motor.servo.kp == drive.motor.servo.target_speed == 0.0
-    drive.command(math.nan)
-    drive.wait(20)
-    drive.command(math.nan)
-    assert drive.register(0x038) == pytest.approx(drive.register(1), abs=1e-3), (
+    drive.send_command(math.nan)
+    drive.pass_time(20)
+    drive.send_command(math.nan)
+    assert drive.read_register(0x038) == pytest.approx(drive.read_register(1), abs=1e-3), (
         "the present position"
     )
 
@@ -126,11 +130,11 @@ def test_a_stopped_drive_forgets_its_target() -> None:
 def test_the_watchdog_stops_a_moving_target() -> None:
     drive = OneDrive()
     drive.node.channel.items["servo.timeout_mode"] = 0.0
-    drive.command(0.1, 5.0)
-    drive.wait(190)
-    assert drive.register(0) == 10
-    drive.wait(20)
-    assert drive.register(0) == 11
+    drive.send_command(0.1, 5.0)
+    drive.pass_time(190)
+    assert drive.read_register(0) == 10
+    drive.pass_time(20)
+    assert drive.read_register(0) == 11
     assert (drive.motor.servo.kp, drive.motor.servo.target_speed, drive.motor.servo.torque) == (
         0.0,
         0.0,

@@ -14,8 +14,8 @@ from firmware_sim.nodes.motion_control import MotionSetpoint
 from firmware_sim.programs.drive import SimulatedDriveBench
 from firmware_sim.programs.drive_types import drive_spec
 
-MS = 1_000_000
-TURN = math.tau
+NS_PER_MS = 1_000_000
+TURN_RAD = math.tau
 
 
 def sample_each_ms(
@@ -24,7 +24,7 @@ def sample_each_ms(
     """Advance a bench for a time, and return a value that is read in each millisecond."""
     values = []
     for _ in range(round(for_s * 1000)):
-        bench.advance(bench.t_ns + MS)
+        bench.advance(bench.t_ns + NS_PER_MS)
         values.append(value())
     return values
 
@@ -72,7 +72,7 @@ def test_a_trapezoid_turns_round_for_a_new_target() -> None:
 # Modes of a Damiao motor.
 
 
-def damiao(mode: int) -> SimulatedDriveBench:
+def damiao_bench(mode: int) -> SimulatedDriveBench:
     """Return a bench with an enabled Damiao motor in a control mode."""
     bench = SimulatedDriveBench([drive_spec("mit", 2)])
     write_register(bench, 10, struct.pack("<I", mode))
@@ -90,7 +90,7 @@ def read_register(bench: SimulatedDriveBench, register: int) -> bytes:
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_the_ramps_of_a_damiao_motor_act_in_position_velocity_mode(sign: int) -> None:
-    bench = damiao(2)
+    bench = damiao_bench(2)
     write_register(bench, 4, struct.pack("<f", 4.0))
     write_register(bench, 5, struct.pack("<f", -2.0))
     bench.receive(Frame(0x102, struct.pack("<ff", sign * 6.0, 3.0)))
@@ -106,7 +106,7 @@ def test_the_ramps_of_a_damiao_motor_act_in_position_velocity_mode(sign: int) ->
 
 
 def test_the_ramp_of_a_damiao_motor_acts_in_velocity_mode() -> None:
-    bench = damiao(3)
+    bench = damiao_bench(3)
     write_register(bench, 4, struct.pack("<f", 5.0))
     write_register(bench, 5, struct.pack("<f", -10.0))
     motor = bench.motors[0]
@@ -122,15 +122,15 @@ def test_the_ramp_of_a_damiao_motor_acts_in_velocity_mode() -> None:
 
 
 def test_the_largest_speed_of_a_damiao_motor_acts() -> None:
-    bench = damiao(3)
+    bench = damiao_bench(3)
     write_register(bench, 6, struct.pack("<f", 2.0))
     bench.receive(Frame(0x202, struct.pack("<f", 15.0)))
-    bench.advance(3000 * MS)
+    bench.advance(3000 * NS_PER_MS)
     assert bench.motors[0].omega == pytest.approx(2.0, rel=0.02)
 
 
 def test_a_deceleration_is_negative() -> None:
-    bench = damiao(2)
+    bench = damiao_bench(2)
     before = read_register(bench, 5)
     for value in (3.0, 0.0, math.nan, -math.inf):
         write_register(bench, 5, struct.pack("<f", value))
@@ -144,37 +144,37 @@ def test_a_deceleration_is_negative() -> None:
 
 @pytest.mark.parametrize(("speed", "current"), [(10_001, 500), (1000, 10_001), (65_535, 65_535)])
 def test_force_position_codes_end_at_10000(speed: int, current: int) -> None:
-    bench = damiao(4)
+    bench = damiao_bench(4)
     assert bench.receive(Frame(0x302, struct.pack("<fHH", 3.0, speed, current))) == []
     assert bench.malformed == 1
-    bench.advance(100 * MS)
+    bench.advance(100 * NS_PER_MS)
     assert bench.motors[0].theta == 0.0
 
 
 def test_a_blocked_damiao_motor_holds_the_current_of_force_position_mode() -> None:
-    bench = damiao(4)
+    bench = damiao_bench(4)
     motor = bench.motors[0]
     bench.receive(Frame(0x302, struct.pack("<fHH", 3.0, 500, 2000)))
     for _ in range(2000):
         motor.theta = motor.omega = 0.0
-        bench.advance(bench.t_ns + MS)
+        bench.advance(bench.t_ns + NS_PER_MS)
     assert motor.torque == pytest.approx(0.2 * 7.0, rel=0.02)
 
 
 def test_a_damiao_motor_changes_its_mode_while_enabled() -> None:
     """A change of mode ends the old set-point. The motor coasts until it gets a command of the new mode."""
-    bench = damiao(3)
+    bench = damiao_bench(3)
     motor = bench.motors[0]
     bench.receive(Frame(0x202, struct.pack("<f", 5.0)))
-    bench.advance(1000 * MS)
+    bench.advance(1000 * NS_PER_MS)
     write_register(bench, 10, struct.pack("<I", 2))
-    bench.advance(bench.t_ns + 20 * MS)
+    bench.advance(bench.t_ns + 20 * NS_PER_MS)
     assert motor.command == 0.0
     bench.receive(Frame(0x202, struct.pack("<f", 5.0)))
-    bench.advance(bench.t_ns + 20 * MS)
+    bench.advance(bench.t_ns + 20 * NS_PER_MS)
     assert motor.command == 0.0, "a frame of the old mode has no effect"
     bench.receive(Frame(0x102, struct.pack("<ff", 1.0, 3.0)))
-    bench.advance(bench.t_ns + 4000 * MS)
+    bench.advance(bench.t_ns + 4000 * NS_PER_MS)
     assert motor.theta == pytest.approx(1.0, abs=0.01)
     write_register(bench, 10, struct.pack("<I", 1))
     bench.receive(Frame(2, bytes.fromhex("7fff7ff000000fff")))
@@ -184,10 +184,10 @@ def test_a_damiao_motor_changes_its_mode_while_enabled() -> None:
 
 
 def test_the_watchdog_of_a_damiao_motor_ends_a_motion() -> None:
-    bench = damiao(3)
+    bench = damiao_bench(3)
     write_register(bench, 9, struct.pack("<I", 2000))
     bench.receive(Frame(0x202, struct.pack("<f", 5.0)))
-    bench.advance(300 * MS)
+    bench.advance(300 * NS_PER_MS)
     assert (bench.motors[0].command, bench.motors[0].servo.kd) == (0.0, 0.0)
     assert bench.receive(Frame(0x7FF, b"\2\0\xcc\0" + bytes(4)))[-1].data[0] >> 4 == 0xD
 
@@ -195,12 +195,12 @@ def test_the_watchdog_of_a_damiao_motor_ends_a_motion() -> None:
 # Modes of an ODrive.
 
 
-def odrive(
+def odrive_bench(
     control: int, input_mode: int, *messages: tuple[int, bytes], inertia: float | None = None
 ) -> SimulatedDriveBench:
     """Return a bench with an ODrive (node 3) in closed-loop control, after given messages."""
     bench = SimulatedDriveBench([drive_spec("odrive", 3, inertia=inertia)])
-    send(
+    send_messages(
         bench,
         (0x0B, struct.pack("<II", control, input_mode)),
         *messages,
@@ -209,55 +209,55 @@ def odrive(
     return bench
 
 
-def send(bench: SimulatedDriveBench, *messages: tuple[int, bytes]) -> None:
+def send_messages(bench: SimulatedDriveBench, *messages: tuple[int, bytes]) -> None:
     for command, data in messages:
         bench.receive(Frame(3 << 5 | command, data))
 
 
 def write_endpoint(bench: SimulatedDriveBench, endpoint: int, value: float) -> None:
-    send(bench, (0x04, struct.pack("<BHBf", 1, endpoint, 0, value)))
+    send_messages(bench, (0x04, struct.pack("<BHBf", 1, endpoint, 0, value)))
 
 
 def next_heartbeat(bench: SimulatedDriveBench) -> tuple[int, int, int]:
     """Return the errors, the axis state and the trajectory flag in the next heartbeat of the ODrive."""
     bench.take_unsolicited()
-    bench.advance(bench.t_ns + 200 * MS)
+    bench.advance(bench.t_ns + 200 * NS_PER_MS)
     data = [frame.data for frame in bench.take_unsolicited() if frame.can_id == 3 << 5 | 1][-1]
     return int.from_bytes(data[:4], "little"), data[4], data[6]
 
 
 def test_an_odrive_holds_a_velocity_without_an_error() -> None:
-    bench = odrive(2, 1)
-    send(bench, (0x0D, struct.pack("<ff", -2.0, 0.0)))
-    bench.advance(5000 * MS)
-    assert bench.motors[0].omega == pytest.approx(-2.0 * TURN, rel=1e-3)
+    bench = odrive_bench(2, 1)
+    send_messages(bench, (0x0D, struct.pack("<ff", -2.0, 0.0)))
+    bench.advance(5000 * NS_PER_MS)
+    assert bench.motors[0].omega == pytest.approx(-2.0 * TURN_RAD, rel=1e-3)
 
 
 def test_the_velocity_ramp_of_an_odrive_acts() -> None:
-    bench = odrive(2, 2)
+    bench = odrive_bench(2, 2)
     write_endpoint(bench, 205, 3.0)
     motor = bench.motors[0]
-    send(bench, (0x0D, struct.pack("<ff", 3.0, 0.0)))
-    speeds = sample_each_ms(bench, 2.0, lambda: motor.omega / TURN)
+    send_messages(bench, (0x0D, struct.pack("<ff", 3.0, 0.0)))
+    speeds = sample_each_ms(bench, 2.0, lambda: motor.omega / TURN_RAD)
     assert speeds[499] == pytest.approx(1.5, rel=0.05)
     assert speeds[-1] == pytest.approx(3.0, rel=0.02)
     assert largest_acceleration(speeds, 100) <= 3.3
 
 
 def test_the_torque_ramp_of_an_odrive_acts() -> None:
-    bench = odrive(1, 6, inertia=1.0)
+    bench = odrive_bench(1, 6, inertia=1.0)
     write_endpoint(bench, 206, 0.2)
-    send(bench, (0x0E, struct.pack("<f", 0.1)))
+    send_messages(bench, (0x0E, struct.pack("<f", 0.1)))
     torques = sample_each_ms(bench, 0.8, lambda: bench.motors[0].torque)
     assert torques[249] == pytest.approx(0.05, rel=0.1)
     assert torques[-1] == pytest.approx(0.1, rel=0.01)
 
 
 def test_the_position_filter_of_an_odrive_does_not_overshoot() -> None:
-    bench = odrive(3, 3)
+    bench = odrive_bench(3, 3)
     write_endpoint(bench, 207, 4.0)
-    send(bench, (0x0C, struct.pack("<fhh", 1.0, 0, 0)))
-    angles = sample_each_ms(bench, 4.0, lambda: bench.motors[0].theta / TURN)
+    send_messages(bench, (0x0C, struct.pack("<fhh", 1.0, 0, 0)))
+    angles = sample_each_ms(bench, 4.0, lambda: bench.motors[0].theta / TURN_RAD)
     # The filter is critically damped with the time constant 1 / bandwidth, so its step response is
     # 1 - (1 + 4 t) exp(-4 t).
     assert angles[499] == pytest.approx(1.0 - 3.0 * math.exp(-2.0), abs=0.03)
@@ -267,41 +267,41 @@ def test_the_position_filter_of_an_odrive_does_not_overshoot() -> None:
 
 def test_a_trajectory_of_an_odrive_has_ramps_and_says_when_it_is_done() -> None:
     limits = (0x11, struct.pack("<f", 1.0)), (0x12, struct.pack("<ff", 1.0, 0.5))
-    bench = odrive(3, 5, *limits)
+    bench = odrive_bench(3, 5, *limits)
     motor = bench.motors[0]
-    send(bench, (0x0C, struct.pack("<fhh", 3.0, 0, 0)))
+    send_messages(bench, (0x0C, struct.pack("<fhh", 3.0, 0, 0)))
     # The trajectory takes 1 s and 0.5 turns to reach its speed, 1.5 turns at this speed, and 2 s
     # and 1 turn to rest, in all 4.5 s.
-    speeds = sample_each_ms(bench, 1.0, lambda: motor.omega / TURN)
+    speeds = sample_each_ms(bench, 1.0, lambda: motor.omega / TURN_RAD)
     assert speeds[499] == pytest.approx(0.5, rel=0.05)
     assert next_heartbeat(bench)[2] == 0
     sample_each_ms(bench, 2.1, lambda: 0.0)
-    assert motor.omega / TURN == pytest.approx(0.6, abs=0.05)
+    assert motor.omega / TURN_RAD == pytest.approx(0.6, abs=0.05)
     assert next_heartbeat(bench)[2] == 0
     sample_each_ms(bench, 1.5, lambda: 0.0)
     assert next_heartbeat(bench) == (0, 8, 1)
-    assert motor.theta / TURN == pytest.approx(3.0, abs=0.005)
-    send(bench, (0x0C, struct.pack("<fhh", 2.0, 0, 0)))
+    assert motor.theta / TURN_RAD == pytest.approx(3.0, abs=0.005)
+    send_messages(bench, (0x0C, struct.pack("<fhh", 2.0, 0, 0)))
     assert next_heartbeat(bench)[2] == 0
 
 
 def test_the_torque_limits_of_an_odrive_act_in_position_control() -> None:
-    bench = odrive(3, 1)
+    bench = odrive_bench(3, 1)
     write_endpoint(bench, 203, 0.1)
     write_endpoint(bench, 204, -0.1)
     motor = bench.motors[0]
-    send(bench, (0x0C, struct.pack("<fhh", 5.0, 0, 0)))
+    send_messages(bench, (0x0C, struct.pack("<fhh", 5.0, 0, 0)))
     for _ in range(1000):
         motor.theta = motor.omega = 0.0
-        bench.advance(bench.t_ns + MS)
+        bench.advance(bench.t_ns + NS_PER_MS)
     assert motor.torque == pytest.approx(0.1, rel=0.01)
 
 
 def test_an_odrive_ignores_a_change_of_the_mode_in_closed_loop() -> None:
-    bench = odrive(2, 1)
-    send(bench, (0x0B, struct.pack("<II", 1, 1)), (0x0D, struct.pack("<ff", 1.0, 0.0)))
-    bench.advance(2000 * MS)
-    assert bench.motors[0].omega == pytest.approx(TURN, rel=0.02)
+    bench = odrive_bench(2, 1)
+    send_messages(bench, (0x0B, struct.pack("<II", 1, 1)), (0x0D, struct.pack("<ff", 1.0, 0.0)))
+    bench.advance(2000 * NS_PER_MS)
+    assert bench.motors[0].omega == pytest.approx(TURN_RAD, rel=0.02)
 
 
 @pytest.mark.parametrize("control", [1, 2, 3])
@@ -310,8 +310,8 @@ def test_an_odrive_ignores_a_change_of_the_mode_in_closed_loop() -> None:
     [(0x0C, struct.pack("<fhh", math.nan, 0, 0)), (0x0D, struct.pack("<ff", 0, math.inf))],
 )
 def test_a_setpoint_that_is_not_finite_disarms(control: int, message: tuple[int, bytes]) -> None:
-    bench = odrive(control, 1)
-    send(bench, message)
+    bench = odrive_bench(control, 1)
+    send_messages(bench, message)
     assert next_heartbeat(bench)[:2] == (1 << 6, 1)
     assert bench.motors[0].command == 0.0
 
@@ -319,7 +319,7 @@ def test_a_setpoint_that_is_not_finite_disarms(control: int, message: tuple[int,
 def test_an_odrive_keeps_its_gains_and_limits_when_they_are_impossible() -> None:
     bench = SimulatedDriveBench([drive_spec("odrive", 3)])
     before = bench.nodes[0].motion.settings  # type: ignore[attr-defined]
-    send(
+    send_messages(
         bench,
         (0x11, struct.pack("<f", 0.0)),
         (0x12, struct.pack("<ff", 1.0, -1.0)),
@@ -332,10 +332,10 @@ def test_an_odrive_keeps_its_gains_and_limits_when_they_are_impossible() -> None
 
 # Modes of a CiA 402 drive.
 
-COUNTS = 1 << 16
+COUNTS_PER_TURN = 1 << 16
 
 
-def cia402(
+def cia402_bench(
     mode: int, *objects: tuple[int, int, int, int], **options: object
 ) -> SimulatedDriveBench:
     """Return a bench with an enabled CiA 402 drive (node 33) in a mode.
@@ -352,7 +352,7 @@ def cia402(
     return bench
 
 
-def sdo(bench: SimulatedDriveBench, data: bytes) -> bytes:
+def send_sdo(bench: SimulatedDriveBench, data: bytes) -> bytes:
     return [
         frame.data for frame in bench.receive(Frame(0x600 + 33, data)) if frame.can_id == 0x580 + 33
     ][-1]
@@ -361,20 +361,20 @@ def sdo(bench: SimulatedDriveBench, data: bytes) -> bytes:
 def write_object(bench: SimulatedDriveBench, index: int, sub: int, value: int, size: int) -> int:
     """Write an object of the drive by SDO, and return the abort code, or 0 if there is none."""
     raw = (value & ((1 << 8 * size) - 1)).to_bytes(size, "little").ljust(4, b"\0")
-    reply = sdo(bench, struct.pack("<BHB", 0x23 | (4 - size) << 2, index, sub) + raw)
+    reply = send_sdo(bench, struct.pack("<BHB", 0x23 | (4 - size) << 2, index, sub) + raw)
     return int.from_bytes(reply[4:], "little") if reply[0] == 0x80 else 0
 
 
 def read_object(bench: SimulatedDriveBench, index: int, sub: int = 0) -> int:
-    reply = sdo(bench, struct.pack("<BHB4x", 0x40, index, sub))
+    reply = send_sdo(bench, struct.pack("<BHB4x", 0x40, index, sub))
     size = 4 - (reply[0] >> 2 & 3)
     return int.from_bytes(reply[4 : 4 + size], "little", signed=True)
 
 
-def control(bench: SimulatedDriveBench, word: int) -> int:
+def send_controlword(bench: SimulatedDriveBench, word: int) -> int:
     """Write a control word to the drive, and return its status word ten milliseconds later."""
     write_object(bench, 0x6040, 0, word, 2)
-    bench.advance(bench.t_ns + 10 * MS)
+    bench.advance(bench.t_ns + 10 * NS_PER_MS)
     return read_object(bench, 0x6041)
 
 
@@ -389,7 +389,7 @@ def test_a_cia402_drive_lists_its_modes() -> None:
 
 
 def test_a_cyclic_position_is_followed_and_interpolated() -> None:
-    bench = cia402(8, (0x60C2, 1, 20, 1), (0x60C2, 2, -3, 1))
+    bench = cia402_bench(8, (0x60C2, 1, 20, 1), (0x60C2, 2, -3, 1))
     motor = bench.motors[0]
     target = 0
     angles = []
@@ -398,43 +398,43 @@ def test_a_cyclic_position_is_followed_and_interpolated() -> None:
         write_object(bench, 0x607A, 0, target, 4)
         angles += sample_each_ms(bench, 0.02, lambda: motor.theta)
     speeds = [(after - before) * 1000 for before, after in itertools.pairwise(angles)]
-    rate = 200 / 0.02 / COUNTS * TURN
+    rate = 200 / 0.02 / COUNTS_PER_TURN * TURN_RAD
     assert max(speeds[1000:]) < 1.1 * rate, "20 ms steps are smoothed"
     assert min(speeds[1000:]) > 0.9 * rate
-    bench.advance(bench.t_ns + 2000 * MS)
+    bench.advance(bench.t_ns + 2000 * NS_PER_MS)
     assert read_object(bench, 0x6064) == pytest.approx(target, abs=10)
     assert read_object(bench, 0x6041) & 0x3C00 == 1 << 12
 
 
 def test_a_cyclic_velocity_is_held() -> None:
-    bench = cia402(9, (0x60FF, 0, -120, 4))
-    bench.advance(3000 * MS)
-    assert bench.motors[0].omega == pytest.approx(-120 / 60 * TURN, rel=0.01)
+    bench = cia402_bench(9, (0x60FF, 0, -120, 4))
+    bench.advance(3000 * NS_PER_MS)
+    assert bench.motors[0].omega == pytest.approx(-120 / 60 * TURN_RAD, rel=0.01)
     assert read_object(bench, 0x606C) == pytest.approx(-120, abs=1)
     write_object(bench, 0x6080, 0, 30, 4)
-    bench.advance(bench.t_ns + 3000 * MS)
-    assert bench.motors[0].omega == pytest.approx(-30 / 60 * TURN, rel=0.02)
+    bench.advance(bench.t_ns + 3000 * NS_PER_MS)
+    assert bench.motors[0].omega == pytest.approx(-30 / 60 * TURN_RAD, rel=0.02)
     assert read_object(bench, 0x6041) & 1 << 11, 'the bit "internal limit" is set'
 
 
 def test_the_torque_limit_acts_in_cyclic_position() -> None:
-    bench = cia402(8, (0x6072, 0, 100, 2))
+    bench = cia402_bench(8, (0x6072, 0, 100, 2))
     motor = bench.motors[0]
-    write_object(bench, 0x607A, 0, COUNTS, 4)
+    write_object(bench, 0x607A, 0, COUNTS_PER_TURN, 4)
     for _ in range(1000):
         motor.theta = motor.omega = 0.0
-        bench.advance(bench.t_ns + MS)
+        bench.advance(bench.t_ns + NS_PER_MS)
     assert motor.torque == pytest.approx(0.1, rel=0.01)
 
 
 def test_a_following_error_is_a_fault() -> None:
-    bench = cia402(8, (0x6065, 0, 1000, 4), (0x6066, 0, 50, 2))
+    bench = cia402_bench(8, (0x6065, 0, 1000, 4), (0x6066, 0, 50, 2))
     motor = bench.motors[0]
     write_object(bench, 0x607A, 0, 5000, 4)
     bench.take_unsolicited()
     for _ in range(100):
         motor.theta = motor.omega = 0.0
-        bench.advance(bench.t_ns + MS)
+        bench.advance(bench.t_ns + NS_PER_MS)
     assert read_object(bench, 0x6041) & 0x4F == 0x08
     emergency = [frame.data for frame in bench.take_unsolicited() if frame.can_id == 0x80 + 33]
     assert [int.from_bytes(data[:2], "little") for data in emergency] == [0x8611]
@@ -442,86 +442,91 @@ def test_a_following_error_is_a_fault() -> None:
 
 
 def test_a_profile_position_has_ramps_and_says_when_it_is_reached() -> None:
-    bench = cia402(1, (0x6081, 0, 60, 4), (0x6083, 0, 60, 4), (0x6084, 0, 30, 4))
+    bench = cia402_bench(1, (0x6081, 0, 60, 4), (0x6083, 0, 60, 4), (0x6084, 0, 30, 4))
     motor = bench.motors[0]
-    write_object(bench, 0x607A, 0, 3 * COUNTS, 4)
-    bench.advance(100 * MS)
+    write_object(bench, 0x607A, 0, 3 * COUNTS_PER_TURN, 4)
+    bench.advance(100 * NS_PER_MS)
     assert motor.theta == pytest.approx(0.0, abs=1e-3), "a target waits for the edge of bit 4"
-    word = control(bench, 0x1F)
+    word = send_controlword(bench, 0x1F)
     assert word & (1 << 12 | 1 << 10) == 1 << 12, "the target is acknowledged and not reached"
-    assert not control(bench, 0x0F) & 1 << 12
+    assert not send_controlword(bench, 0x0F) & 1 << 12
     # The speed is 1 turn/s, reached with 1 turn/s2 and left with 0.5 turn/s2. This takes 1 s, 1.5 s
     # at the speed, and 2 s.
-    speeds = sample_each_ms(bench, 4.6, lambda: motor.omega / TURN)
+    speeds = sample_each_ms(bench, 4.6, lambda: motor.omega / TURN_RAD)
     assert speeds[480] == pytest.approx(0.5, rel=0.05)
     assert max(speeds) < 1.02
-    bench.advance(bench.t_ns + 300 * MS)
+    bench.advance(bench.t_ns + 300 * NS_PER_MS)
     assert read_object(bench, 0x6041) & 1 << 10
-    assert read_object(bench, 0x6064) == pytest.approx(3 * COUNTS, abs=100)
+    assert read_object(bench, 0x6064) == pytest.approx(3 * COUNTS_PER_TURN, abs=100)
 
 
 @pytest.mark.parametrize("immediately", [False, True])
 def test_a_second_set_point_waits_unless_it_is_immediate(immediately: bool) -> None:
-    bench = cia402(1, (0x6083, 0, 6000, 4), (0x6084, 0, 6000, 4))
+    bench = cia402_bench(1, (0x6083, 0, 6000, 4), (0x6084, 0, 6000, 4))
     motor = bench.motors[0]
-    write_object(bench, 0x607A, 0, COUNTS, 4)
-    control(bench, 0x1F)
-    control(bench, 0x0F)
+    write_object(bench, 0x607A, 0, COUNTS_PER_TURN, 4)
+    send_controlword(bench, 0x1F)
+    send_controlword(bench, 0x0F)
     write_object(bench, 0x607A, 0, 0, 4)
-    control(bench, 0x1F | immediately << 5)
-    assert bool(control(bench, 0x0F) & 1 << 12) != immediately, "the buffer is full"
-    furthest = max(sample_each_ms(bench, 3.0, lambda: motor.theta / TURN))
+    send_controlword(bench, 0x1F | immediately << 5)
+    assert bool(send_controlword(bench, 0x0F) & 1 << 12) != immediately, "the buffer is full"
+    furthest = max(sample_each_ms(bench, 3.0, lambda: motor.theta / TURN_RAD))
     assert furthest == pytest.approx(0.0 if immediately else 1.0, abs=0.1)
     assert motor.theta == pytest.approx(0.0, abs=0.02)
 
 
 def test_a_relative_set_point_and_halt() -> None:
-    bench = cia402(1)
+    bench = cia402_bench(1)
     motor = bench.motors[0]
     for turns in (1, 2):
-        write_object(bench, 0x607A, 0, COUNTS, 4)
-        control(bench, 0x5F)
-        control(bench, 0x4F)
-        bench.advance(bench.t_ns + 2500 * MS)
-        assert motor.theta / TURN == pytest.approx(turns, abs=0.01)
+        write_object(bench, 0x607A, 0, COUNTS_PER_TURN, 4)
+        send_controlword(bench, 0x5F)
+        send_controlword(bench, 0x4F)
+        bench.advance(bench.t_ns + 2500 * NS_PER_MS)
+        assert motor.theta / TURN_RAD == pytest.approx(turns, abs=0.01)
     write_object(bench, 0x607A, 0, 0, 4)
-    control(bench, 0x1F)
-    bench.advance(bench.t_ns + 500 * MS)
-    control(bench, 0x11F)
-    bench.advance(bench.t_ns + 500 * MS)
+    send_controlword(bench, 0x1F)
+    bench.advance(bench.t_ns + 500 * NS_PER_MS)
+    send_controlword(bench, 0x11F)
+    bench.advance(bench.t_ns + 500 * NS_PER_MS)
     assert motor.omega == pytest.approx(0.0, abs=0.05)
     assert read_object(bench, 0x6041) & 1 << 10, "the motor is at standstill"
-    assert motor.theta / TURN > 0.5
-    control(bench, 0x1F)
-    bench.advance(bench.t_ns + 3000 * MS)
+    assert motor.theta / TURN_RAD > 0.5
+    send_controlword(bench, 0x1F)
+    bench.advance(bench.t_ns + 3000 * NS_PER_MS)
     assert motor.theta == pytest.approx(0.0, abs=0.02), (
         "after the halt the motor moves to the target"
     )
 
 
 def test_a_set_point_bit_left_by_homing_is_no_edge() -> None:
-    bench = cia402(6)
-    assert control(bench, 0x1F) & 1 << 12
+    bench = cia402_bench(6)
+    assert send_controlword(bench, 0x1F) & 1 << 12
     write_object(bench, 0x6060, 0, 1, 1)
-    write_object(bench, 0x607A, 0, COUNTS, 4)
-    assert not control(bench, 0x1F) & 1 << 12, "no target is acknowledged"
-    control(bench, 0x0F)
-    assert control(bench, 0x1F) & 1 << 12
+    write_object(bench, 0x607A, 0, COUNTS_PER_TURN, 4)
+    assert not send_controlword(bench, 0x1F) & 1 << 12, "no target is acknowledged"
+    send_controlword(bench, 0x0F)
+    assert send_controlword(bench, 0x1F) & 1 << 12
 
 
 def test_the_position_limits_of_a_cia402_drive_act() -> None:
-    bench = cia402(8, (0x607D, 1, -COUNTS // 4, 4), (0x607D, 2, COUNTS // 2, 4))
-    for target, end in ((2 * COUNTS, COUNTS // 2), (-2 * COUNTS, -COUNTS // 4)):
+    bench = cia402_bench(
+        8, (0x607D, 1, -COUNTS_PER_TURN // 4, 4), (0x607D, 2, COUNTS_PER_TURN // 2, 4)
+    )
+    for target, end in (
+        (2 * COUNTS_PER_TURN, COUNTS_PER_TURN // 2),
+        (-2 * COUNTS_PER_TURN, -COUNTS_PER_TURN // 4),
+    ):
         write_object(bench, 0x607A, 0, target, 4)
-        bench.advance(bench.t_ns + 3000 * MS)
+        bench.advance(bench.t_ns + 3000 * NS_PER_MS)
         assert read_object(bench, 0x6064) == pytest.approx(end, abs=20)
         assert read_object(bench, 0x6041) & 1 << 11
 
 
 def test_homing_here_sets_the_position() -> None:
-    bench = cia402(6, (0x607C, 0, 1234, 4))
-    assert not control(bench, 0x0F) & 1 << 12
-    word = control(bench, 0x1F)
+    bench = cia402_bench(6, (0x607C, 0, 1234, 4))
+    assert not send_controlword(bench, 0x0F) & 1 << 12
+    word = send_controlword(bench, 0x1F)
     assert word & (1 << 10 | 1 << 12 | 1 << 13) == 1 << 10 | 1 << 12, (
         "target reached and homing attained"
     )
@@ -529,23 +534,23 @@ def test_homing_here_sets_the_position() -> None:
     assert bench.motors[0].theta == pytest.approx(0.0, abs=1e-3), "the motor did not move"
 
 
-@pytest.mark.parametrize(("method", "end"), [(33, 0.0), (34, TURN)])
+@pytest.mark.parametrize(("method", "end"), [(33, 0.0), (34, TURN_RAD)])
 def test_homing_finds_the_next_index_pulse(method: int, end: float) -> None:
-    bench = cia402(6, (0x6098, 0, method, 1), (0x6099, 2, 30, 4))
+    bench = cia402_bench(6, (0x6098, 0, method, 1), (0x6099, 2, 30, 4))
     motor = bench.motors[0]
     motor.theta = 2.0
     write_object(bench, 0x6060, 0, 10, 1)
     write_object(bench, 0x6060, 0, 6, 1)
-    control(bench, 0x1F)
+    send_controlword(bench, 0x1F)
     speeds = sample_each_ms(bench, 4.0, lambda: abs(motor.omega))
-    assert max(speeds) < 1.15 * 30 / 60 * TURN
+    assert max(speeds) < 1.15 * 30 / 60 * TURN_RAD
     assert motor.theta == pytest.approx(end, abs=0.02)
     assert read_object(bench, 0x6041) & 1 << 12
     assert read_object(bench, 0x6064) == pytest.approx(0, abs=110)
 
 
 def test_a_homing_method_without_its_switch_is_refused() -> None:
-    bench = cia402(6)
+    bench = cia402_bench(6)
     for method in (1, 17, 18, 36, -3):
         assert write_object(bench, 0x6098, 0, method, 1) == 0x06090030
     assert read_object(bench, 0x6098) == 37
@@ -553,23 +558,23 @@ def test_a_homing_method_without_its_switch_is_refused() -> None:
 
 @pytest.mark.parametrize("mode", [1, 8])
 def test_a_mode_change_while_enabled_holds_the_position(mode: int) -> None:
-    bench = cia402(9, (0x60FF, 0, 60, 4))
+    bench = cia402_bench(9, (0x60FF, 0, 60, 4))
     motor = bench.motors[0]
-    write_object(bench, 0x607A, 0, 50 * COUNTS, 4)
-    bench.advance(2000 * MS)
+    write_object(bench, 0x607A, 0, 50 * COUNTS_PER_TURN, 4)
+    bench.advance(2000 * NS_PER_MS)
     angle = motor.theta
     write_object(bench, 0x6060, 0, mode, 1)
-    bench.advance(bench.t_ns + 2000 * MS)
+    bench.advance(bench.t_ns + 2000 * NS_PER_MS)
     assert motor.theta == pytest.approx(angle, abs=0.2)
     assert motor.omega == pytest.approx(0.0, abs=0.05)
     write_object(bench, 0x6060, 0, 10, 1)
-    bench.advance(bench.t_ns + 20 * MS)
+    bench.advance(bench.t_ns + 20 * NS_PER_MS)
     assert (motor.command, motor.servo.kd) == (0.0, 0.0), "torque mode has a separate target"
 
 
 def test_a_disabled_cia402_drive_does_not_move() -> None:
-    bench = cia402(9, (0x60FF, 0, 60, 4))
-    bench.advance(1000 * MS)
-    control(bench, 0x06)
+    bench = cia402_bench(9, (0x60FF, 0, 60, 4))
+    bench.advance(1000 * NS_PER_MS)
+    send_controlword(bench, 0x06)
     assert (bench.motors[0].command, bench.motors[0].servo.kd) == (0.0, 0.0)
     assert read_object(bench, 0x6041) & 0x3C00 == 0

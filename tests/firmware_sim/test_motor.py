@@ -10,46 +10,48 @@ from firmware_sim.hand_description import load_hand
 from firmware_sim.plant.drivetrain import COULOMB_SPEED, ENCODER_STEP
 from firmware_sim.plant.motor import CURRENT_LAG_S, Motor
 
-SPEC = load_hand("jamia").motors[0]
-SMOOTH = replace(SPEC, coulomb=0.0, viscous=0.0)
-STEP = 0.5e-3
+MOTOR_SPEC = load_hand("jamia").motors[0]
+FRICTIONLESS_SPEC = replace(MOTOR_SPEC, coulomb=0.0, viscous=0.0)
+STEP_S = 0.5e-3
 
 
-def spin(motor: Motor, seconds: float, load: float = 0.0) -> None:
-    for _ in range(round(seconds / STEP)):
+def spin_motor(motor: Motor, seconds: float, load: float = 0.0) -> None:
+    for _ in range(round(seconds / STEP_S)):
         motor.advance(load)
 
 
 def test_constant_torque_gives_constant_acceleration_after_the_current_lag() -> None:
-    motor = Motor(SMOOTH, STEP)
+    motor = Motor(FRICTIONLESS_SPEC, STEP_S)
     motor.servo.torque, motor.servo.limit = 0.02, 1.0
-    spin(motor, 0.5)
-    exact = 0.02 / SPEC.inertia * (0.5 - CURRENT_LAG_S)
+    spin_motor(motor, 0.5)
+    exact = 0.02 / MOTOR_SPEC.inertia * (0.5 - CURRENT_LAG_S)
     assert motor.omega == pytest.approx(exact, rel=1e-3)
     assert motor.theta == pytest.approx(exact * 0.5 / 2, rel=2e-3)
 
 
 def test_viscous_friction_sets_the_final_speed() -> None:
-    motor = Motor(replace(SPEC, coulomb=0.0), STEP)
+    motor = Motor(replace(MOTOR_SPEC, coulomb=0.0), STEP_S)
     motor.servo.torque, motor.servo.limit = 0.02, 1.0
-    spin(motor, 2.0)
-    assert motor.omega == pytest.approx(0.02 / SPEC.viscous, rel=1e-5)
+    spin_motor(motor, 2.0)
+    assert motor.omega == pytest.approx(0.02 / MOTOR_SPEC.viscous, rel=1e-5)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_rotor_creeps_below_coulomb_friction_and_accelerates_above(sign: float) -> None:
-    motor = Motor(replace(SPEC, viscous=0.0), STEP)
-    motor.servo.torque, motor.servo.limit = sign * 0.5 * SPEC.coulomb, 1.0
-    spin(motor, 0.5)
+    motor = Motor(replace(MOTOR_SPEC, viscous=0.0), STEP_S)
+    motor.servo.torque, motor.servo.limit = sign * 0.5 * MOTOR_SPEC.coulomb, 1.0
+    spin_motor(motor, 0.5)
     assert motor.omega == pytest.approx(sign * COULOMB_SPEED * math.atanh(0.5), rel=1e-6)
-    motor = Motor(replace(SPEC, viscous=0.0), STEP)
-    motor.servo.torque, motor.servo.limit = sign * 2.0 * SPEC.coulomb, 1.0
-    spin(motor, 0.5)
-    assert motor.omega == pytest.approx(sign * SPEC.coulomb / SPEC.inertia * 0.5, rel=0.01)
+    motor = Motor(replace(MOTOR_SPEC, viscous=0.0), STEP_S)
+    motor.servo.torque, motor.servo.limit = sign * 2.0 * MOTOR_SPEC.coulomb, 1.0
+    spin_motor(motor, 0.5)
+    assert motor.omega == pytest.approx(
+        sign * MOTOR_SPEC.coulomb / MOTOR_SPEC.inertia * 0.5, rel=0.01
+    )
 
 
 def test_friction_stops_a_fast_rotor_without_reversing_it() -> None:
-    motor = Motor(SPEC, STEP)
+    motor = Motor(MOTOR_SPEC, STEP_S)
     motor.omega = 10.0
     speeds = []
     for _ in range(2000):
@@ -58,19 +60,23 @@ def test_friction_stops_a_fast_rotor_without_reversing_it() -> None:
     assert min(speeds) >= 0.0
     assert speeds[-1] < 1e-6
     # With Coulomb and viscous friction, the time to rest is t = J/b ln(1 + b w / tau_c).
-    exact = SPEC.inertia / SPEC.viscous * math.log(1 + SPEC.viscous * 10.0 / SPEC.coulomb)
-    assert np.argmax(np.array(speeds) < COULOMB_SPEED) * STEP == pytest.approx(exact, rel=0.05)
+    exact = (
+        MOTOR_SPEC.inertia
+        / MOTOR_SPEC.viscous
+        * math.log(1 + MOTOR_SPEC.viscous * 10.0 / MOTOR_SPEC.coulomb)
+    )
+    assert np.argmax(np.array(speeds) < COULOMB_SPEED) * STEP_S == pytest.approx(exact, rel=0.05)
 
 
 def test_the_current_follows_with_its_lag() -> None:
-    motor = Motor(SPEC, STEP)
+    motor = Motor(MOTOR_SPEC, STEP_S)
     motor.servo.torque, motor.servo.limit = 0.5, 1.0
     motor.advance(0.0)
-    assert motor.torque == pytest.approx(0.5 * (1 - math.exp(-STEP / CURRENT_LAG_S)))
+    assert motor.torque == pytest.approx(0.5 * (1 - math.exp(-STEP_S / CURRENT_LAG_S)))
 
 
 def test_the_torque_stays_within_the_limit() -> None:
-    motor = Motor(SPEC, STEP)
+    motor = Motor(MOTOR_SPEC, STEP_S)
     motor.servo.kp, motor.servo.position, motor.servo.limit = 500.0, 100.0, 0.8
     for _ in range(200):
         motor.advance(0.0)
@@ -83,12 +89,12 @@ def test_the_torque_stays_within_the_limit() -> None:
 
 @pytest.mark.parametrize(("kp", "kd"), [(5.0, 0.05), (500.0, 5.0), (0.5, 5.0)])
 def test_gains_of_the_whole_range_are_stable(kp: float, kd: float) -> None:
-    motor = Motor(SPEC, STEP)
+    motor = Motor(MOTOR_SPEC, STEP_S)
     servo = motor.servo
     servo.kp, servo.kd, servo.position, servo.limit = kp, kd, 0.5, 1.25
-    spin(motor, 2.0)
+    spin_motor(motor, 2.0)
     before = motor.theta
-    spin(motor, 0.05)
+    spin_motor(motor, 0.05)
     assert abs(motor.omega) < 2.0
     assert abs(motor.theta - before) < 0.02
 
@@ -97,7 +103,7 @@ def test_gains_of_the_whole_range_are_stable(kp: float, kd: float) -> None:
 def test_a_moving_target_is_followed_as_a_mass_on_a_spring(speed: float) -> None:
     """J e'' + kd e' + kp e = 0 for the error e of a rotor that starts at rest at a target of constant speed."""
     kp, kd, step_s = 0.5, 0.004, 1e-5
-    motor = Motor(SMOOTH, step_s)
+    motor = Motor(FRICTIONLESS_SPEC, step_s)
     servo = motor.servo
     servo.kp, servo.kd, servo.velocity, servo.target_speed, servo.limit = (
         kp,
@@ -106,8 +112,8 @@ def test_a_moving_target_is_followed_as_a_mass_on_a_spring(speed: float) -> None
         speed,
         100.0,
     )
-    decay = 0.5 * kd / SPEC.inertia
-    omega = math.sqrt(kp / SPEC.inertia - decay**2)
+    decay = 0.5 * kd / MOTOR_SPEC.inertia
+    omega = math.sqrt(kp / MOTOR_SPEC.inertia - decay**2)
     largest = 0.0
     for k in range(1, 10001):
         motor.advance(0.0)
@@ -123,45 +129,48 @@ def test_a_moving_target_is_followed_as_a_mass_on_a_spring(speed: float) -> None
 
 
 def test_a_fixed_target_does_not_move() -> None:
-    motor = Motor(SMOOTH, STEP)
+    motor = Motor(FRICTIONLESS_SPEC, STEP_S)
     servo = motor.servo
     servo.kp, servo.kd, servo.position, servo.velocity, servo.limit = 0.5, 0.004, 0.3, 5.0, 1.0
-    spin(motor, 0.1)
+    spin_motor(motor, 0.1)
     assert servo.position == 0.3
     servo.target_speed = 5.0
     servo.release()
-    spin(motor, 0.1)
+    spin_motor(motor, 0.1)
     assert servo.position == 0.0
 
 
 def test_a_released_servo_makes_no_torque() -> None:
-    motor = Motor(SPEC, STEP)
+    motor = Motor(MOTOR_SPEC, STEP_S)
     servo = motor.servo
     servo.kp, servo.kd, servo.position, servo.torque, servo.limit = 5.0, 0.1, 1.0, 0.3, 1.0
-    spin(motor, 0.1)
+    spin_motor(motor, 0.1)
     servo.release()
-    spin(motor, 0.02)
+    spin_motor(motor, 0.02)
     assert abs(motor.torque) < 1e-12
 
 
 def test_the_torque_gain_changes_the_true_torque_only() -> None:
-    strong, plain = Motor(replace(SMOOTH, torque_gain=1.2), STEP), Motor(SMOOTH, STEP)
+    strong, plain = (
+        Motor(replace(FRICTIONLESS_SPEC, torque_gain=1.2), STEP_S),
+        Motor(FRICTIONLESS_SPEC, STEP_S),
+    )
     for motor in (strong, plain):
         motor.servo.torque, motor.servo.limit = 0.05, 1.0
-        spin(motor, 0.1)
+        spin_motor(motor, 0.1)
     assert strong.torque == plain.torque
     assert strong.omega == pytest.approx(1.2 * plain.omega)
 
 
 def test_heat_is_torque_squared_over_time() -> None:
-    motor = Motor(SPEC, STEP)
+    motor = Motor(MOTOR_SPEC, STEP_S)
     motor.servo.torque, motor.servo.limit = 0.5, 1.0
-    spin(motor, 1.0, load=0.5)
+    spin_motor(motor, 1.0, load=0.5)
     assert motor.heat == pytest.approx(0.25, rel=2e-3)
 
 
 def test_the_encoder_has_fourteen_bits() -> None:
-    motor = Motor(SPEC, STEP)
+    motor = Motor(MOTOR_SPEC, STEP_S)
     for theta in np.linspace(-3, 3, 1000):
         motor.theta = float(theta)
         assert 0.0 <= motor.theta - motor.encoder() < ENCODER_STEP
@@ -171,18 +180,18 @@ def test_the_encoder_has_fourteen_bits() -> None:
 @pytest.mark.parametrize("torque", [-0.03, 0.045])
 def test_friction_does_not_add_inertia(torque: float) -> None:
     """A turning rotor accelerates by torque minus friction, divided by its inertia, at any speed."""
-    motor = Motor(replace(SPEC, viscous=0.0), STEP)
+    motor = Motor(replace(MOTOR_SPEC, viscous=0.0), STEP_S)
     motor.omega, motor.torque = 2.0, torque
     motor.servo.torque, motor.servo.limit = torque, 1.0
-    spin(motor, 0.005)
+    spin_motor(motor, 0.005)
     assert (motor.omega - 2.0) / 0.005 == pytest.approx(
-        (torque - SPEC.coulomb) / SPEC.inertia, rel=1e-3
+        (torque - MOTOR_SPEC.coulomb) / MOTOR_SPEC.inertia, rel=1e-3
     )
 
 
 def test_friction_stops_a_slow_rotor_without_reversing_it() -> None:
     for start in np.linspace(0.005, 0.5, 100):
-        motor = Motor(SPEC, STEP)
+        motor = Motor(MOTOR_SPEC, STEP_S)
         motor.omega = float(start)
-        spin(motor, 0.02)
+        spin_motor(motor, 0.02)
         assert -1e-3 <= motor.omega <= 1e-3 + 0.2 * start

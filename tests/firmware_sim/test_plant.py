@@ -13,10 +13,12 @@ from firmware_sim.plant.plant import Plant
 from firmware_sim.plant.plant_perturbation import perturbed_hand
 from firmware_sim.scene.scene import load_scene
 
-JAMIA = load_hand("jamia")
+JAMIA_HAND = load_hand("jamia")
 
 
-def free(factors: dict[str, float] | None = None, hand: Hand = JAMIA, homed: bool = True) -> Plant:
+def free_hand(
+    factors: dict[str, float] | None = None, hand: Hand = JAMIA_HAND, homed: bool = True
+) -> Plant:
     plant = Plant(perturbed_hand(hand, factors or {}), load_scene(None), seed=1, homed=homed)
     for motor in plant.motors.values():
         motor.servo.limit = 1.25
@@ -25,11 +27,13 @@ def free(factors: dict[str, float] | None = None, hand: Hand = JAMIA, homed: boo
 
 def lock_joints() -> Hand:
     """Return a hand with locked joints. The stops of each joint are a hundredth of a degree apart."""
-    digits = [replace(digit, joint_max_deg=(0.01,) * len(digit.length)) for digit in JAMIA.digits]
-    return replace(JAMIA, digits=digits)
+    digits = [
+        replace(digit, joint_max_deg=(0.01,) * len(digit.length)) for digit in JAMIA_HAND.digits
+    ]
+    return replace(JAMIA_HAND, digits=digits)
 
 
-def pull(plant: Plant, torque: float, seconds: float, ramp: float = 0.3) -> None:
+def pull_tendons(plant: Plant, torque: float, seconds: float, ramp: float = 0.3) -> None:
     """Raise the torque of all motors to a value [N m] in a ramp, and hold it."""
     start = [motor.servo.torque for motor in plant.motors.values()]
     steps = round(seconds * 2000)
@@ -41,8 +45,8 @@ def pull(plant: Plant, torque: float, seconds: float, ramp: float = 0.3) -> None
 
 
 def test_the_springs_hold_the_free_hand_open() -> None:
-    plant = free()
-    pull(plant, 0.0, 0.3)
+    plant = free_hand()
+    pull_tendons(plant, 0.0, 0.3)
     assert np.abs(plant.engine.q).max() < math.radians(0.5)
     assert max(plant.tensions()) < 0.5
 
@@ -53,8 +57,8 @@ def test_spring_and_tendon_balance_at_every_joint(tension: float) -> None:
 
     Gravity is parallel to the hinges.
     """
-    plant = free({"friction": 0.0})
-    pull(plant, tension * 0.005, 2.0)
+    plant = free_hand({"friction": 0.0})
+    pull_tendons(plant, tension * 0.005, 2.0)
     assert plant.tensions() == pytest.approx([tension] * 4, rel=1e-3)
     angle = 0.003 * tension / 0.03 - 0.6
     assert plant.engine.q == pytest.approx([angle] * 11, abs=2e-3)
@@ -62,14 +66,14 @@ def test_spring_and_tendon_balance_at_every_joint(tension: float) -> None:
 
 def test_excursion_and_stretch_add_up() -> None:
     """Without friction and at rest, the travel of the spool is r_a theta = sum r q + f/k."""
-    plant = free({"friction": 0.0})
-    pull(plant, 14.0 * 0.005, 2.0)
+    plant = free_hand({"friction": 0.0})
+    pull_tendons(plant, 14.0 * 0.005, 2.0)
     index = plant.motors["index_motor"].theta
     assert 0.005 * index == pytest.approx(0.003 * sum(plant.engine.q[:3]) + 14.0 / 1e5, abs=2e-6)
 
 
 def test_friction_makes_the_far_joints_lag() -> None:
-    plant = free()
+    plant = free_hand()
     for k in range(600):
         for motor in plant.motors.values():
             motor.servo.torque = 0.09 * k / 600
@@ -79,7 +83,7 @@ def test_friction_makes_the_far_joints_lag() -> None:
 
 
 def test_a_slack_tendon_makes_no_force() -> None:
-    plant = free(homed=False)
+    plant = free_hand(homed=False)
     before = [motor.theta for motor in plant.motors.values()]
     assert all(-0.6 <= theta <= -0.2 for theta in before), (
         "a slack of 1 to 3 mm on a spool of 5 mm radius"
@@ -95,14 +99,14 @@ def test_a_slack_tendon_makes_no_force() -> None:
 
 def test_a_blocked_finger_is_as_stiff_as_its_tendon() -> None:
     """With locked joints, the tension changes by k r for each radian of the spool."""
-    plant = free({"friction": 0.0}, lock_joints())
-    pull(plant, 0.25, 2.0)
+    plant = free_hand({"friction": 0.0}, lock_joints())
+    pull_tendons(plant, 0.25, 2.0)
     low, theta_low = plant.tensions()[0], plant.motors["index_motor"].theta
-    pull(plant, 0.75, 2.0)
+    pull_tendons(plant, 0.75, 2.0)
     high, theta_high = plant.tensions()[0], plant.motors["index_motor"].theta
     assert (low, high) == pytest.approx((50.0, 150.0), rel=1e-3)
     assert (high - low) / (0.005 * (theta_high - theta_low)) == pytest.approx(1e5, rel=0.01)
-    pull(plant, 1.2, 2.0)
+    pull_tendons(plant, 1.2, 2.0)
     assert plant.tensions()[0] == pytest.approx(240.0, rel=1e-3)
     assert plant.tensions()[0] < 1e5 * 0.005 * plant.motors["index_motor"].theta - 5.0, (
         "the tendon is softer beyond the knee"
@@ -111,8 +115,8 @@ def test_a_blocked_finger_is_as_stiff_as_its_tendon() -> None:
 
 def test_a_blocked_rotor_rings_at_the_frequency_of_tendon_and_rotor() -> None:
     """The frequency is sqrt(k r^2 / J) = 139 rad/s. Source: MODEL, section 4."""
-    plant = free({"friction": 0.0, "damping": 0.1}, lock_joints())
-    pull(plant, 0.25, 0.6)
+    plant = free_hand({"friction": 0.0, "damping": 0.1}, lock_joints())
+    pull_tendons(plant, 0.25, 0.6)
     motor = plant.motors["index_motor"]
     motor.omega += 0.5
     speeds = []
@@ -125,8 +129,8 @@ def test_a_blocked_rotor_rings_at_the_frequency_of_tendon_and_rotor() -> None:
 
 
 def test_joint_stops_limit_the_angles() -> None:
-    plant = free()
-    pull(plant, 0.55, 1.0)
+    plant = free_hand()
+    pull_tendons(plant, 0.55, 1.0)
     degrees = np.degrees(plant.engine.q)
     assert degrees.max() < 102.0
     assert degrees.min() > -1.0
@@ -141,7 +145,7 @@ def link_frames(plant: Plant) -> Any:
 
 def test_forward_kinematics_of_the_links() -> None:
     """The fingers flex towards -y and the thumb towards +y. All move in planes of constant z."""
-    plant = free()
+    plant = free_hand()
     q = [0.3, 0.4, 0.1] * 3 + [0.5, 0.2]
     plant.engine.set_joints(q, [0.0] * 11)
     places = link_frames(plant)
@@ -157,13 +161,13 @@ def test_forward_kinematics_of_the_links() -> None:
 
 
 def test_the_thumb_alone_is_opposed() -> None:
-    assert opposed_digits(JAMIA) == [False, False, False, True]
+    assert opposed_digits(JAMIA_HAND) == [False, False, False, True]
 
 
 def test_eleven_motors_move_joints_one_by_one() -> None:
     """In jamia11, the first tendon of a finger moves only the first joint."""
     hand = load_hand("jamia11")
-    plant = free({"friction": 0.0}, hand)
+    plant = free_hand({"friction": 0.0}, hand)
     motors = [motor.name for motor in hand.motors]
     first = hand.tendons[0]
     assert list(first.arms) == ["index_j1"]
@@ -181,12 +185,12 @@ def test_eleven_motors_move_joints_one_by_one() -> None:
 
 
 def test_a_diverging_plant_is_an_error() -> None:
-    plant = free({"spring": 1e6})
+    plant = free_hand({"spring": 1e6})
     with pytest.raises(SimulatorError, match="diverged"):
-        pull(plant, 0.3, 0.5)
+        pull_tendons(plant, 0.3, 0.5)
 
 
-def closing(
+def closing_hand(
     monkeypatch: pytest.MonkeyPatch, step_s: float
 ) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
     """Return the joint angles every 5 ms while a free hand closes to 12 N in 0.4 s. The time step [s] is given."""
@@ -197,7 +201,7 @@ def closing(
             f'timestep="{STEP_S}"', f'timestep="{step_s}"'
         ),
     )
-    plant, rows = free(), []
+    plant, rows = free_hand(), []
     for i in range(round(0.8 / step_s)):
         for motor in plant.motors.values():
             motor.servo.torque = 0.06 * min(1.0, i * step_s / 0.4)
@@ -209,9 +213,9 @@ def closing(
 
 def test_the_step_is_short_enough(monkeypatch: pytest.MonkeyPatch) -> None:
     """The first-order integration of tendons, friction and rotors has a small error, which falls with the time step."""
-    exact = closing(monkeypatch, 0.05e-3)
+    exact = closing_hand(monkeypatch, 0.05e-3)
     errors = [
-        np.degrees(np.sqrt(((closing(monkeypatch, step) - exact) ** 2).mean()))
+        np.degrees(np.sqrt(((closing_hand(monkeypatch, step) - exact) ** 2).mean()))
         for step in (0.5e-3, 0.1e-3)
     ]
     assert np.degrees(exact[-1].min()) > 12.0, "the digit closed"

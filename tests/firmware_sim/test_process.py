@@ -17,9 +17,9 @@ from firmware_sim.hand_description import SimulatorError, find_hand
 from firmware_sim.lockstep_hand import LockstepHand
 from firmware_sim.truth_file import read_truth
 
-ENABLE = bytes.fromhex("fffffffffffffffc")
+ENABLE_PAYLOAD = bytes.fromhex("fffffffffffffffc")
 READY_S = 60.0
-Start = Callable[..., "subprocess.Popen[str]"]
+StartFunction = Callable[..., "subprocess.Popen[str]"]
 
 
 @pytest.fixture
@@ -29,7 +29,7 @@ def run_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
-def start(run_folder: Path) -> Iterator[Start]:
+def start_simulator(run_folder: Path) -> Iterator[StartFunction]:
     """Yield a function that starts ``python -m firmware_sim`` and waits for its ready line."""
     processes = []
 
@@ -73,7 +73,7 @@ def test_ready_is_json_for_a_program(run_folder: Path) -> None:
     assert (ready["hand"], ready["bus"]) == ("jamia", "local:json")
 
 
-def record(can_id: int, data: bytes, flags: int = 0) -> bytes:
+def frame_record(can_id: int, data: bytes, flags: int = 0) -> bytes:
     return (
         can_id.to_bytes(4, "little")
         + bytes((len(data), flags, 0, 0))
@@ -82,16 +82,16 @@ def record(can_id: int, data: bytes, flags: int = 0) -> bytes:
     )
 
 
-def attach(path: Path) -> socket.socket:
+def connect_to_bus(path: Path) -> socket.socket:
     link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     link.settimeout(20.0)
     link.connect(str(path))
     return link
 
 
-def ask(link: socket.socket, can_id: int, data: bytes, flags: int = 0) -> bytes:
+def reply_to(link: socket.socket, can_id: int, data: bytes, flags: int = 0) -> bytes:
     """Send one frame to the simulator, and return the record of its reply."""
-    link.sendall(record(can_id, data, flags))
+    link.sendall(frame_record(can_id, data, flags))
     answer = link.recv(72, socket.MSG_WAITALL)
     assert len(answer) == 72
     return answer
@@ -99,13 +99,17 @@ def ask(link: socket.socket, can_id: int, data: bytes, flags: int = 0) -> bytes:
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_signals_end_the_simulator_with_complete_truth(
-    start: Start, run_folder: Path, number: signal.Signals
+    start_simulator: StartFunction, run_folder: Path, number: signal.Signals
 ) -> None:
-    process = start("--hand", "jamia", "--bus", "local:t", "--scene", "sphere", "--seed", "4")
-    link = attach(run_folder / "t.bus")
-    answer = ask(link, 3, ENABLE)
+    process = start_simulator(
+        "--hand", "jamia", "--bus", "local:t", "--scene", "sphere", "--seed", "4"
+    )
+    link = connect_to_bus(run_folder / "t.bus")
+    answer = reply_to(link, 3, ENABLE_PAYLOAD)
     assert (answer[0], answer[4], answer[5], answer[8]) == (0x13, 8, 0, 0x13)
-    assert ask(link, 3, ENABLE, flags=5)[5] == 5, "the answer to an FD frame is an FD frame"
+    assert reply_to(link, 3, ENABLE_PAYLOAD, flags=5)[5] == 5, (
+        "the answer to an FD frame is an FD frame"
+    )
     time.sleep(0.3)
     before_ns = time.monotonic_ns()
     process.send_signal(number)
@@ -124,8 +128,10 @@ def test_signals_end_the_simulator_with_complete_truth(
     assert abs(int(truth.t_ns[-1]) - before_ns) < 2e9, "the times are of the clock of the machine"
 
 
-def test_slowed_time_slows_the_plant_and_its_clock(start: Start, run_folder: Path) -> None:
-    process = start("--hand", "jamia", "--bus", "local:slow", "--time-scale", "0.05")
+def test_slowed_time_slows_the_plant_and_its_clock(
+    start_simulator: StartFunction, run_folder: Path
+) -> None:
+    process = start_simulator("--hand", "jamia", "--bus", "local:slow", "--time-scale", "0.05")
     began = time.monotonic_ns()
     time.sleep(1.0)
     process.terminate()
@@ -136,11 +142,13 @@ def test_slowed_time_slows_the_plant_and_its_clock(start: Start, run_folder: Pat
     assert abs(int(truth.t_ns[-1]) - 0.05 * time.monotonic_ns()) < 0.05 * 5e9
 
 
-def test_a_hub_alone_and_a_simulator_that_joins_it(start: Start, run_folder: Path) -> None:
-    hub = start("bus", "shared")
-    hand = start("--hand", "jamia", "--bus", "main=join:shared")
-    link = attach(run_folder / "shared.bus")
-    assert ask(link, 1, ENABLE)[0] == 0x11
+def test_a_hub_alone_and_a_simulator_that_joins_it(
+    start_simulator: StartFunction, run_folder: Path
+) -> None:
+    hub = start_simulator("bus", "shared")
+    hand = start_simulator("--hand", "jamia", "--bus", "main=join:shared")
+    link = connect_to_bus(run_folder / "shared.bus")
+    assert reply_to(link, 1, ENABLE_PAYLOAD)[0] == 0x11
     hand.terminate()
     hand.communicate(timeout=20.0)
     hub.terminate()
@@ -151,42 +159,42 @@ def test_a_hub_alone_and_a_simulator_that_joins_it(start: Start, run_folder: Pat
 
 
 def test_a_second_simulator_on_the_same_bus_is_refused(
-    start: Start, run_folder: Path, capsys: pytest.CaptureFixture[str]
+    start_simulator: StartFunction, run_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    start("bus", "taken")
+    start_simulator("bus", "taken")
     assert main(["--hand", "jamia", "--bus", "local:taken"]) == 2
     assert "already served" in capsys.readouterr().err
     assert not (run_folder / "local_taken.truth").exists()
 
 
-HAND = ["--hand", "jamia", "--bus", "local:x"]
-ESCAPES = "\x1b[2J\x1b]0;mine\x07\x9b\u202e\n"
-REFUSED = {
+HAND_OPTIONS = ["--hand", "jamia", "--bus", "local:x"]
+ESCAPE_SEQUENCES = "\x1b[2J\x1b]0;mine\x07\x9b\u202e\n"
+REFUSED_WORDS = {
     "end of options": ["--hand", "jamia", "--bus=--"],
     "end of options, drive": ["drive", "mit", "--ids=--", "--bus", "local:x"],
     "end of options, bus": ["bus", "--wire=--", "x"],
     "NUL": ["--hand", "a\0b", "--bus", "local:x"],
-    "hand": ["--hand", ESCAPES, "--bus", "local:x"],
-    "bus": ["--hand", "jamia", "--bus", f"local:a/{ESCAPES}"],
-    "scene": [*HAND, "--scene", ESCAPES],
-    "scene file": [*HAND, "--scene", "odd.toml"],
-    "perturb": [*HAND, "--perturb", ESCAPES],
-    "wire": [*HAND, "--wire", f"{ESCAPES}=3"],
-    "unknown": [*HAND, f"--{ESCAPES}"],
-    "long": [*HAND, "--scene", "x" * 5000],
-    "number": [*HAND, "--seed", "9" * 5000],
+    "hand": ["--hand", ESCAPE_SEQUENCES, "--bus", "local:x"],
+    "bus": ["--hand", "jamia", "--bus", f"local:a/{ESCAPE_SEQUENCES}"],
+    "scene": [*HAND_OPTIONS, "--scene", ESCAPE_SEQUENCES],
+    "scene file": [*HAND_OPTIONS, "--scene", "odd.toml"],
+    "perturb": [*HAND_OPTIONS, "--perturb", ESCAPE_SEQUENCES],
+    "wire": [*HAND_OPTIONS, "--wire", f"{ESCAPE_SEQUENCES}=3"],
+    "unknown": [*HAND_OPTIONS, f"--{ESCAPE_SEQUENCES}"],
+    "long": [*HAND_OPTIONS, "--scene", "x" * 5000],
+    "number": [*HAND_OPTIONS, "--seed", "9" * 5000],
     "ids": ["drive", "mit", "--ids", "9" * 5000, "--bus", "local:x"],
     "hand file": ["--hand", "./odd.toml", "--bus", "local:x"],
 }
 
 
-@pytest.mark.parametrize("case", REFUSED)
+@pytest.mark.parametrize("case", REFUSED_WORDS)
 def test_wrong_arguments_give_one_printable_line(
     run_folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], case: str
 ) -> None:
     monkeypatch.chdir(run_folder)
     (run_folder / "odd.toml").write_text('name = "x"\n[object]\nshape = "\\u001b[2J\\n"\n')
-    assert main(REFUSED[case]) == 2
+    assert main(REFUSED_WORDS[case]) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert err.startswith("firmware_sim: ")
@@ -222,7 +230,7 @@ def test_the_truth_file_never_overwrites_a_log(
 ) -> None:
     log = run_folder / "run.mcap"
     log.write_bytes(b"a run")
-    assert main([*HAND, "--truth", str(log), "--scene", "none"]) == 2
+    assert main([*HAND_OPTIONS, "--truth", str(log), "--scene", "none"]) == 2
     assert "is a log; expected another name" in capsys.readouterr().err
     assert log.read_bytes() == b"a run"
 
@@ -233,15 +241,15 @@ def test_the_truth_file_never_overwrites_a_log(
         [],
         ["--hand", "nobody", "--bus", "local:x"],
         ["--hand", "jamia"],
-        [*HAND, "--bogus"],
-        [*HAND, "--scene", "volcano"],
-        [*HAND, "--perturb", "colour=2"],
-        [*HAND, "--perturb", "mass=heavy"],
-        [*HAND, "--time-scale", "0"],
-        [*HAND, "--time-scale", "1e-300"],
-        [*HAND, "--time-scale", "nan"],
-        [*HAND, "--seed", "x"],
-        [*HAND, "--truth", "/no/such/folder/truth"],
+        [*HAND_OPTIONS, "--bogus"],
+        [*HAND_OPTIONS, "--scene", "volcano"],
+        [*HAND_OPTIONS, "--perturb", "colour=2"],
+        [*HAND_OPTIONS, "--perturb", "mass=heavy"],
+        [*HAND_OPTIONS, "--time-scale", "0"],
+        [*HAND_OPTIONS, "--time-scale", "1e-300"],
+        [*HAND_OPTIONS, "--time-scale", "nan"],
+        [*HAND_OPTIONS, "--seed", "x"],
+        [*HAND_OPTIONS, "--truth", "/no/such/folder/truth"],
         ["--hand", "jamia", "--bus", "wire:x"],
         ["bus"],
         ["bus", "a/b"],
@@ -278,8 +286,8 @@ def test_help_names_every_option(capsys: pytest.CaptureFixture[str]) -> None:
         assert word in text
 
 
-def test_the_simulator_is_one_process(start: Start) -> None:
-    process = start("--hand", "jamia", "--bus", "local:alone")
+def test_the_simulator_is_one_process(start_simulator: StartFunction) -> None:
+    process = start_simulator("--hand", "jamia", "--bus", "local:alone")
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
     if not children.exists():
         pytest.skip("needs /proc")

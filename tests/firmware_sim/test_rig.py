@@ -13,57 +13,62 @@ from firmware_sim.lockstep_hand import LockstepHand
 from firmware_sim.truth_file import read_truth
 
 TICK_NS = 2_000_000
-MOTORS = (1, 2, 3, 4)
-ENABLE, DISABLE = b"\xff" * 7 + b"\xfc", b"\xff" * 7 + b"\xfd"
-Sent = tuple[int, bytes, int, int, int]
+MOTOR_NODES = (1, 2, 3, 4)
+ENABLE_PAYLOAD, DISABLE_PAYLOAD = b"\xff" * 7 + b"\xfc", b"\xff" * 7 + b"\xfd"
+FrameTuple = tuple[int, bytes, int, int, int]
 
 
-def frame(can_id: int, data: bytes) -> Sent:
+def frame_tuple(can_id: int, data: bytes) -> FrameTuple:
     return (can_id, data, 0, 0, 0)
 
 
-def command(torque: float) -> bytes:
+def torque_payload(torque: float) -> bytes:
     """Return the bytes of a command with only a torque, for the range TMAX = 0.8 N m."""
     return (0x7FFF << 48 | 0x7FF << 36 | round((torque + 0.8) * 4095 / 1.6)).to_bytes(8, "big")
 
 
-def sync(k: int) -> Sent:
-    return frame(0x080, bytes([k & 0xFF]))
+def sync_frame(k: int) -> FrameTuple:
+    return frame_tuple(0x080, bytes([k & 0xFF]))
 
 
-def tick(rig: LockstepHand, k: int, torque: float) -> list[Frame]:
-    return rig.step(k * TICK_NS, [sync(k), *[frame(motor, command(torque)) for motor in MOTORS]])
+def step_with_torque(rig: LockstepHand, k: int, torque: float) -> list[Frame]:
+    return rig.step(
+        k * TICK_NS,
+        [sync_frame(k), *[frame_tuple(motor, torque_payload(torque)) for motor in MOTOR_NODES]],
+    )
 
 
-def close(
+def close_hand(
     rig: LockstepHand, tension: float, seconds: float, ramp: float = 0.8
 ) -> list[list[Frame]]:
     """Enable all motors, raise them in a ramp to a tension [N] and hold it, without feedback. Return the replies."""
-    answers = [rig.step(0, [frame(motor, ENABLE) for motor in MOTORS])]
+    answers = [rig.step(0, [frame_tuple(motor, ENABLE_PAYLOAD) for motor in MOTOR_NODES])]
     for k in range(1, round(seconds * 500)):
-        answers.append(tick(rig, k, 0.005 * tension * min(1.0, k / 500 / ramp)))
+        answers.append(step_with_torque(rig, k, 0.005 * tension * min(1.0, k / 500 / ramp)))
     return answers
 
 
 def test_answers_of_a_tick_and_their_times() -> None:
     rig = LockstepHand("jamia")
-    answers = tick(rig, 0, 0.0)
+    answers = step_with_torque(rig, 0, 0.0)
     assert [answer.can_id for answer in answers] == [0x1A0, 0x11, 0x12, 0x13, 0x14]
     times = [answer.t_ns for answer in answers]
     assert times == sorted(times)
     assert times[0] > 0
     assert times[-1] < TICK_NS
-    assert rig.step(TICK_NS, [frame(0x123, b"hello")]) == []
+    assert rig.step(TICK_NS, [frame_tuple(0x123, b"hello")]) == []
     assert rig.world.foreign == 1
 
 
 def test_a_measurement_is_taken_before_the_command_of_its_tick_acts() -> None:
     rigs = [LockstepHand("jamia", seed=3), LockstepHand("jamia", seed=3)]
     for rig in rigs:
-        rig.step(0, [frame(motor, ENABLE) for motor in MOTORS])
-    first = [tick(rig, 1, torque) for rig, torque in zip(rigs, (0.0, 0.5), strict=True)]
+        rig.step(0, [frame_tuple(motor, ENABLE_PAYLOAD) for motor in MOTOR_NODES])
+    first = [step_with_torque(rig, 1, torque) for rig, torque in zip(rigs, (0.0, 0.5), strict=True)]
     assert first[0] == first[1]
-    second = [tick(rig, 2, torque) for rig, torque in zip(rigs, (0.0, 0.5), strict=True)]
+    second = [
+        step_with_torque(rig, 2, torque) for rig, torque in zip(rigs, (0.0, 0.5), strict=True)
+    ]
     assert second[0] != second[1]
 
 
@@ -71,7 +76,7 @@ def test_equal_seeds_give_equal_bytes_and_others_do_not(tmp_path: Path) -> None:
     outcomes = []
     for name, seed in (("a", 7), ("b", 7), ("c", 8)):
         rig = LockstepHand("jamia", scene="cylinder", seed=seed, truth_path=str(tmp_path / name))
-        answers = close(rig, 30.0, 1.0)
+        answers = close_hand(rig, 30.0, 1.0)
         rig.close()
         outcomes.append((answers, (tmp_path / name).read_bytes()))
     assert outcomes[0] == outcomes[1]
@@ -81,29 +86,31 @@ def test_equal_seeds_give_equal_bytes_and_others_do_not(tmp_path: Path) -> None:
 
 def test_the_watchdog_removes_the_torque_after_its_timeout() -> None:
     rig = LockstepHand("jamia")
-    writes = [frame(0x7FF, struct.pack("<HBBI", motor, 0x55, 9, 1000)) for motor in MOTORS]
-    rig.step(0, [*writes, *[frame(motor, ENABLE) for motor in MOTORS]])
+    writes = [
+        frame_tuple(0x7FF, struct.pack("<HBBI", motor, 0x55, 9, 1000)) for motor in MOTOR_NODES
+    ]
+    rig.step(0, [*writes, *[frame_tuple(motor, ENABLE_PAYLOAD) for motor in MOTOR_NODES]])
     for k in range(1, 200):
-        tick(rig, k, 0.1)
+        step_with_torque(rig, k, 0.1)
     tension = rig.world.plant.tensions()[0]
     assert tension == pytest.approx(20.0, abs=3.5)
     torque = []
     for k in range(200, 240):
-        rig.step(k * TICK_NS, [sync(k)])
+        rig.step(k * TICK_NS, [sync_frame(k)])
         torque.append(rig.world.plant.motors["index_motor"].torque)
     # The last command was sent in tick 199, so the watchdog time of 50 ms ends in tick 224.
     assert all(value == pytest.approx(torque[0], rel=1e-6) for value in torque[:24])
     assert abs(torque[26]) < 1e-3
-    answers = tick(rig, 240, 0.1)
+    answers = step_with_torque(rig, 240, 0.1)
     assert [answer.data[0] >> 4 for answer in answers[1:]] == [0xD] * 4
 
 
 def test_disable_lets_the_finger_open() -> None:
     rig = LockstepHand("jamia")
-    close(rig, 15.0, 1.0)
+    close_hand(rig, 15.0, 1.0)
     assert rig.world.plant.engine.q[0] > 0.3
     for k in range(500, 1000):
-        rig.step(k * TICK_NS, [frame(motor, DISABLE) for motor in MOTORS])
+        rig.step(k * TICK_NS, [frame_tuple(motor, DISABLE_PAYLOAD) for motor in MOTOR_NODES])
     assert max(rig.world.plant.tensions()) < 10.0
     assert rig.world.plant.engine.q[0] < 0.3
 
@@ -114,7 +121,7 @@ def test_friction_alone_carries_the_cylinder_after_the_table_has_sunk(
 ) -> None:
     path = tmp_path / "grasp.truth"
     rig = LockstepHand("jamia", scene="cylinder", truth_path=str(path))
-    close(rig, tension, 8.0)
+    close_hand(rig, tension, 8.0)
     rig.close()
     table = rig.world.plant.table
     assert table is not None
@@ -145,14 +152,14 @@ def test_an_object_too_heavy_for_friction_falls(tmp_path: Path) -> None:
         'friction = 0.5\nposition_m = [0.0195, 0.0, 0.0]\n[support]\ndrop_when = "grasped"\n'
     )
     rig = LockstepHand("jamia", scene=str(scene))
-    close(rig, 30.0, 5.0)
+    close_hand(rig, 30.0, 5.0)
     assert rig.world.plant.engine.object_pose()[2] < -0.05
 
 
 def test_content_of_the_truth_file(tmp_path: Path) -> None:
     path = tmp_path / "t.truth"
     rig = LockstepHand("jamia", scene="cylinder:35", seed=5, truth_path=str(path))
-    close(rig, 20.0, 0.5, ramp=0.2)
+    close_hand(rig, 20.0, 0.5, ramp=0.2)
     rig.close()
     truth = read_truth(path)
     names = truth.header["columns"]
@@ -185,7 +192,7 @@ def test_content_of_the_truth_file(tmp_path: Path) -> None:
 def test_the_load_cell_reads_the_present_true_tension(tmp_path: Path) -> None:
     path = tmp_path / "t.truth"
     rig = LockstepHand("jamia", truth_path=str(path), perturb={"noise": 0.0})
-    answers = close(rig, 15.0, 1.0)
+    answers = close_hand(rig, 15.0, 1.0)
     rig.close()
     tension = read_truth(path).column("tension/index_tendon")
     read = [
@@ -201,7 +208,7 @@ def test_perturbations_change_the_plant_not_the_wire() -> None:
     soft, stiff = (LockstepHand("jamia", perturb={"stiffness": factor}) for factor in (0.7, 1.3))
     angles = []
     for rig in (soft, stiff):
-        close(rig, 100.0, 1.5)
+        close_hand(rig, 100.0, 1.5)
         plant = rig.world.plant
         stretch = 0.005 * plant.motors["index_motor"].theta - 0.003 * sum(plant.engine.q[:3])
         angles.append(plant.tensions()[0] / stretch)

@@ -9,7 +9,7 @@ from firmware_sim.hand_description import SimulatorError, load_hand
 from firmware_sim.plant.plant import Plant
 from firmware_sim.scene.scene import load_scene, packaged_scenes
 
-GOOD = """
+GOOD_SCENE = """
 name = "good"
 [object]
 shape = "sphere"
@@ -77,7 +77,7 @@ def test_objects_rest_on_their_table_until_grasped(name: str) -> None:
 )
 def test_wrong_scenes_are_refused_in_one_line(old: str, new: str, tmp_path: Path) -> None:
     path = tmp_path / "wrong.toml"
-    path.write_text(GOOD.replace(old, new))
+    path.write_text(GOOD_SCENE.replace(old, new))
     with pytest.raises(SimulatorError, match=r"wrong\.toml") as caught:
         load_scene(str(path))
     assert "\n" not in str(caught.value)
@@ -85,7 +85,7 @@ def test_wrong_scenes_are_refused_in_one_line(old: str, new: str, tmp_path: Path
 
 def test_a_valid_scene_file_is_loaded(tmp_path: Path) -> None:
     path = tmp_path / "good.toml"
-    path.write_text(GOOD)
+    path.write_text(GOOD_SCENE)
     scene = load_scene(str(path))
     assert scene.name == "good"
     assert scene.grasp_object is not None

@@ -14,20 +14,20 @@ from firmware_sim.hand_description import SensorSpec, load_hand
 from firmware_sim.nodes.noise import BLOCK_SIZE, NormalNoise
 from firmware_sim.nodes.sensor_node import SensorNode, joint_code, pack, tension_code
 
-LOADED = load_hand("jamia11").sensors
-assert LOADED is not None
-ELEVEN: SensorSpec = LOADED
-SYNC = ELEVEN.sync_id
+LOADED_SENSORS = load_hand("jamia11").sensors
+assert LOADED_SENSORS is not None
+ELEVEN_CELLS: SensorSpec = LOADED_SENSORS
+SYNC_ID = ELEVEN_CELLS.sync_id
 
 
-def node(
-    spec: SensorSpec = ELEVEN, tension: float = 20.0, angle: float = 0.5, seed: int = 0
+def make_node(
+    spec: SensorSpec = ELEVEN_CELLS, tension: float = 20.0, angle: float = 0.5, seed: int = 0
 ) -> SensorNode:
     tendons, joints = len(spec.tendons), len(spec.joints)
     return SensorNode(spec, lambda: np.full(tendons, tension), lambda: np.full(joints, angle), seed)
 
 
-def channels(data: bytes) -> tuple[int, list[int]]:
+def channel_counts(data: bytes) -> tuple[int, list[int]]:
     """Return the counter and the 12-bit channels of a payload.
 
     They are read from a string of binary digits, the lowest digit first.
@@ -43,7 +43,7 @@ def channels(data: bytes) -> tuple[int, list[int]]:
 def test_payloads_are_packed_as_on_the_wire(counter: int, codes: list[int]) -> None:
     data = pack(counter, codes)
     assert len(data) == math.ceil((4 + 12 * len(codes)) / 8)
-    got, values = channels(data)
+    got, values = channel_counts(data)
     assert got == counter % 16
     assert values[: len(codes)] == codes
 
@@ -70,34 +70,34 @@ def test_joint_codes(degrees: float, code: int) -> None:
 
 
 def test_the_node_answers_sync_alone() -> None:
-    sensors = node()
-    assert sensors.receive(Frame(SYNC + 1, b"\0"), 0) is None
-    assert sensors.receive(Frame(SYNC, b""), 0) == []
+    sensors = make_node()
+    assert sensors.receive(Frame(SYNC_ID + 1, b"\0"), 0) is None
+    assert sensors.receive(Frame(SYNC_ID, b""), 0) == []
     assert sensors.malformed == 1
 
 
 def test_frames_and_counters_after_sync() -> None:
-    sensors = node()
+    sensors = make_node()
     for counter in range(32):
-        frames = sensors.receive(Frame(SYNC, bytes([counter]), bus=0), counter) or []
+        frames = sensors.receive(Frame(SYNC_ID, bytes([counter]), bus=0), counter) or []
         ids = [frame.can_id for frame in frames]
-        tension = [ELEVEN.base_id + g for g in range(3)]
-        joints = [ELEVEN.base_id + 0x10 + g for g in range(3)] if counter % 4 == 0 else []
+        tension = [ELEVEN_CELLS.base_id + g for g in range(3)]
+        joints = [ELEVEN_CELLS.base_id + 0x10 + g for g in range(3)] if counter % 4 == 0 else []
         assert ids == tension + joints
-        assert all(channels(frame.data)[0] == counter % 16 for frame in frames)
+        assert all(channel_counts(frame.data)[0] == counter % 16 for frame in frames)
     assert [len(frame.data) for frame in frames[:3]] == [8, 8, 2]
 
 
 def test_noise_has_the_size_of_the_hand_file_and_is_white() -> None:
-    sensors = node(replace(ELEVEN, bias_drift=0.0))
+    sensors = make_node(replace(ELEVEN_CELLS, bias_drift=0.0))
     values = []
     for k in range(2000):
-        frames = sensors.receive(Frame(SYNC, bytes([k & 255])), k * 1_000_000) or []
+        frames = sensors.receive(Frame(SYNC_ID, bytes([k & 255])), k * 1_000_000) or []
         values.append(
-            [code * 0.0625 - 6.0 for frame in frames[:3] for code in channels(frame.data)[1]]
+            [code * 0.0625 - 6.0 for frame in frames[:3] for code in channel_counts(frame.data)[1]]
         )
     noise = np.array(values) - 20.0
-    assert noise.std() == pytest.approx(ELEVEN.tension_noise, rel=0.03)
+    assert noise.std() == pytest.approx(ELEVEN_CELLS.tension_noise, rel=0.03)
     assert abs(noise.mean()) < 0.02
     assert abs(np.mean(noise[1:] * noise[:-1])) < 0.01
     assert abs(np.mean(noise[:, 0] * noise[:, 1])) < 0.03, "the noise of two channels is correlated"
@@ -106,11 +106,11 @@ def test_noise_has_the_size_of_the_hand_file_and_is_white() -> None:
 def test_drift_is_a_random_walk_of_the_given_size() -> None:
     ends = []
     for seed in range(30):
-        sensors = node(seed=seed)
+        sensors = make_node(seed=seed)
         for k in range(101):
-            sensors.receive(Frame(SYNC, b"\1"), k * 1_000_000_000)
+            sensors.receive(Frame(SYNC_ID, b"\1"), k * 1_000_000_000)
         ends += sensors.bias.tolist()
-    assert np.std(ends) == pytest.approx(ELEVEN.bias_drift, rel=0.15)
+    assert np.std(ends) == pytest.approx(ELEVEN_CELLS.bias_drift, rel=0.15)
 
 
 def test_drift_does_not_depend_on_the_sample_rate() -> None:
@@ -118,9 +118,9 @@ def test_drift_does_not_depend_on_the_sample_rate() -> None:
     for step_ms in (10, 1000):
         ends = []
         for seed in range(20):
-            sensors = node(seed=seed)
+            sensors = make_node(seed=seed)
             for k in range(10_000 // step_ms + 1):
-                sensors.receive(Frame(SYNC, b"\1"), k * step_ms * 1_000_000)
+                sensors.receive(Frame(SYNC_ID, b"\1"), k * step_ms * 1_000_000)
             ends += sensors.bias.tolist()
         spread[step_ms] = float(np.std(ends))
     assert spread[10] == pytest.approx(spread[1000], rel=0.2)
@@ -135,7 +135,7 @@ def test_noise_equals_pythons_generator() -> None:
 
 def test_equal_seeds_give_equal_readings() -> None:
     answers = [
-        [node(seed=seed).receive(Frame(SYNC, bytes([k])), k) for k in range(3)]
+        [make_node(seed=seed).receive(Frame(SYNC_ID, bytes([k])), k) for k in range(3)]
         for seed in (1, 1, 2)
     ]
     assert answers[0] == answers[1]

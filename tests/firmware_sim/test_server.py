@@ -21,9 +21,12 @@ from firmware_sim.simulated_world import SimulatedWorld
 from firmware_sim.simulation_pace import PaceCounter, rounded_down
 from tests.firmware_sim.manual_clock import ManualClock
 
-MS = 1_000_000
-START = 7_000 * MS
-ENABLE, COMMAND = bytes.fromhex("fffffffffffffffc"), bytes.fromhex("7fff7ff0000007ff")
+NS_PER_MS = 1_000_000
+START_NS = 7_000 * NS_PER_MS
+ENABLE_PAYLOAD, TORQUE_PAYLOAD = (
+    bytes.fromhex("fffffffffffffffc"),
+    bytes.fromhex("7fff7ff0000007ff"),
+)
 STATE_ENABLED, STATE_LOST = 1, 0xD
 
 
@@ -52,77 +55,81 @@ class FakePort:
     def close(self) -> None: ...
 
 
-class Bench:
+class ServerBench:
     def __init__(self) -> None:
-        self.clock, self.wire = ManualClock(START), FakePort()
+        self.clock, self.wire = ManualClock(START_NS), FakePort()
         self.world = SimulatedWorld(
-            load_hand("jamia"), load_scene(None), homed=True, origin_ns=START
+            load_hand("jamia"), load_scene(None), homed=True, origin_ns=START_NS
         )
         self.server = BusServer(self.world, [self.wire], self.clock)
 
     def turn(self, t_ms: float, *frames: Frame) -> list[Frame]:
         """Set the clock, let the server run one turn with given frames, and return the frames that it sent."""
-        self.clock.t_ns = START + round(t_ms * MS)
+        self.clock.t_ns = START_NS + round(t_ms * NS_PER_MS)
         self.wire.coming, self.wire.sent = list(frames), []
         self.server.turn()
         return self.wire.sent
 
 
 @pytest.fixture
-def bench() -> Bench:
-    return Bench()
+def bench() -> ServerBench:
+    return ServerBench()
 
 
-def state(frame: Frame) -> int:
+def feedback_state(frame: Frame) -> int:
     return frame.data[0] >> 4
 
 
-def test_the_plant_follows_the_clock_in_whole_steps(bench: Bench) -> None:
+def test_the_plant_follows_the_clock_in_whole_steps(bench: ServerBench) -> None:
     bench.turn(3.7)
-    assert bench.world.t_ns == START + round(3.5 * MS)
+    assert bench.world.t_ns == START_NS + round(3.5 * NS_PER_MS)
     bench.turn(4.0)
-    assert bench.world.t_ns == START + 4 * MS
+    assert bench.world.t_ns == START_NS + 4 * NS_PER_MS
 
 
-def test_a_frame_samples_the_plant_at_its_exact_time(bench: Bench) -> None:
+def test_a_frame_samples_the_plant_at_its_exact_time(bench: ServerBench) -> None:
     """The sample is not that of the last whole step, which may be 0.5 ms older.
 
     The times of the steps do not change.
     """
-    bench.turn(3.7, Frame(1, ENABLE))
-    assert bench.world.t_ns == START + round(3.7 * MS)
-    assert bench.world.plant.part_ns == round(0.2 * MS)
-    bench.turn(3.9, Frame(1, COMMAND))
-    assert bench.world.t_ns == START + round(3.9 * MS)
+    bench.turn(3.7, Frame(1, ENABLE_PAYLOAD))
+    assert bench.world.t_ns == START_NS + round(3.7 * NS_PER_MS)
+    assert bench.world.plant.part_ns == round(0.2 * NS_PER_MS)
+    bench.turn(3.9, Frame(1, TORQUE_PAYLOAD))
+    assert bench.world.t_ns == START_NS + round(3.9 * NS_PER_MS)
     bench.turn(4.6)
-    assert bench.world.t_ns == START + round(4.5 * MS)
+    assert bench.world.t_ns == START_NS + round(4.5 * NS_PER_MS)
     assert (bench.world.plant.steps, bench.world.plant.part_ns) == (9, 0)
 
 
-def test_answers_go_out_in_the_same_turn_in_the_order_of_the_requests(bench: Bench) -> None:
+def test_answers_go_out_in_the_same_turn_in_the_order_of_the_requests(bench: ServerBench) -> None:
     sent = bench.turn(
-        1, Frame(0x80, b"\x05"), Frame(2, ENABLE), Frame(1, ENABLE), Frame(0x333, b"foreign")
+        1,
+        Frame(0x80, b"\x05"),
+        Frame(2, ENABLE_PAYLOAD),
+        Frame(1, ENABLE_PAYLOAD),
+        Frame(0x333, b"foreign"),
     )
     assert [frame.can_id for frame in sent] == [0x1A0, 0x12, 0x11]
-    assert [state(frame) for frame in sent[1:]] == [STATE_ENABLED] * 2
+    assert [feedback_state(frame) for frame in sent[1:]] == [STATE_ENABLED] * 2
     assert sent[0].data[0] & 0xF == 5
     assert bench.server.summary()["foreign_frames"] == 1
 
 
-def test_a_late_turn_catches_up_in_strides_and_is_counted(bench: Bench) -> None:
+def test_a_late_turn_catches_up_in_strides_and_is_counted(bench: ServerBench) -> None:
     for turn in range(1, 9):
         bench.turn(30)
-        assert bench.world.t_ns == START + min(turn * MAX_CATCH_UP_NS, 30 * MS)
+        assert bench.world.t_ns == START_NS + min(turn * MAX_CATCH_UP_NS, 30 * NS_PER_MS)
     assert bench.server.overruns == sum(
-        30 * MS - turn * MAX_CATCH_UP_NS > OVERRUN_NS for turn in range(8)
+        30 * NS_PER_MS - turn * MAX_CATCH_UP_NS > OVERRUN_NS for turn in range(8)
     )
     assert bench.world.slip_ns == 0
 
 
-def test_progress_is_reported_to_a_controller_on_the_same_clock(bench: Bench) -> None:
+def test_progress_is_reported_to_a_controller_on_the_same_clock(bench: ServerBench) -> None:
     bench.clock.sent = 5
-    bench.turn(3.7, Frame(1, ENABLE))
-    assert bench.clock.reached_ns == bench.world.t_ns == START + round(3.7 * MS)
+    bench.turn(3.7, Frame(1, ENABLE_PAYLOAD))
+    assert bench.clock.reached_ns == bench.world.t_ns == START_NS + round(3.7 * NS_PER_MS)
     assert bench.clock.answered == 5
 
 
@@ -132,9 +139,9 @@ def test_a_tick_is_answered_only_when_no_frame_waits() -> None:
     A frame that arrives during a turn gets its reply in the next turn.
     """
     port = HubPort("t", 0)
-    clock = ManualClock(START)
+    clock = ManualClock(START_NS)
     server = BusServer(
-        SimulatedWorld(load_hand("jamia"), load_scene(None), homed=True, origin_ns=START),
+        SimulatedWorld(load_hand("jamia"), load_scene(None), homed=True, origin_ns=START_NS),
         [port],
         clock,
     )
@@ -145,11 +152,11 @@ def test_a_tick_is_answered_only_when_no_frame_waits() -> None:
     def send_meanwhile(frames: list[Frame]) -> None:
         answer(frames)
         if clock.sent == 1:
-            controller.send([Frame(2, ENABLE)])
+            controller.send([Frame(2, ENABLE_PAYLOAD)])
             clock.sent = 2
 
     server._send_answers = send_meanwhile  # type: ignore[method-assign]
-    controller.send([Frame(1, ENABLE)])
+    controller.send([Frame(1, ENABLE_PAYLOAD)])
     clock.sent = 1
     server.turn()
     assert clock.answered == 0
@@ -159,14 +166,14 @@ def test_a_tick_is_answered_only_when_no_frame_waits() -> None:
     port.close()
 
 
-def test_an_answer_waits_for_one_stride_at_most(bench: Bench) -> None:
+def test_an_answer_waits_for_one_stride_at_most(bench: ServerBench) -> None:
     """Regression: the server caught up 10 ms before it replied.
 
     This took 2 ms, so the reply came after the next SYNC.
     """
     sent = bench.turn(30, Frame(0x80, b"\x05"))
     assert [frame.can_id for frame in sent] == [0x1A0]
-    assert bench.world.t_ns == START + MAX_CATCH_UP_NS
+    assert bench.world.t_ns == START_NS + MAX_CATCH_UP_NS
 
 
 class GrantedPriority:
@@ -213,8 +220,8 @@ def test_a_slow_machine_is_reported_once_a_second_with_an_advised_pace() -> None
     for _ in range(100):  # 10 s at a tenth of real time, never idle
         now["wall"] += 0.1
         now["cpu"] += 0.1
-        plant_ns += 10 * MS
-        pace.slipped(90 * MS, plant_ns)
+        plant_ns += 10 * NS_PER_MS
+        pace.slipped(90 * NS_PER_MS, plant_ns)
     assert 9 <= len(lines) <= 11
     assert sum(int(line.split(" times")[0].rsplit(" ", 1)[1]) for line in lines[1:]) >= 80
     assert pace.advice == pytest.approx(0.08)
@@ -225,15 +232,15 @@ def test_a_slow_machine_is_reported_once_a_second_with_an_advised_pace() -> None
 def test_one_stall_gives_no_advice() -> None:
     lines: list[str] = []
     pace = PaceCounter(0, lambda: 0.0, lambda: 0.0, lines.append)
-    pace.slipped(200 * MS, MS)
+    pace.slipped(200 * NS_PER_MS, NS_PER_MS)
     assert lines == ["firmware_sim: 200 ms behind, clock slipped"]
     assert pace.advice is None
 
 
 def test_slips_without_a_host_are_counted_but_not_reported(
-    bench: Bench, capsys: pytest.CaptureFixture[str]
+    bench: ServerBench, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    bench.turn(1 + MAX_DELAY_NS // MS + 200)
+    bench.turn(1 + MAX_DELAY_NS // NS_PER_MS + 200)
     assert bench.server.slips == 1
     assert capsys.readouterr().err == ""
 
@@ -246,16 +253,16 @@ def test_a_pace_is_rounded_down_to_one_digit(pace: float, rounded: float) -> Non
 
 
 def test_a_late_simulation_skips_time_and_reports_it(
-    bench: Bench, capsys: pytest.CaptureFixture[str]
+    bench: ServerBench, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    bench.turn(1, Frame(1, ENABLE))
-    lost_ms = MAX_DELAY_NS // MS + 200
+    bench.turn(1, Frame(1, ENABLE_PAYLOAD))
+    lost_ms = MAX_DELAY_NS // NS_PER_MS + 200
     bench.turn(1 + lost_ms)
-    assert bench.world.t_ns == START + MS
-    assert bench.world.slip_ns == lost_ms * MS
+    assert bench.world.t_ns == START_NS + NS_PER_MS
+    assert bench.world.slip_ns == lost_ms * NS_PER_MS
     assert capsys.readouterr().err == f"firmware_sim: {lost_ms} ms behind, clock slipped\n"
     bench.turn(1 + lost_ms + 2)
-    assert bench.world.t_ns == START + 3 * MS
+    assert bench.world.t_ns == START_NS + 3 * NS_PER_MS
     assert (bench.server.slips, bench.server.overruns) == (1, 0)
 
 
@@ -264,13 +271,17 @@ def write_timeout(milliseconds: int) -> Frame:
     return Frame(0x7FF, bytes((1, 0, 0x55, 9)) + (milliseconds * 20).to_bytes(4, "little"))
 
 
-def test_a_slip_does_not_trip_a_watchdog_but_real_silence_does(bench: Bench) -> None:
-    bench.turn(1, write_timeout(40), Frame(1, ENABLE))
+def test_a_slip_does_not_trip_a_watchdog_but_real_silence_does(bench: ServerBench) -> None:
+    bench.turn(1, write_timeout(40), Frame(1, ENABLE_PAYLOAD))
     bench.turn(1 + 500)
-    assert [state(frame) for frame in bench.turn(502, Frame(1, COMMAND))] == [STATE_ENABLED]
+    assert [feedback_state(frame) for frame in bench.turn(502, Frame(1, TORQUE_PAYLOAD))] == [
+        STATE_ENABLED
+    ]
     for t_ms in range(503, 560, 2):
         bench.turn(t_ms)
-    assert [state(frame) for frame in bench.turn(560, Frame(1, COMMAND))] == [STATE_LOST]
+    assert [feedback_state(frame) for frame in bench.turn(560, Frame(1, TORQUE_PAYLOAD))] == [
+        STATE_LOST
+    ]
 
 
 def test_the_scaled_clock_is_monotonic_time_times_scale(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -323,7 +334,7 @@ def test_a_port_joins_a_served_bus(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     owner = HubPort("shared", 3)
     guest = JoinedPort("shared", 5)
     owner.receive(owner.read_sockets())
-    request, answer = Frame(1, ENABLE), Frame(0x11, bytes(range(48)), FDF)
+    request, answer = Frame(1, ENABLE_PAYLOAD), Frame(0x11, bytes(range(48)), FDF)
     owner.send([request])
     assert guest.receive(guest.read_sockets()) == [request._replace(bus=5)]
     guest.send([answer])

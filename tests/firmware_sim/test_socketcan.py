@@ -13,12 +13,12 @@ from firmware_sim.bus.frame import BRS, FDF, Frame
 from firmware_sim.bus.socketcan import SocketCanPort
 from firmware_sim.hand_description import SimulatorError
 
-CLASSICAL = bytes.fromhex("23010000 03 000000 0102030000000000")
+CLASSICAL_FRAME = bytes.fromhex("23010000 03 000000 0102030000000000")
 FD_BYTES = bytes.fromhex("debc1a80 0c 05 0000") + bytes(range(12)) + bytes(52)
 FD_FRAME = Frame(1 << 31 | 0x1ABCDE, bytes(range(12)), FDF | BRS)
 
 
-class Interface:
+class FakeSocket:
     """The end of a raw CAN socket that the kernel would have."""
 
     def __init__(self) -> None:
@@ -56,57 +56,57 @@ class Interface:
         self.bound = None
 
 
-def error(number: int) -> OSError:
+def os_error(number: int) -> OSError:
     return OSError(number, os.strerror(number))
 
 
 @pytest.fixture
-def interface(monkeypatch: pytest.MonkeyPatch) -> Interface:
-    kernel = Interface()
+def interface(monkeypatch: pytest.MonkeyPatch) -> FakeSocket:
+    kernel = FakeSocket()
     for name in ("AF_CAN", "CAN_RAW", "SOL_CAN_RAW", "CAN_RAW_FD_FRAMES"):
         monkeypatch.setattr(socket, name, getattr(socket, name, 0), raising=False)
     monkeypatch.setattr(socket, "socket", lambda *_: kernel)
     return kernel
 
 
-def test_classical_and_fd_frames_from_the_kernel(interface: Interface) -> None:
+def test_classical_and_fd_frames_from_the_kernel(interface: FakeSocket) -> None:
     port = SocketCanPort("vcan7", 2)
     assert interface.bound == ("vcan7",)
-    interface.waiting = [CLASSICAL, FD_BYTES]
+    interface.waiting = [CLASSICAL_FRAME, FD_BYTES]
     assert port.receive(port.read_sockets()) == [
         Frame(0x123, b"\x01\x02\x03", 0, 2),
         FD_FRAME._replace(bus=2),
     ]
 
 
-def test_an_fd_frame_is_recognised_by_its_size_without_the_flag(interface: Interface) -> None:
+def test_an_fd_frame_is_recognised_by_its_size_without_the_flag(interface: FakeSocket) -> None:
     port = SocketCanPort("vcan7", 0)
     interface.waiting = [FD_BYTES[:5] + b"\x00" + FD_BYTES[6:]]
     assert port.receive(port.read_sockets())[0].flags == FDF
 
 
-def test_classical_and_fd_frames_to_the_kernel(interface: Interface) -> None:
+def test_classical_and_fd_frames_to_the_kernel(interface: FakeSocket) -> None:
     SocketCanPort("vcan7", 0).send([Frame(0x123, b"\x01\x02\x03"), FD_FRAME])
-    assert interface.sent == [CLASSICAL, FD_BYTES]
+    assert interface.sent == [CLASSICAL_FRAME, FD_BYTES]
 
 
-def test_a_socket_that_is_not_ready_is_not_read(interface: Interface) -> None:
-    interface.waiting = [CLASSICAL]
+def test_a_socket_that_is_not_ready_is_not_read(interface: FakeSocket) -> None:
+    interface.waiting = [CLASSICAL_FRAME]
     assert SocketCanPort("vcan7", 0).receive([]) == []
 
 
-def test_a_full_queue_and_an_interface_that_is_down_count_as_losses(interface: Interface) -> None:
+def test_a_full_queue_and_an_interface_that_is_down_count_as_losses(interface: FakeSocket) -> None:
     port = SocketCanPort("vcan7", 0)
-    interface.refusal = error(errno.ENOBUFS)
+    interface.refusal = os_error(errno.ENOBUFS)
     port.send([FD_FRAME])
     assert port.lost == 1
-    interface.refusal, interface.waiting = None, [error(errno.ENETDOWN), CLASSICAL]
+    interface.refusal, interface.waiting = None, [os_error(errno.ENETDOWN), CLASSICAL_FRAME]
     assert port.receive(port.read_sockets()) == []
     assert len(port.receive(port.read_sockets())) == 1
     assert port.lost == 2
 
 
-def test_a_missing_interface_comes_with_the_command(interface: Interface) -> None:
-    interface.refusal = error(errno.ENODEV)
+def test_a_missing_interface_comes_with_the_command(interface: FakeSocket) -> None:
+    interface.refusal = os_error(errno.ENODEV)
     with pytest.raises(SimulatorError, match="ip link add dev can9 type vcan"):
         SocketCanPort("can9", 0)

@@ -14,9 +14,9 @@ from firmware_sim.plant.plant import Plant
 from firmware_sim.scene.scene import load_scene
 from firmware_sim.scene.scene_stages import StageSequence, read_stage
 
-UPRIGHT = (0.0, 0.0, -9.81)
-SIDEWAYS = {"down": [3.0, 0.0, 0.0], "turn_s": 0.5, "last_s": 2.0}
-SCENE = """
+UPRIGHT_GRAVITY_M_S2 = (0.0, 0.0, -9.81)
+SIDEWAYS_STAGE = {"down": [3.0, 0.0, 0.0], "turn_s": 0.5, "last_s": 2.0}
+TWO_STAGE_SCENE = """
 name = "two stages"
 [object]
 shape = "cylinder"
@@ -42,9 +42,11 @@ friction = 0.1
 
 
 def test_gravity_turns_and_keeps_its_new_direction() -> None:
-    stages = StageSequence((read_stage(SIDEWAYS), read_stage({"last_s": 1.0})), UPRIGHT)
+    stages = StageSequence(
+        (read_stage(SIDEWAYS_STAGE), read_stage({"last_s": 1.0})), UPRIGHT_GRAVITY_M_S2
+    )
     assert stages.duration == 3.5
-    assert stages.state_at(0.0).gravity == UPRIGHT
+    assert stages.state_at(0.0).gravity == UPRIGHT_GRAVITY_M_S2
     half = stages.state_at(0.25).gravity
     assert half == pytest.approx((9.81 / math.sqrt(2), 0.0, -9.81 / math.sqrt(2))), (
         "the magnitude does not change during the turn"
@@ -63,7 +65,7 @@ def test_duration_of_a_push_and_lasting_friction() -> None:
         "push_s": 1.0,
         "friction": 0.2,
     }
-    stages = StageSequence((read_stage(stage), read_stage({"last_s": 1.0})), UPRIGHT)
+    stages = StageSequence((read_stage(stage), read_stage({"last_s": 1.0})), UPRIGHT_GRAVITY_M_S2)
     pushes = [stages.state_at(time).push[1] for time in (0.5, 1.4, 1.5, 2.4, 2.6, 4.5)]
     assert pushes == [0.0, 0.0, 1.0, 1.0, 0.0, 0.0]
     assert [stages.state_at(time).friction for time in (0.9, 1.1, 4.5)] == [None, 0.2, 0.2]
@@ -75,7 +77,7 @@ def test_the_plant_applies_the_stage(tmp_path: Path) -> None:
     Gravity then points towards the thumb, and the friction of all contacts is changed.
     """
     path = tmp_path / "stages.toml"
-    path.write_text(SCENE)
+    path.write_text(TWO_STAGE_SCENE)
     plant = Plant(load_hand("jamia"), load_scene(str(path)), homed=True)
     plant.engine.set_joints([0.1] * 11, [0.0] * 11)
     while plant.stage < 0:
@@ -102,7 +104,7 @@ def test_the_plant_applies_the_stage(tmp_path: Path) -> None:
 )
 def test_wrong_stages_are_refused(change: dict[str, object], expected: str) -> None:
     with pytest.raises(ValueError, match=expected):
-        read_stage(SIDEWAYS | change)
+        read_stage(SIDEWAYS_STAGE | change)
 
 
 @pytest.mark.parametrize(
@@ -116,7 +118,7 @@ def test_stages_need_a_table_that_sinks_and_no_load(
     change: tuple[str, str], tmp_path: Path
 ) -> None:
     path = tmp_path / "wrong.toml"
-    path.write_text(SCENE.replace(*change))
+    path.write_text(TWO_STAGE_SCENE.replace(*change))
     with pytest.raises(SimulatorError, match="stage") as caught:
         load_scene(str(path))
     assert "\n" not in str(caught.value)

@@ -12,22 +12,22 @@ from firmware_sim.plant.drivetrain import step_drivetrain, tensions
 from firmware_sim.plant.motor import Motor
 from firmware_sim.plant.tendon import TendonRouting
 
-HAND = load_hand("jamia")
-SPEC = HAND.tendons[0]
-JOINTS = ["index_j1", "index_j2", "index_j3"]
-REST = [0.0, 0.0, 0.0]
+JAMIA_HAND = load_hand("jamia")
+TENDON_SPEC = JAMIA_HAND.tendons[0]
+INDEX_JOINTS = ["index_j1", "index_j2", "index_j3"]
+REST_ANGLES_RAD = [0.0, 0.0, 0.0]
 
 
 class TendonOnSpool:
     """One simulated tendon on its spool."""
 
-    def __init__(self, spec: TendonSpec = SPEC) -> None:
-        routing = TendonRouting([spec], JOINTS, [spec.motor], [0.005], compiled=False)
-        self.motor, (self.row,) = Motor(HAND.motors[0], 0.5e-3), routing.tendons
+    def __init__(self, spec: TendonSpec = TENDON_SPEC) -> None:
+        routing = TendonRouting([spec], INDEX_JOINTS, [spec.motor], [0.005], compiled=False)
+        self.motor, (self.row,) = Motor(JAMIA_HAND.motors[0], 0.5e-3), routing.tendons
         self.parts = routing.rows, routing.joints, routing.arms, [self.motor]
 
     def elastic(self, stretch: float) -> float:
-        return self.tension_at(REST, REST, stretch / 0.005, 0.0)
+        return self.tension_at(REST_ANGLES_RAD, REST_ANGLES_RAD, stretch / 0.005, 0.0)
 
     def tension_at(self, q: list[float], dq: list[float], theta: float, omega: float) -> float:
         self.motor.theta, self.motor.omega = theta, omega
@@ -74,9 +74,9 @@ def test_linear_up_to_the_knee_then_softer_without_a_kink() -> None:
 def test_a_tendon_never_pushes(theta: float, omega: float, q: list[float]) -> None:
     torque = [0.0] * 3
     tendon = make_tendon()
-    tension = tendon.pull(q, REST, theta, omega, torque)
+    tension = tendon.pull(q, REST_ANGLES_RAD, theta, omega, torque)
     assert tension >= 0.0
-    assert tension == tendon.tension_at(q, REST, theta, omega)
+    assert tension == tendon.tension_at(q, REST_ANGLES_RAD, theta, omega)
     assert min(torque) >= 0.0
     if 0.005 * theta < 0.003 * sum(q):
         assert tension == 0.0
@@ -85,13 +85,13 @@ def test_a_tendon_never_pushes(theta: float, omega: float, q: list[float]) -> No
 
 def test_damping_does_not_push_when_the_tendon_goes_slack() -> None:
     torque = [0.0] * 3
-    assert make_tendon().pull(REST, REST, 0.01, -50.0, torque) == 0.0
+    assert make_tendon().pull(REST_ANGLES_RAD, REST_ANGLES_RAD, 0.01, -50.0, torque) == 0.0
     assert torque == [0.0] * 3
 
 
 def test_at_rest_every_pulley_has_the_tension_of_the_load_cell() -> None:
     torque = [0.0] * 3
-    tension = make_tendon().pull([0.3, 0.2, 0.1], REST, 0.5, 0.0, torque)
+    tension = make_tendon().pull([0.3, 0.2, 0.1], REST_ANGLES_RAD, 0.5, 0.0, torque)
     stretch = 0.005 * 0.5 - 0.003 * 0.6
     assert tension == pytest.approx(1e5 * stretch)
     assert torque == pytest.approx([0.003 * tension] * 3)

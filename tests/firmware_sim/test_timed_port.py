@@ -21,35 +21,35 @@ from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.open import open_bus
 from tests.firmware_sim.manual_clock import ManualClock
 
-MS = 1_000_000
-START = 5_000 * MS
-SYNC, TENSIONS, REGISTERS = 0x80, 0x1A0, 0x7FF
+NS_PER_MS = 1_000_000
+START_NS = 5_000 * NS_PER_MS
+SYNC_ID, TENSIONS_ID, REGISTERS_ID = 0x80, 0x1A0, 0x7FF
 
 
-class Lab:
+class TimedBus:
     """A simulated hand and a host on a bus with the timing of a wire.
 
-    ``at`` sets the clock and processes all events that are due.
+    ``frames_at`` sets the clock and processes all events that are due.
     """
 
     def __init__(self, words: list[str], hand: bool = True) -> None:
-        self.clock = ManualClock(START)
+        self.clock = ManualClock(START_NS)
         made = timed_port_maker(words, [DEFAULT_BITRATES], self.clock.now_ns, nodes=hand)
         assert made
         self.port = made("lab", 0)
         self.world = SimulatedWorld(
-            load_hand("jamia"), load_scene(None), homed=True, origin_ns=START
+            load_hand("jamia"), load_scene(None), homed=True, origin_ns=START_NS
         )
         self.server = BusServer(self.world, [self.port], self.clock)
         self.host: Bus = open_bus("local:lab", 0, 1_000_000)
-        self.settle()
+        self.serve_clients()
 
-    def settle(self) -> None:
+    def serve_clients(self) -> None:
         while ready := select.select(self.port.read_sockets(), [], [], 0.0)[0]:
             self.port.receive(ready)
 
-    def at(self, ms: float) -> list[Frame]:
-        self.clock.t_ns = START + round(ms * MS)
+    def frames_at(self, ms: float) -> list[Frame]:
+        self.clock.t_ns = START_NS + round(ms * NS_PER_MS)
         for _ in range(30):
             self.server.turn()
             if self.port.due_ns > self.clock.t_ns:
@@ -63,123 +63,125 @@ def _run_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def lab() -> Iterator[Lab]:
-    made = Lab(["queue=8"])
+def timed_bus() -> Iterator[TimedBus]:
+    made = TimedBus(["queue=8"])
     yield made
     made.host.close()
     made.port.close()
 
 
-def us(size: int) -> float:
+def frame_time_us(size: int) -> float:
     return frame_time_s(size, False, 1e6) * 1e6
 
 
-def test_an_answer_arrives_after_the_wire_time_of_request_and_answer(lab: Lab) -> None:
-    assert isinstance(lab.port, TimedPort)
-    lab.host.send([Frame(SYNC, b"\x05")])
-    assert lab.at(0.0) == []
-    assert lab.at((us(1) + us(7) - 1) * 1e-3) == []
-    (frame,) = lab.at((us(1) + us(7)) * 1e-3)
-    assert (frame.can_id, frame.data[0] & 0xF) == (TENSIONS, 5)
-    assert lab.port.wire.busy_ns == round((us(1) + us(7)) * 1e3)
+def test_an_answer_arrives_after_the_wire_time_of_request_and_answer(timed_bus: TimedBus) -> None:
+    assert isinstance(timed_bus.port, TimedPort)
+    timed_bus.host.send([Frame(SYNC_ID, b"\x05")])
+    assert timed_bus.frames_at(0.0) == []
+    assert timed_bus.frames_at((frame_time_us(1) + frame_time_us(7) - 1) * 1e-3) == []
+    (frame,) = timed_bus.frames_at((frame_time_us(1) + frame_time_us(7)) * 1e-3)
+    assert (frame.can_id, frame.data[0] & 0xF) == (TENSIONS_ID, 5)
+    assert timed_bus.port.wire.busy_ns == round((frame_time_us(1) + frame_time_us(7)) * 1e3)
 
 
 @pytest.mark.parametrize(
     ("adapter", "longest_ms"), [("usb-hs", 0.25), ("usb-fs", 2.0), ("spi", 0.2)]
 )
 def test_an_answer_arrives_later_behind_an_adapter(adapter: str, longest_ms: float) -> None:
-    lab = Lab([f"adapter={adapter}"])
-    wire_ms = (us(1) + us(7)) * 1e-3
-    lab.host.send([Frame(SYNC, b"\x05")])
+    lab = TimedBus([f"adapter={adapter}"])
+    wire_ms = (frame_time_us(1) + frame_time_us(7)) * 1e-3
+    lab.host.send([Frame(SYNC_ID, b"\x05")])
     passed = 0.0
-    while not (frames := lab.at(passed)):
+    while not (frames := lab.frames_at(passed)):
         passed += 0.01
         assert passed < 10.0
-    assert [frame.can_id for frame in frames] == [TENSIONS]
+    assert [frame.can_id for frame in frames] == [TENSIONS_ID]
     assert wire_ms < passed <= wire_ms + longest_ms + 0.02
     lab.host.close()
     lab.port.close()
 
 
-def test_answers_with_low_identifiers_overtake_requests_with_high_identifiers(lab: Lab) -> None:
-    lab.host.send(
-        [Frame(REGISTERS, bytes((node, 0, 0xCC, 0, 0, 0, 0, 0))) for node in (1, 2, 3, 4)]
+def test_answers_with_low_identifiers_overtake_requests_with_high_identifiers(
+    timed_bus: TimedBus,
+) -> None:
+    timed_bus.host.send(
+        [Frame(REGISTERS_ID, bytes((node, 0, 0xCC, 0, 0, 0, 0, 0))) for node in (1, 2, 3, 4)]
     )
-    lab.at(0.0)
+    timed_bus.frames_at(0.0)
     arrivals = {}
     for tenth in range(20):
-        for frame in lab.at(tenth * us(8) * 1e-3 + 0.001):
+        for frame in timed_bus.frames_at(tenth * frame_time_us(8) * 1e-3 + 0.001):
             arrivals[frame.can_id] = tenth
     assert arrivals == {0x11: 2, 0x12: 4, 0x13: 6, 0x14: 8}, (
         "each answer overtakes the next request"
     )
 
 
-def test_a_full_queue_refuses_at_once(lab: Lab) -> None:
-    lab.at(0.0)
+def test_a_full_queue_refuses_at_once(timed_bus: TimedBus) -> None:
+    timed_bus.frames_at(0.0)
     frames = [Frame(0x700 + n, b"") for n in range(20)]
-    assert lab.host.send(frames) == 8
-    assert lab.host.take_events() == [("enobufs", "local:lab", 12)]
-    lab.server.turn()
-    assert lab.host.send(frames) == 0, "no frame has left the queue"
-    lab.host.take_events()
-    lab.clock.t_ns += round(3 * us(0) * 1000)
-    lab.server.turn()
-    assert lab.host.send(frames) == 3, (
+    assert timed_bus.host.send(frames) == 8
+    assert timed_bus.host.take_events() == [("enobufs", "local:lab", 12)]
+    timed_bus.server.turn()
+    assert timed_bus.host.send(frames) == 0, "no frame has left the queue"
+    timed_bus.host.take_events()
+    timed_bus.clock.t_ns += round(3 * frame_time_us(0) * 1000)
+    timed_bus.server.turn()
+    assert timed_bus.host.send(frames) == 3, (
         "three frames have left the queue, which the host sees without reading"
     )
     for ms in (20.0, 40.0):
-        lab.at(ms)
-    assert lab.port.wire.frames == 11
-    assert lab.host.take_events() == [("enobufs", "local:lab", 17)]
-    assert lab.host.send(frames) == 8
+        timed_bus.frames_at(ms)
+    assert timed_bus.port.wire.frames == 11
+    assert timed_bus.host.take_events() == [("enobufs", "local:lab", 17)]
+    assert timed_bus.host.send(frames) == 8
 
 
-def test_a_host_that_has_not_read_yet_learns_of_refusals_later(lab: Lab) -> None:
-    assert lab.host.send([Frame(0x700 + n, b"") for n in range(20)]) == 20, (
+def test_a_host_that_has_not_read_yet_learns_of_refusals_later(timed_bus: TimedBus) -> None:
+    assert timed_bus.host.send([Frame(0x700 + n, b"") for n in range(20)]) == 20, (
         "the hub has accepted all frames"
     )
-    lab.at(0.0)
-    assert ("enobufs", "local:lab", 20 - 8) in lab.host.take_events()
-    lab.at(20.0)
-    assert lab.port.wire.frames == 8
+    timed_bus.frames_at(0.0)
+    assert ("enobufs", "local:lab", 20 - 8) in timed_bus.host.take_events()
+    timed_bus.frames_at(20.0)
+    assert timed_bus.port.wire.frames == 8
 
 
-def test_frames_received_while_sending_are_not_lost(lab: Lab) -> None:
-    lab.at(0.0)
-    lab.host.send([Frame(REGISTERS, bytes((1, 0, 0xCC, 0, 0, 0, 0, 0)))] * 8)
-    lab.server.turn()
-    lab.clock.t_ns += round(2.5 * us(8) * 1000)
+def test_frames_received_while_sending_are_not_lost(timed_bus: TimedBus) -> None:
+    timed_bus.frames_at(0.0)
+    timed_bus.host.send([Frame(REGISTERS_ID, bytes((1, 0, 0xCC, 0, 0, 0, 0, 0)))] * 8)
+    timed_bus.server.turn()
+    timed_bus.clock.t_ns += round(2.5 * frame_time_us(8) * 1000)
     for _ in range(30):
-        lab.server.turn()
-    assert lab.host.send([Frame(0x700, b"")] * 8) < 8
-    assert [frame.can_id for frame in lab.host.drain()] == [0x11]
+        timed_bus.server.turn()
+    assert timed_bus.host.send([Frame(0x700, b"")] * 8) < 8
+    assert [frame.can_id for frame in timed_bus.host.drain()] == [0x11]
 
 
-def test_a_disturbed_wire_puts_the_host_into_bus_off_and_is_reported(lab: Lab) -> None:
-    assert isinstance(lab.port, TimedPort)
-    lab.port.wire.disturbed = 32
-    lab.host.send([Frame(0x700, b"")])
-    lab.at(0.0)
-    lab.at(50.0)
-    kinds = {kind for kind, _, _ in lab.host.take_events()}
+def test_a_disturbed_wire_puts_the_host_into_bus_off_and_is_reported(timed_bus: TimedBus) -> None:
+    assert isinstance(timed_bus.port, TimedPort)
+    timed_bus.port.wire.disturbed = 32
+    timed_bus.host.send([Frame(0x700, b"")])
+    timed_bus.frames_at(0.0)
+    timed_bus.frames_at(50.0)
+    kinds = {kind for kind, _, _ in timed_bus.host.take_events()}
     assert {"error_warning", "error_passive", "bus_off"} <= kinds
-    assert "bus_off" in {kind for kind, _, _ in lab.host.take_events()}, (
+    assert "bus_off" in {kind for kind, _, _ in timed_bus.host.take_events()}, (
         "the event repeats during bus-off"
     )
 
 
 def test_a_client_alone_gets_no_acknowledge() -> None:
-    lab = Lab([], hand=False)
+    lab = TimedBus([], hand=False)
     lab.host.send([Frame(1, b"")])
-    lab.settle()
-    lab.clock.t_ns += 10 * MS
+    lab.serve_clients()
+    lab.clock.t_ns += 10 * NS_PER_MS
     lab.port.receive([])
     kinds = {kind for kind, _, _ in lab.host.take_events()} if lab.host.drain() == [] else set()
     assert "error_passive" in kinds
     second = open_bus("local:lab", 0, 1_000_000)
-    lab.settle()
-    lab.clock.t_ns += 10 * MS
+    lab.serve_clients()
+    lab.clock.t_ns += 10 * NS_PER_MS
     lab.port.receive([])
     assert [frame.can_id for frame in second.drain()] == [1]
     lab.host.close()
@@ -187,18 +189,18 @@ def test_a_client_alone_gets_no_acknowledge() -> None:
     lab.port.close()
 
 
-def test_a_disconnected_client_loses_its_queue(lab: Lab) -> None:
-    assert isinstance(lab.port, TimedPort)
+def test_a_disconnected_client_loses_its_queue(timed_bus: TimedBus) -> None:
+    assert isinstance(timed_bus.port, TimedPort)
     other = open_bus("local:lab", 0, 1_000_000)
-    lab.settle()
-    lab.host.send([Frame(0x700, b"")] * 5)
-    lab.at(0.0)
-    lab.host.close()
-    lab.settle()
-    lab.clock.t_ns += 10 * MS
-    lab.port.receive([])
+    timed_bus.serve_clients()
+    timed_bus.host.send([Frame(0x700, b"")] * 5)
+    timed_bus.frames_at(0.0)
+    timed_bus.host.close()
+    timed_bus.serve_clients()
+    timed_bus.clock.t_ns += 10 * NS_PER_MS
+    timed_bus.port.receive([])
     assert len(other.drain()) <= 1
-    assert lab.port.wire.next_ns() > lab.clock.t_ns
+    assert timed_bus.port.wire.next_ns() > timed_bus.clock.t_ns
     other.close()
 
 

@@ -14,9 +14,12 @@ from firmware_sim.wire.frame_bits import FD_LENGTHS, BitRates, arbitration_numbe
 from firmware_sim.wire.simulated_wire import NEVER_NS, SimulatedWire, WireOptions
 from handctl.drives.frame_time import frame_time_s
 
-NOMINAL, DATA = 1_000_000, 5_000_000
-WORST, ACTUAL = BitRates(NOMINAL, DATA), BitRates(NOMINAL, DATA, actual=True)
-FRAMES = st.builds(
+NOMINAL_BIT_S, DATA_BIT_S = 1_000_000, 5_000_000
+WORST_CASE_RATES, ACTUAL_RATES = (
+    BitRates(NOMINAL_BIT_S, DATA_BIT_S),
+    BitRates(NOMINAL_BIT_S, DATA_BIT_S, actual=True),
+)
+FRAME_STRATEGY = st.builds(
     lambda can_id, data, fd: Frame(can_id, data, FDF | BRS) if fd else Frame(can_id, data[:8]),
     st.integers(0, 0x7FF),
     st.sampled_from(FD_LENGTHS).flatmap(lambda size: st.binary(min_size=size, max_size=size)),
@@ -47,15 +50,15 @@ class BusMember:
         return [frame.can_id & 0x1FF for frame in self.errors]
 
 
-def parties(wire: SimulatedWire, count: int) -> list[BusMember]:
+def add_controllers(wire: SimulatedWire, count: int) -> list[BusMember]:
     return [BusMember(wire) for _ in range(count)]
 
 
-@given(FRAMES)
+@given(FRAME_STRATEGY)
 def test_both_packages_compute_the_same_maximum_frame_time(frame: Frame) -> None:
-    expected = frame_time_s(len(frame.data), bool(frame.flags & FDF), NOMINAL, DATA)
-    assert WORST.frame_ns(frame) == pytest.approx(expected * 1e9, abs=2)
-    assert 0.7 * expected * 1e9 < ACTUAL.frame_ns(frame) <= WORST.frame_ns(frame)
+    expected = frame_time_s(len(frame.data), bool(frame.flags & FDF), NOMINAL_BIT_S, DATA_BIT_S)
+    assert WORST_CASE_RATES.frame_ns(frame) == pytest.approx(expected * 1e9, abs=2)
+    assert 0.7 * expected * 1e9 < ACTUAL_RATES.frame_ns(frame) <= WORST_CASE_RATES.frame_ns(frame)
 
 
 def test_a_frame_whose_bits_were_counted_by_hand() -> None:
@@ -64,22 +67,22 @@ def test_a_frame_whose_bits_were_counted_by_hand() -> None:
     A stuff bit follows every five zeros.
     """
     zeros = 1 + 11 + 3 + 4 + 15
-    assert ACTUAL.frame_ns(Frame(0, b"")) == (zeros + zeros // 5 + 13) * 1000
-    assert ACTUAL.frame_ns(Frame(0x555, b"\x55" * 8)) < (34 + 64 + 13 + 6) * 1000, (
+    assert ACTUAL_RATES.frame_ns(Frame(0, b"")) == (zeros + zeros // 5 + 13) * 1000
+    assert ACTUAL_RATES.frame_ns(Frame(0x555, b"\x55" * 8)) < (34 + 64 + 13 + 6) * 1000, (
         "at most six stuff bits"
     )
 
 
 def test_an_extended_identifier_takes_twenty_bits_more() -> None:
     assert (
-        WORST.frame_ns(Frame(1 | EXTENDED_FLAG, bytes(8)))
+        WORST_CASE_RATES.frame_ns(Frame(1 | EXTENDED_FLAG, bytes(8)))
         == (54 + 64 + (54 + 64 - 1) // 4 + 13) * 1000
     )
 
 
 def test_the_lowest_identifier_goes_first_without_interruption() -> None:
-    wire = SimulatedWire(WORST)
-    a, b, ears = parties(wire, 3)
+    wire = SimulatedWire(WORST_CASE_RATES)
+    a, b, ears = add_controllers(wire, 3)
     a.controller.offer(Frame(0x300, b""), 0)
     for can_id in (0x200, 0x100):
         b.controller.offer(Frame(can_id, b""), 1000)
@@ -103,21 +106,21 @@ def test_arbitration_is_bit_by_bit(first: int, second: int) -> None:
 
 
 def test_the_wire_is_never_idle_while_a_frame_waits() -> None:
-    wire, rng = SimulatedWire(ACTUAL), random.Random(1)
-    senders = parties(wire, 4)
+    wire, rng = SimulatedWire(ACTUAL_RATES), random.Random(1)
+    senders = add_controllers(wire, 4)
     frames = [Frame(rng.randrange(0x800), rng.randbytes(rng.randrange(9))) for _ in range(200)]
     frames = list({frame.can_id: frame for frame in frames}.values())
     for frame in frames:
         rng.choice(senders).controller.offer(frame, 0)
     wire.advance(10**9)
-    assert wire.busy_ns == sum(map(ACTUAL.frame_ns, frames))
+    assert wire.busy_ns == sum(map(ACTUAL_RATES.frame_ns, frames))
     assert wire.frames == len(frames)
     assert wire.next_ns() == NEVER_NS
 
 
 def test_a_full_queue_refuses_and_reports() -> None:
-    wire = SimulatedWire(WORST, WireOptions(queue=3))
-    a, b = parties(wire, 2)
+    wire = SimulatedWire(WORST_CASE_RATES, WireOptions(queue=3))
+    a, b = add_controllers(wire, 2)
     assert [a.controller.offer(Frame(n, b""), 0) for n in range(5)] == [True] * 3 + [False] * 2
     assert a.controller.refused == 2
     assert a.classes == [0x04, 0x04]
@@ -128,7 +131,7 @@ def test_a_full_queue_refuses_and_reports() -> None:
 
 
 def test_a_sender_alone_repeats_and_turns_passive_but_stays_on_the_bus() -> None:
-    wire = SimulatedWire(WORST)
+    wire = SimulatedWire(WORST_CASE_RATES)
     lonely = BusMember(wire)
     lonely.controller.offer(Frame(1, bytes(8)), 0)
     wire.advance(10**9)
@@ -146,16 +149,16 @@ def test_a_sender_alone_repeats_and_turns_passive_but_stays_on_the_bus() -> None
     assert lonely.controller.tx_errors == 127
 
 
-def destroy(wire: SimulatedWire, sender: CanController, count: int, t_ns: int) -> None:
+def destroy_frames(wire: SimulatedWire, sender: CanController, count: int, t_ns: int) -> None:
     wire.disturbed = count
     sender.offer(Frame(1, b"x"), t_ns)
     wire.advance(t_ns + 10**8)
 
 
 def test_disturbance_leads_over_warning_and_passive_to_bus_off_and_back() -> None:
-    wire = SimulatedWire(WORST, WireOptions(restart_ms=100.0))
-    sender, receiver = parties(wire, 2)
-    destroy(wire, sender.controller, 32, 0)
+    wire = SimulatedWire(WORST_CASE_RATES, WireOptions(restart_ms=100.0))
+    sender, receiver = add_controllers(wire, 2)
+    destroy_frames(wire, sender.controller, 32, 0)
     assert sender.controller.tx_errors == 256
     assert sender.classes == [0x88, 0x8C, 0x8C, 0xC8]
     assert [frame.data[1] for frame in sender.errors] == [0, 0x08, 0x20, 0]
@@ -173,9 +176,9 @@ def test_disturbance_leads_over_warning_and_passive_to_bus_off_and_back() -> Non
 
 
 def test_bus_off_is_permanent_without_a_restart() -> None:
-    wire = SimulatedWire(WORST)
-    sender, receiver = parties(wire, 2)
-    destroy(wire, sender.controller, 32, 0)
+    wire = SimulatedWire(WORST_CASE_RATES)
+    sender, receiver = add_controllers(wire, 2)
+    destroy_frames(wire, sender.controller, 32, 0)
     wire.advance(10**10)
     assert sender.controller.state == CanErrorState.BUS_OFF
     assert wire.next_ns() == NEVER_NS
@@ -185,9 +188,9 @@ def test_bus_off_is_permanent_without_a_restart() -> None:
 
 
 def test_successful_frames_reduce_the_error_counters() -> None:
-    wire = SimulatedWire(WORST)
-    sender, receiver = parties(wire, 2)
-    destroy(wire, sender.controller, 13, 0)
+    wire = SimulatedWire(WORST_CASE_RATES)
+    sender, receiver = add_controllers(wire, 2)
+    destroy_frames(wire, sender.controller, 13, 0)
     assert (sender.controller.tx_errors, receiver.controller.rx_errors) == (103, 12)
     assert sender.controller.state == CanErrorState.WARNING
     for n in range(8):
@@ -199,14 +202,14 @@ def test_successful_frames_reduce_the_error_counters() -> None:
 
 
 def test_two_of_one_identifier_destroy_each_other() -> None:
-    wire = SimulatedWire(WORST)
-    a, b, ears = parties(wire, 3)
+    wire = SimulatedWire(WORST_CASE_RATES)
+    a, b, ears = add_controllers(wire, 3)
     for party, data in ((a, b"a"), (b, b"b")):
         party.controller.offer(Frame(7, data), 0)
     wire.advance(10**9)
     assert ears.received == []
     assert a.controller.state == b.controller.state == CanErrorState.BUS_OFF
-    for party in parties(wire, 2):
+    for party in add_controllers(wire, 2):
         party.controller.offer(Frame(8, b"same"), 10**9)
     wire.advance(2 * 10**9)
     assert ears.ids == [8], "two equal frames are one frame"
@@ -215,8 +218,8 @@ def test_two_of_one_identifier_destroy_each_other() -> None:
 def test_the_error_rate_is_met_and_repeats() -> None:
     errors = []
     for _ in range(2):
-        wire = SimulatedWire(WORST, WireOptions(error_rate=0.05, queue=10_000, seed=3))
-        sender, receiver = parties(wire, 2)
+        wire = SimulatedWire(WORST_CASE_RATES, WireOptions(error_rate=0.05, queue=10_000, seed=3))
+        sender, receiver = add_controllers(wire, 2)
         for n in range(4000):
             sender.controller.offer(Frame(n & 0x7FF, b""), 0)
         wire.advance(10**12)
@@ -226,8 +229,8 @@ def test_the_error_rate_is_met_and_repeats() -> None:
 
 
 def test_removing_a_controller_during_its_frame_is_harmless() -> None:
-    wire = SimulatedWire(WORST)
-    leaves, stays, ears = parties(wire, 3)
+    wire = SimulatedWire(WORST_CASE_RATES)
+    leaves, stays, ears = add_controllers(wire, 3)
     leaves.controller.offer(Frame(1, bytes(8)), 0)
     stays.controller.offer(Frame(2, b""), 0)
     wire.advance(50_000)

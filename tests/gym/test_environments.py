@@ -17,38 +17,43 @@ import handctl.gym
 from handctl.client.observation import AXIS_OF
 from handctl.errors import ConfigError
 
-PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "gym.md"
-TRACK, GRASP = "handctl/Track-v0", "handctl/Grasp-v0"
-GRASPS = {"jamia": (70, 0.3), "jamia11": (70, 0.3), "jamia_bench": (70, 0.3), "t42": (15, 0.15)}
+PAGE_FILE = Path(__file__).parents[2] / "docs" / "how-to" / "gym.md"
+TRACK_ENV, GRASP_ENV = "handctl/Track-v0", "handctl/Grasp-v0"
+GRASP_PARAMETERS = {
+    "jamia": (70, 0.3),
+    "jamia11": (70, 0.3),
+    "jamia_bench": (70, 0.3),
+    "t42": (15, 0.15),
+}
 """For each packaged hand, the time of contact and the tension of a scripted grasp.
 
 The numbers are the step in which its digits are close to the object, and the action that holds the
 object by tension.
 """
-SIZES = {"t42": {"diameter_mm": (33.4, 35.0)}}
+DIAMETER_OPTIONS = {"t42": {"diameter_mm": (33.4, 35.0)}}
 """Diameters of the object [mm]. The two fingers of the t42 would squeeze smaller objects out."""
 
 
-def make(name: str, **options: Any) -> Any:
+def make_env(name: str, **options: Any) -> Any:
     """Return an environment without wrappers."""
     return gymnasium.make(name, **options).unwrapped
 
 
-def ideal(env: Any, seen: Any) -> Any:
+def following_action(env: Any, seen: Any) -> Any:
     """Return the action whose targets are the reference after the horizon, which an observation contains."""
     first = env.layout.names.index(f"reference_ahead_rad[{env.names[0]}]")
     return env.action_for(np.degrees(seen[first : first + len(env.names)]))
 
 
-def closing(env: Any, step: int) -> Any:
+def closing_action(env: Any, step: int) -> Any:
     """Return the action of a scripted grasp in a step. The grasp closes first and then holds."""
     action = np.full(env.action_space.shape, min(1.0, -1.0 + step / 60), np.float32)
-    begin, tension = GRASPS[env.hand.name]
+    begin, tension = GRASP_PARAMETERS[env.hand.name]
     action[len(env.names) :] = tension if step > begin else -1.0
     return action
 
 
-def episode(env: Any, seed: int, steps: int) -> bytes:
+def run_episode(env: Any, seed: int, steps: int) -> bytes:
     """Return the observations and rewards of an episode with random actions, as bytes."""
     rng = np.random.default_rng(seed)
     seen, _ = env.reset(seed=seed)
@@ -63,22 +68,22 @@ def episode(env: Any, seed: int, steps: int) -> bytes:
     return b"".join(rows)
 
 
-@pytest.mark.parametrize("name", [TRACK, GRASP])
+@pytest.mark.parametrize("name", [TRACK_ENV, GRASP_ENV])
 @pytest.mark.parametrize("hand", ["jamia", "t42"])
 @pytest.mark.parametrize("space", ["digit", "joint"])
 def test_environments_pass_the_gymnasium_checker(name: str, hand: str, space: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        env = make(name, hand=hand, space=space, duration_s=0.4)
+        env = make_env(name, hand=hand, space=space, duration_s=0.4)
         check_env(env)
         env.close()
 
 
-@pytest.mark.parametrize("name", [TRACK, GRASP])
+@pytest.mark.parametrize("name", [TRACK_ENV, GRASP_ENV])
 def test_equal_seeds_and_actions_give_equal_episodes(name: str) -> None:
-    env = make(name)
-    first = [episode(env, seed, 12) for seed in range(20)]
-    assert [episode(make(name), seed, 12) for seed in range(20)] == first
+    env = make_env(name)
+    first = [run_episode(env, seed, 12) for seed in range(20)]
+    assert [run_episode(make_env(name), seed, 12) for seed in range(20)] == first
     assert len(set(first)) == 20
 
 
@@ -87,11 +92,11 @@ def test_equal_seeds_and_actions_give_equal_episodes(name: str) -> None:
 )
 def test_the_reference_can_be_tracked(hand: str, span: float | None) -> None:
     """The fingers of the t42 touch each other at 9 degrees, so its reference moves only little."""
-    env = make(TRACK, hand=hand, **({} if span is None else {"span": (0.0, span)}))
+    env = make_env(TRACK_ENV, hand=hand, **({} if span is None else {"span": (0.0, span)}))
     seen, _ = env.reset(seed=3)
     rewards, ended, truncated = [], False, False
     while not (ended or truncated):
-        seen, reward, ended, truncated, info = env.step(ideal(env, seen))
+        seen, reward, ended, truncated, info = env.step(following_action(env, seen))
         rewards.append(reward)
     assert truncated, info
     assert len(rewards) == env.longest == 250
@@ -99,14 +104,14 @@ def test_the_reference_can_be_tracked(hand: str, span: float | None) -> None:
     assert info["error_deg"] < 3.0
 
 
-@pytest.mark.parametrize("hand", GRASPS)
+@pytest.mark.parametrize("hand", GRASP_PARAMETERS)
 def test_the_object_can_be_grasped(hand: str) -> None:
-    env = make(GRASP, hand=hand, **SIZES.get(hand, {}))
+    env = make_env(GRASP_ENV, hand=hand, **DIAMETER_OPTIONS.get(hand, {}))
     for seed in range(3):
         env.reset(seed=seed)
         total, step, ended, truncated = 0.0, 0, False, False
         while not (ended or truncated):
-            _, reward, ended, truncated, info = env.step(closing(env, step))
+            _, reward, ended, truncated, info = env.step(closing_action(env, step))
             total, step = total + reward, step + 1
         assert ended, info
         assert info["is_success"], info
@@ -114,13 +119,13 @@ def test_the_object_can_be_grasped(hand: str) -> None:
 
 
 def test_an_object_that_does_not_fit_is_refused() -> None:
-    env = make(GRASP, hand="t42", diameter_mm=(38.0, 38.0))
+    env = make_env(GRASP_ENV, hand="t42", diameter_mm=(38.0, 38.0))
     with pytest.raises(ConfigError, match=r"diameter_mm: cylinder:38.00 touches the open t42"):
         env.reset(seed=0)
 
 
 def test_hand_without_action_grasps_nothing() -> None:
-    env = make(GRASP, duration_s=1.0)
+    env = make_env(GRASP_ENV, duration_s=1.0)
     env.reset(seed=0)
     still = np.full(env.action_space.shape, -1.0, np.float32)
     rows = [env.step(still) for _ in range(env.longest)]
@@ -131,12 +136,12 @@ def test_hand_without_action_grasps_nothing() -> None:
 
 
 def test_a_fault_ends_an_episode() -> None:
-    env = make(TRACK)
+    env = make_env(TRACK_ENV)
     seen, _ = env.reset(seed=0)
     env.run.peer.inject("snap tendon=index_tendon at=1s")
     ended = False
     while not ended:
-        seen, _, ended, truncated, info = env.step(ideal(env, seen))
+        seen, _, ended, truncated, info = env.step(following_action(env, seen))
         assert not truncated
     assert re.match("fault T0(1|2b) index_tendon", info["failure"])
     assert info["mode"] == "RELAX"
@@ -147,7 +152,7 @@ def test_random_actions_are_limited_and_trip_nothing_on_a_free_hand() -> None:
 
     No fault ends an episode, and the tensions stay within their limits.
     """
-    env = make(TRACK, duration_s=1.0)
+    env = make_env(TRACK_ENV, duration_s=1.0)
     limit = max(tendon.tension_max_N for tendon in env.hand.tendon)
     for seed in range(20):
         env.reset(seed=seed)
@@ -160,7 +165,7 @@ def test_random_actions_are_limited_and_trip_nothing_on_a_free_hand() -> None:
 
 
 def test_names_are_those_of_the_client_s_observations() -> None:
-    env = make(TRACK, hand="jamia11")
+    env = make_env(TRACK_ENV, hand="jamia11")
     telemetry = {part.name for part in env.layout.parts if not part.name.startswith("reference")}
     assert telemetry <= AXIS_OF.keys()
     assert env.layout.names[:2] == ("q_rad[index_j1]", "q_rad[index_j2]")
@@ -190,16 +195,16 @@ def test_several_processes_give_the_episodes_of_one_process() -> None:
 @pytest.mark.parametrize(
     ("name", "options", "line"),
     [
-        (TRACK, {"hand": "jamja"}, "no such hand or file"),
-        (TRACK, {"space": "tip"}, "space: 'tip'; expected joint or digit"),
-        (TRACK, {"duration_s": 0.0}, "duration_s: 0 s; expected more than 0"),
-        (TRACK, {"speed_deg_s": -1.0}, "speed_deg_s: -1 deg/s; expected more than 0"),
-        (TRACK, {"span": (0.5, 0.5)}, "span: "),
-        (GRASP, {"diameter_mm": (40.0, 30.0)}, "diameter_mm: "),
+        (TRACK_ENV, {"hand": "jamja"}, "no such hand or file"),
+        (TRACK_ENV, {"space": "tip"}, "space: 'tip'; expected joint or digit"),
+        (TRACK_ENV, {"duration_s": 0.0}, "duration_s: 0 s; expected more than 0"),
+        (TRACK_ENV, {"speed_deg_s": -1.0}, "speed_deg_s: -1 deg/s; expected more than 0"),
+        (TRACK_ENV, {"span": (0.5, 0.5)}, "span: "),
+        (GRASP_ENV, {"diameter_mm": (40.0, 30.0)}, "diameter_mm: "),
     ],
 )
 def test_a_wrong_option_is_one_line(name: str, options: dict[str, Any], line: str) -> None:
-    kinds = {TRACK: handctl.gym.TrackEnv, GRASP: handctl.gym.GraspEnv}
+    kinds = {TRACK_ENV: handctl.gym.TrackEnv, GRASP_ENV: handctl.gym.GraspEnv}
     with pytest.raises(ConfigError) as error:
         kinds[name](**options)
     assert line in str(error.value)
@@ -225,13 +230,14 @@ def test_a_missing_extra_is_one_line_that_names_it() -> None:
 
 
 def test_the_program_of_the_page_grasps(capsys: pytest.CaptureFixture[str]) -> None:
-    program = re.findall(r"```python[^\n]*\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)[0]
+    program = re.findall(r"```python[^\n]*\n(.*?)```", PAGE_FILE.read_text("utf-8"), re.DOTALL)[0]
     exec(program, {})
     assert capsys.readouterr().out.endswith("True\n")
 
 
 def test_perturbed_plants_differ_from_the_nominal_one() -> None:
     episodes = [
-        episode(make(TRACK, perturb=perturb), 0, 5) for perturb in (None, {"friction": 1.5})
+        run_episode(make_env(TRACK_ENV, perturb=perturb), 0, 5)
+        for perturb in (None, {"friction": 1.5})
     ]
     assert episodes[0] != episodes[1]

@@ -43,7 +43,7 @@ from tests.hand.mesh_files import (
     tetrahedron_triangles,
     write_meshes,
 )
-from tools.meshes.__main__ import files
+from tools.meshes.__main__ import packaged_mesh_files
 from tools.meshes.solids import stl
 
 
@@ -69,7 +69,7 @@ def test_a_face_of_more_corners_is_a_fan() -> None:
 
 
 def test_pictures_have_the_same_triangles_as_mujoco() -> None:
-    for path, content in files():
+    for path, content in packaged_mesh_files():
         asset = f'<asset><mesh name="m" file="{path}"/></asset>'
         model = mujoco.MjModel.from_xml_string(
             f'<mujoco>{asset}<worldbody><geom type="mesh" mesh="m"/></worldbody></mujoco>'
@@ -274,10 +274,10 @@ def test_meshes_survive_the_log_and_leave_the_identity(name: str) -> None:
 
 
 def test_packaged_meshes_are_those_of_their_script() -> None:
-    for path, content in files():
+    for path, content in packaged_mesh_files():
         assert path.read_bytes() == content, f"{path.name}: run python -m tools.meshes"
     hand = load_hand("t42")
-    mesh_folder = Path(next(files())[0]).parents[1]
+    mesh_folder = Path(next(packaged_mesh_files())[0]).parents[1]
     assert not list(mesh_mistakes(hand, mesh_folder))
 
 

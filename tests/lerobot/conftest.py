@@ -5,27 +5,32 @@ import tempfile
 import pytest
 
 from handctl.hand.hand_loading import load_hand
-from tests.runtime.processes import end, scaled, start_hand, write_homed
+from tests.runtime.processes import (
+    end_process,
+    start_hand,
+    time_scale_options,
+    write_homed_calibration,
+)
 
-SCALE = 0.5
+TIME_SCALE = 0.5
 """Time of the hand that passes per second of wall time."""
 
 
 @pytest.fixture
-def place(tmp_path, monkeypatch):
+def work_folder(tmp_path, monkeypatch):
     """Change to an empty folder. Sockets are in another folder with a short path."""
     with tempfile.TemporaryDirectory(prefix="h-") as short:
         monkeypatch.setenv("HANDCTL_RUN_DIR", short)
         monkeypatch.setenv("HF_HUB_OFFLINE", "1")
         monkeypatch.chdir(tmp_path)
-        write_homed(tmp_path / "c.toml", load_hand("jamia"))
+        write_homed_calibration(tmp_path / "c.toml", load_hand("jamia"))
         yield tmp_path
 
 
 @pytest.fixture
-def options(place):
+def robot_options(work_folder):
     """Start a simulated hand in slowed time, and return the options of its controller."""
-    scale = scaled(SCALE)
-    process = start_hand(place / "hand.truth", "--hand", "jamia", "--scene", "none", *scale)
+    scale = time_scale_options(TIME_SCALE)
+    process = start_hand(work_folder / "hand.truth", "--hand", "jamia", "--scene", "none", *scale)
     yield ["--calibration", "c.toml", "--log", "run.mcap", *scale]
-    end(process)
+    end_process(process)

@@ -20,11 +20,11 @@ from handctl.log.read.reader import RunLog
 pytestmark = pytest.mark.skipif(
     find_spec("lerobot") is None, reason="needs LeRobot, see tests/lerobot/test_environment.py"
 )
-GOLDEN = Path(__file__).parents[2] / "logs" / "golden"
-LOGS = ("jamia-fault.mcap", "jamia-grasp.mcap")
+GOLDEN_FOLDER = Path(__file__).parents[2] / "logs" / "golden"
+LOG_NAMES = ("jamia-fault.mcap", "jamia-grasp.mcap")
 FPS = 50
 CAMERA_HZ = 30
-WIDTH, HEIGHT = 64, 48
+IMAGE_WIDTH_PX, IMAGE_HEIGHT_PX = 64, 48
 LEVEL_PER_S = 40.0
 """Rise of the brightness of the test videos [1/s]. The largest brightness is 255."""
 
@@ -39,7 +39,7 @@ def ffmpeg(tmp_path_factory, monkeypatch):
     monkeypatch.setenv("PATH", f"{os.environ['PATH']}{os.pathsep}{folder}")
 
 
-def write_video(path, seconds, width=WIDTH):
+def write_video(path, seconds, width=IMAGE_WIDTH_PX):
     """Write a video that becomes brighter and return its path.
 
     The brightness of an image shows the time at which it was taken.
@@ -50,19 +50,21 @@ def write_video(path, seconds, width=WIDTH):
         path, fps=CAMERA_HZ, macro_block_size=1, output_params=["-crf", "1"]
     ) as writer:
         for i in range(round(seconds * CAMERA_HZ)):
-            image = np.full((HEIGHT, width, 3), 20 + round(LEVEL_PER_S * i / CAMERA_HZ), np.uint8)
+            image = np.full(
+                (IMAGE_HEIGHT_PX, width, 3), 20 + round(LEVEL_PER_S * i / CAMERA_HZ), np.uint8
+            )
             image[:, : width // 2, 0] = 0  # no red in the left half
             writer.append_data(image)
     return path
 
 
-def times(log):
+def tick_times(log):
     """Return the first and the last time of the active part of a log [s], which becomes an episode."""
     active = log.t_ns[log.mode == int(HandMode.ACTIVE)] / 1e9
     return active[0], active[-1]
 
 
-def level(image):
+def brightness(image):
     """Return the mean level of green, 0 to 255, of an image from LeRobot's loader."""
     return float(image[1].mean()) * 255.0
 
@@ -75,8 +77,8 @@ def test_the_loader_gives_the_image_of_each_frame(tmp_path) -> None:
         pytest.skip(f"torchcodec finds no FFmpeg libraries: {str(error).splitlines()[0]}")
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-    with RunLog(GOLDEN / LOGS[0]) as one, RunLog(GOLDEN / LOGS[1]) as two:
-        spans = [times(log) for log in (one, two)]
+    with RunLog(GOLDEN_FOLDER / LOG_NAMES[0]) as one, RunLog(GOLDEN_FOLDER / LOG_NAMES[1]) as two:
+        spans = [tick_times(log) for log in (one, two)]
         starts = (0.0, 0.25)
         videos = [
             write_video(tmp_path / f"{i}.mp4", spans[i][1] - starts[i] + 0.2) for i in range(2)
@@ -90,11 +92,11 @@ def test_the_loader_gives_the_image_of_each_frame(tmp_path) -> None:
     for i in {0, frames - 1, *random.integers(0, frames, 20).tolist()}:
         item = dataset[i]
         image = item["observation.images.wrist"]
-        assert image.shape == (3, HEIGHT, WIDTH)
+        assert image.shape == (3, IMAGE_HEIGHT_PX, IMAGE_WIDTH_PX)
         episode = int(item["episode_index"])
         taken_s = spans[episode][0] + float(item["timestamp"]) - starts[episode]
         latest_s = np.floor(taken_s * CAMERA_HZ + 1e-6) / CAMERA_HZ
-        assert level(image) == pytest.approx(20.0 + LEVEL_PER_S * latest_s, abs=3.0)
+        assert brightness(image) == pytest.approx(20.0 + LEVEL_PER_S * latest_s, abs=3.0)
     statistics = dataset.meta.stats["observation.images.wrist"]
     assert statistics["mean"].shape == (3, 1, 1)
     assert int(statistics["count"][0]) == frames
@@ -126,10 +128,11 @@ def test_videos_that_do_not_cover_an_episode_are_refused(tmp_path) -> None:
 
 
 def test_videos_of_different_sizes_are_refused(tmp_path) -> None:
-    with RunLog(GOLDEN / LOGS[0]) as one, RunLog(GOLDEN / LOGS[1]) as two:
-        ends = [times(log)[1] for log in (one, two)]
+    with RunLog(GOLDEN_FOLDER / LOG_NAMES[0]) as one, RunLog(GOLDEN_FOLDER / LOG_NAMES[1]) as two:
+        ends = [tick_times(log)[1] for log in (one, two)]
         videos = [
-            write_video(tmp_path / f"{i}.mp4", ends[i] + 0.2, WIDTH + 16 * i) for i in range(2)
+            write_video(tmp_path / f"{i}.mp4", ends[i] + 0.2, IMAGE_WIDTH_PX + 16 * i)
+            for i in range(2)
         ]
         cameras = make_cameras(["wrist"], [videos], (0.0,), 2)
         with pytest.raises(LogError, match=r"1.mp4: a video of 80 x 48 pixels; expected 64 x 48"):
@@ -139,8 +142,8 @@ def test_videos_of_different_sizes_are_refused(tmp_path) -> None:
 def test_the_description_is_that_of_lerobot(tmp_path) -> None:
     from lerobot.datasets.video_utils import get_video_info
 
-    with RunLog(GOLDEN / LOGS[0]) as one:
-        video = write_video(tmp_path / "one.mp4", times(one)[1] + 0.2)
+    with RunLog(GOLDEN_FOLDER / LOG_NAMES[0]) as one:
+        video = write_video(tmp_path / "one.mp4", tick_times(one)[1] + 0.2)
         export_lerobot([one], tmp_path / "data", FPS, make_cameras(["wrist"], [[video]], (0.0,), 1))
     info = json.loads((tmp_path / "data" / "meta" / "info.json").read_text())
     key = "observation.images.wrist"

@@ -11,30 +11,40 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
-LEROBOT = "lerobot==0.4.4"
-PYTHON = os.environ.get("HANDCTL_LEROBOT_PYTHON", "")
+REPOSITORY_ROOT = Path(__file__).parents[2]
+LEROBOT_REQUIREMENT = "lerobot==0.4.4"
+GIVEN_PYTHON = os.environ.get("HANDCTL_LEROBOT_PYTHON", "")
 """Python of an environment that already exists. If it is empty, the test makes an environment."""
-INSTALL_S = 3600.0
-TESTS_S = 1800.0
-TESTS = 13
+INSTALL_TIMEOUT_S = 3600.0
+TESTS_TIMEOUT_S = 1800.0
+MIN_PASSED_TESTS = 13
 """Smallest number of tests that must pass. Without it, skipped tests would go unnoticed."""
 
 
-def pip(python: str, *words: str) -> None:
+def run_pip(lerobot_python: str, *words: str) -> None:
     """Install packages into the environment of a Python."""
-    command = [python, "-m", "pip", "--disable-pip-version-check", "install", "--quiet", *words]
-    ran = subprocess.run(command, capture_output=True, text=True, timeout=INSTALL_S, check=False)
+    command = [
+        lerobot_python,
+        "-m",
+        "pip",
+        "--disable-pip-version-check",
+        "install",
+        "--quiet",
+        *words,
+    ]
+    ran = subprocess.run(
+        command, capture_output=True, text=True, timeout=INSTALL_TIMEOUT_S, check=False
+    )
     assert ran.returncode == 0, ran.stderr[-2000:]
 
 
-def link_ffmpeg(python: str, folder: Path) -> str:
+def link_ffmpeg(lerobot_python: str, folder: Path) -> str:
     """Give the FFmpeg libraries of PyAV the names under which torchcodec looks for them.
 
     Returns: The folders that ``LD_LIBRARY_PATH`` must contain.
     """
     code = "import av, pathlib; print(pathlib.Path(av.__file__).parent.with_name('av.libs'))"
-    found = subprocess.run([python, "-c", code], capture_output=True, text=True, check=True)
+    found = subprocess.run([lerobot_python, "-c", code], capture_output=True, text=True, check=True)
     libraries = Path(found.stdout.strip())
     folder.mkdir()
     for path in libraries.glob("lib*.so.*"):
@@ -44,42 +54,46 @@ def link_ffmpeg(python: str, folder: Path) -> str:
 
 
 @pytest.fixture
-def python(tmp_path: Path) -> str:
+def lerobot_python(tmp_path: Path) -> str:
     """Return the Python of an environment with LeRobot, handctl and the plug-in."""
-    if PYTHON:
-        return PYTHON
+    if GIVEN_PYTHON:
+        return GIVEN_PYTHON
     folder = tmp_path / "env"
     subprocess.run([sys.executable, "-m", "venv", str(folder)], check=True)
     made = str(folder / "bin" / "python")
-    pip(made, "--requirement", str(Path(__file__).parent / "requirements.txt"))
-    pip(made, "--no-deps", LEROBOT)
-    pip(made, "--editable", f"{ROOT}[sim,export]")
-    pip(
-        made, "--no-deps", "--no-build-isolation", "--editable", str(ROOT / "lerobot_robot_handctl")
+    run_pip(made, "--requirement", str(Path(__file__).parent / "requirements.txt"))
+    run_pip(made, "--no-deps", LEROBOT_REQUIREMENT)
+    run_pip(made, "--editable", f"{REPOSITORY_ROOT}[sim,export]")
+    run_pip(
+        made,
+        "--no-deps",
+        "--no-build-isolation",
+        "--editable",
+        str(REPOSITORY_ROOT / "lerobot_robot_handctl"),
     )
     return made
 
 
 @pytest.mark.nightly
-@pytest.mark.timeout(INSTALL_S + TESTS_S)
-def test_everything_passes_with_the_real_lerobot(python: str, tmp_path: Path) -> None:
+@pytest.mark.timeout(INSTALL_TIMEOUT_S + TESTS_TIMEOUT_S)
+def test_everything_passes_with_the_real_lerobot(lerobot_python: str, tmp_path: Path) -> None:
     environment = {
         key: value
         for key, value in os.environ.items()
         if key not in ("PYTHONPATH", "HANDCTL_NIGHTLY")
     }
-    environment["LD_LIBRARY_PATH"] = link_ffmpeg(python, tmp_path / "ffmpeg")
-    command = [python, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests/lerobot"]
+    environment["LD_LIBRARY_PATH"] = link_ffmpeg(lerobot_python, tmp_path / "ffmpeg")
+    command = [lerobot_python, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests/lerobot"]
     ran = subprocess.run(
         command,
-        cwd=ROOT,
+        cwd=REPOSITORY_ROOT,
         env=environment,
         capture_output=True,
         text=True,
-        timeout=TESTS_S,
+        timeout=TESTS_TIMEOUT_S,
         check=False,
     )
     assert ran.returncode == 0, ran.stdout[-3000:]
     count = re.search(r"(\d+) passed", ran.stdout)
     assert count is not None
-    assert int(count[1]) >= TESTS, ran.stdout[-500:]
+    assert int(count[1]) >= MIN_PASSED_TESTS, ran.stdout[-500:]

@@ -18,23 +18,26 @@ import pytest
 from handctl.cli.main import main
 from handctl.core.tick_types import HandMode
 from handctl.log.read.reader import RunLog
-from tests.lerobot.conftest import SCALE
-from tests.runtime.processes import BUS, HOMED
+from tests.lerobot.conftest import TIME_SCALE
+from tests.runtime.processes import HOMED_OPTIONS, LOCAL_BUS
 
-FOLDER = Path(__file__).parents[2] / "lerobot_robot_handctl"
-MISSING = "needs lerobot and lerobot_robot_handctl in an environment of its own, see lerobot_robot_handctl/README.md"
-LEROBOT = pytest.mark.skipif(find_spec("lerobot") is None, reason=MISSING)
+PLUGIN_FOLDER = Path(__file__).parents[2] / "lerobot_robot_handctl"
+MISSING_REASON = (
+    "needs lerobot and lerobot_robot_handctl in an environment of its own, "
+    "see lerobot_robot_handctl/README.md"
+)
+NEEDS_LEROBOT = pytest.mark.skipif(find_spec("lerobot") is None, reason=MISSING_REASON)
 
 
 def test_the_distribution_has_the_name_and_version_that_lerobot_and_users_look_for() -> None:
-    project = tomllib.loads((FOLDER / "pyproject.toml").read_text("utf-8"))["project"]
+    project = tomllib.loads((PLUGIN_FOLDER / "pyproject.toml").read_text("utf-8"))["project"]
     assert project["name"] == "lerobot_robot_handctl"
     assert project["version"] == version("handctl")
-    assert (FOLDER / project["name"] / "__init__.py").is_file()
-    assert HOMED[0] == "--homed"
+    assert (PLUGIN_FOLDER / project["name"] / "__init__.py").is_file()
+    assert HOMED_OPTIONS[0] == "--homed"
 
 
-@LEROBOT
+@NEEDS_LEROBOT
 def test_lerobot_finds_robot_and_teleoperators() -> None:
     from lerobot.robots.config import RobotConfig
     from lerobot.robots.utils import make_robot_from_config
@@ -49,13 +52,13 @@ def test_lerobot_finds_robot_and_teleoperators() -> None:
     assert {"handctl_keyboard", "handctl_log"} <= TeleoperatorConfig.get_known_choices().keys()
 
 
-@LEROBOT
+@NEEDS_LEROBOT
 @pytest.mark.realtime
-def test_a_robot_observes_follows_limits_and_rests_in_pauses(options) -> None:
+def test_a_robot_observes_follows_limits_and_rests_in_pauses(robot_options) -> None:
     from lerobot.utils.errors import DeviceNotConnectedError
     from lerobot_robot_handctl import HandctlRobot, HandctlRobotConfig
 
-    robot = HandctlRobot(HandctlRobotConfig(bus=BUS, options=options))
+    robot = HandctlRobot(HandctlRobotConfig(bus=LOCAL_BUS, options=robot_options))
     with pytest.raises(DeviceNotConnectedError):
         robot.get_observation()
     robot.connect()
@@ -69,8 +72,8 @@ def test_a_robot_observes_follows_limits_and_rests_in_pauses(options) -> None:
         goal = {name: np.radians(20.0) for name in goal}
         for _ in range(40):
             robot.send_action(goal)
-            time.sleep(0.02 / SCALE)
-        time.sleep(1.5 / SCALE)  # the controller relaxes a stale stream sooner
+            time.sleep(0.02 / TIME_SCALE)
+        time.sleep(1.5 / TIME_SCALE)  # the controller relaxes a stale stream sooner
         seen = robot.get_observation()
         assert np.degrees([seen[name] for name in goal]).mean() == pytest.approx(20.0, abs=2.0)
         robot.send_action(goal)
@@ -84,7 +87,7 @@ def test_a_robot_observes_follows_limits_and_rests_in_pauses(options) -> None:
         assert HandMode.RELAX in log.mode
 
 
-@LEROBOT
+@NEEDS_LEROBOT
 def test_keys_close_and_open_digits() -> None:
     from lerobot_robot_handctl import HandctlKeyboard, HandctlKeyboardConfig
 
@@ -108,14 +111,14 @@ def test_keys_close_and_open_digits() -> None:
             os.close(descriptor)
 
 
-@LEROBOT
+@NEEDS_LEROBOT
 @pytest.mark.realtime
-def test_the_script_of_lerobot_teleoperates_the_hand_by_a_log(options, place) -> None:
+def test_the_script_of_lerobot_teleoperates_the_hand_by_a_log(robot_options, work_folder) -> None:
     assert main(["-q", "demo", "--lockstep", "--log", "leader.mcap"]) == 0
     seconds = 6.0
     words = [
-        "--robot.type=handctl", f"--robot.bus={BUS}", f"--robot.options={list(options)}".replace("'", '"'),
-        "--teleop.type=handctl_log", "--teleop.log=leader.mcap", f"--fps={round(50 * SCALE)}",
+        "--robot.type=handctl", f"--robot.bus={LOCAL_BUS}", f"--robot.options={list(robot_options)}".replace("'", '"'),
+        "--teleop.type=handctl_log", "--teleop.log=leader.mcap", f"--fps={round(50 * TIME_SCALE)}",
         f"--teleop_time_s={seconds}",
     ]  # fmt: skip
     command = [sys.executable, "-m", "lerobot.scripts.lerobot_teleoperate", *words]

@@ -16,19 +16,19 @@ from handctl.cli.main import main
 from handctl.core.tick_types import HandMode
 from handctl.log.export.lerobot import export_lerobot
 from handctl.log.read.reader import RunLog
-from tests.lerobot.conftest import SCALE
-from tests.runtime.processes import BUS, handctl
+from tests.lerobot.conftest import TIME_SCALE
+from tests.runtime.processes import LOCAL_BUS, run_handctl
 
 pytestmark = pytest.mark.skipif(
     find_spec("lerobot") is None, reason="needs LeRobot, see tests/lerobot/test_environment.py"
 )
-GOLDEN = Path(__file__).parents[2] / "logs" / "golden"
-FPS = round(50 * SCALE)
+GOLDEN_FOLDER = Path(__file__).parents[2] / "logs" / "golden"
+FPS = round(50 * TIME_SCALE)
 EPISODE_S = 4.0
-EPISODES = 2
+EPISODE_COUNT = 2
 
 
-def script(name: str, *words: str) -> "subprocess.CompletedProcess[str]":
+def run_script(name: str, *words: str) -> "subprocess.CompletedProcess[str]":
     """Run a script of LeRobot, and return its exit code and output."""
     command = [sys.executable, "-m", f"lerobot.scripts.lerobot_{name}", *words]
     ran = subprocess.run(command, capture_output=True, text=True, timeout=400, check=False)
@@ -36,7 +36,7 @@ def script(name: str, *words: str) -> "subprocess.CompletedProcess[str]":
     return ran
 
 
-def faults(log: RunLog) -> list[str]:
+def fault_texts(log: RunLog) -> list[str]:
     """Return the faults that made a run relax.
 
     Other faults are ignored, because a busy machine delays frames and actions.
@@ -49,24 +49,24 @@ def faults(log: RunLog) -> list[str]:
 
 
 @pytest.mark.realtime
-def test_recorded_episodes_can_be_loaded_replayed_and_run(options, place) -> None:
+def test_recorded_episodes_can_be_loaded_replayed_and_run(robot_options, work_folder) -> None:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     assert main(["-q", "demo", "--lockstep", "--log", "leader.mcap"]) == 0
-    robot = ["--robot.type=handctl", f"--robot.bus={BUS}"]
-    option = "--robot.options=" + json.dumps(options)
+    robot = ["--robot.type=handctl", f"--robot.bus={LOCAL_BUS}"]
+    option = "--robot.options=" + json.dumps(robot_options)
     data = ["--dataset.repo_id=me/hand", "--dataset.root=data"]
-    script(
+    run_script(
         "record", *robot, option, "--teleop.type=handctl_log", "--teleop.log=leader.mcap", *data,
-        "--dataset.single_task=close the hand", f"--dataset.num_episodes={EPISODES}", f"--dataset.fps={FPS}",
+        "--dataset.single_task=close the hand", f"--dataset.num_episodes={EPISODE_COUNT}", f"--dataset.fps={FPS}",
         f"--dataset.episode_time_s={EPISODE_S}", "--dataset.reset_time_s=1", "--dataset.video=false",
         "--dataset.push_to_hub=false", "--play_sounds=false",
     )  # fmt: skip
     with RunLog(Path("run.mcap")) as log:
-        assert not faults(log)
-    dataset = LeRobotDataset("me/hand", root=place / "data")
-    assert (dataset.num_episodes, dataset.fps) == (EPISODES, FPS)
-    assert dataset.num_frames > 0.8 * EPISODES * EPISODE_S * FPS
+        assert not fault_texts(log)
+    dataset = LeRobotDataset("me/hand", root=work_folder / "data")
+    assert (dataset.num_episodes, dataset.fps) == (EPISODE_COUNT, FPS)
+    assert dataset.num_frames > 0.8 * EPISODE_COUNT * EPISODE_S * FPS
     assert dataset.features["action"]["names"][0] == "index_j1.pos_rad"
     frame = dataset[0]
     assert frame["task"] == "close the hand"
@@ -74,8 +74,8 @@ def test_recorded_episodes_can_be_loaded_replayed_and_run(options, place) -> Non
     actions = np.array([dataset[i]["action"].numpy() for i in range(dataset.num_frames)])
     assert np.ptp(np.degrees(actions[:, 0])) > 10.0
 
-    replay = json.dumps([word.replace("run.mcap", "replay.mcap") for word in options])
-    script(
+    replay = json.dumps([word.replace("run.mcap", "replay.mcap") for word in robot_options])
+    run_script(
         "replay",
         *robot,
         f"--robot.options={replay}",
@@ -84,7 +84,7 @@ def test_recorded_episodes_can_be_loaded_replayed_and_run(options, place) -> Non
         "--play_sounds=false",
     )
     with RunLog(Path("replay.mcap")) as log:
-        assert not faults(log)
+        assert not fault_texts(log)
         active = log.mode == HandMode.ACTIVE
         highest = np.degrees(np.nanmax(log.field("q_goal")[active][:, :3].mean(axis=1)))
     first = actions[: int(dataset.meta.episodes[0]["length"])]
@@ -92,13 +92,13 @@ def test_recorded_episodes_can_be_loaded_replayed_and_run(options, place) -> Non
     expected = np.degrees(first[:, :3].mean(axis=1).max())
     assert highest == pytest.approx(expected, abs=2.0)
 
-    words = [word.replace("run.mcap", "again.mcap") for word in options]
-    ran = handctl(
-        "run", "--hand", "jamia", "--bus", BUS, "--dataset", "data", "--speed", "200", *words
+    words = [word.replace("run.mcap", "again.mcap") for word in robot_options]
+    ran = run_handctl(
+        "run", "--hand", "jamia", "--bus", LOCAL_BUS, "--dataset", "data", "--speed", "200", *words
     )
     assert ran.returncode == 0, ran.stderr
     with RunLog(Path("again.mcap")) as log:
-        assert not faults(log)
+        assert not fault_texts(log)
         playback = np.array([change.name for change in log.phases])
         assert "playback" in playback
         followed = np.degrees(
@@ -111,7 +111,10 @@ def test_the_loader_reads_exported_episodes_with_statistics(tmp_path) -> None:
     import torch
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-    with RunLog(GOLDEN / "jamia-fault.mcap") as one, RunLog(GOLDEN / "jamia-grasp.mcap") as two:
+    with (
+        RunLog(GOLDEN_FOLDER / "jamia-fault.mcap") as one,
+        RunLog(GOLDEN_FOLDER / "jamia-grasp.mcap") as two,
+    ):
         frames = export_lerobot([one, two, one], tmp_path / "data")
     dataset = LeRobotDataset("me/exported", root=tmp_path / "data")
     assert (dataset.num_frames, dataset.num_episodes, dataset.fps) == (frames, 3, 200)
@@ -131,7 +134,10 @@ def test_the_loader_reads_exported_episodes_with_statistics(tmp_path) -> None:
 def test_the_loader_takes_a_part_and_windows_of_time(tmp_path) -> None:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-    with RunLog(GOLDEN / "jamia-fault.mcap") as one, RunLog(GOLDEN / "jamia-grasp.mcap") as two:
+    with (
+        RunLog(GOLDEN_FOLDER / "jamia-fault.mcap") as one,
+        RunLog(GOLDEN_FOLDER / "jamia-grasp.mcap") as two,
+    ):
         export_lerobot([one, two], tmp_path / "data")
     steps = [0.0, 0.005, 0.01]
     dataset = LeRobotDataset(
@@ -146,7 +152,10 @@ def test_episodes_split_by_lerobot(tmp_path) -> None:
     from lerobot.datasets.dataset_tools import split_dataset
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-    with RunLog(GOLDEN / "jamia-fault.mcap") as one, RunLog(GOLDEN / "jamia-grasp.mcap") as two:
+    with (
+        RunLog(GOLDEN_FOLDER / "jamia-fault.mcap") as one,
+        RunLog(GOLDEN_FOLDER / "jamia-grasp.mcap") as two,
+    ):
         export_lerobot([one, two], tmp_path / "data")
     dataset = LeRobotDataset("me/exported", root=tmp_path / "data")
     parts = split_dataset(dataset, {"train": [0], "val": [1]}, output_dir=tmp_path / "parts")

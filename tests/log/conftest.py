@@ -11,18 +11,18 @@ sys.path.insert(0, str(Path(__file__).parent))
 @pytest.fixture(scope="session")
 def small_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Write a complete log with about twelve chunks, and return its path."""
-    import synthetic
+    import synthetic_run
 
     path = tmp_path_factory.mktemp("log") / "small.mcap"
-    synthetic.write(path, synthetic.header(rate_hz=10), 2.5)
+    synthetic_run.write_synthetic_run(path, synthetic_run.synthetic_header(rate_hz=10), 2.5)
     return path
 
 
 @pytest.fixture(scope="session")
 def run_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Write a log of two seconds at 500 Hz, and return its path."""
-    import synthetic
+    import synthetic_run
 
     path = tmp_path_factory.mktemp("log") / "run.mcap"
-    synthetic.write(path, synthetic.header(rate_hz=500), 2.0)
+    synthetic_run.write_synthetic_run(path, synthetic_run.synthetic_header(rate_hz=500), 2.0)
     return path

@@ -6,7 +6,7 @@ They are embedded up to a bound, found again without the hand file, and named if
 from pathlib import Path
 
 import pytest
-import synthetic
+import synthetic_run
 
 from handctl.hand.formats.link_meshes import meshes_of_hand
 from handctl.hand.hand_loading import PACKAGED_HANDS_FOLDER, load_hand
@@ -24,9 +24,9 @@ def test_a_log_has_the_meshes_of_its_hand(tmp_path: Path) -> None:
     assert not left_out
     assert list(attachments) == ["mesh/t42/palm.stl", "mesh/t42/inner.stl", "mesh/t42/outer.stl"]
     log = tmp_path / "run.mcap"
-    header = synthetic.header("t42", 100)
+    header = synthetic_run.synthetic_header("t42", 100)
     header.attachments.update(attachments)
-    synthetic.write(log, header, 0.5)
+    synthetic_run.write_synthetic_run(log, header, 0.5)
     recovered = tmp_path / "recovered.mcap"
     recover_log(log, recovered)
     for path in (log, recovered):

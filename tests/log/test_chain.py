@@ -3,7 +3,7 @@
 import itertools
 from pathlib import Path
 
-import synthetic
+import synthetic_run
 
 from handctl.log.read.reader import RunLog
 from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record
@@ -12,13 +12,13 @@ from handctl.log.topics.clock_pairs import ClockPair, ClockStep, clock_steps
 from handctl.log.write.writer import LogWriter
 
 
-def _written(
+def _write_log(
     path: Path, clocks: list[tuple[int, int]], seconds: float, deterministic: bool
 ) -> Path:
-    run = synthetic.header(rate_hz=10, deterministic=deterministic)
+    run = synthetic_run.synthetic_header(rate_hz=10, deterministic=deterministic)
     left = iter(clocks)
     writer = LogWriter(path, run, lambda *what: None, 1, lambda: next(left))
-    for tick in synthetic.Synthetic(run, seconds):
+    for tick in synthetic_run.SyntheticTicks(run, seconds):
         writer.add(pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :])
     writer.finish("finished", 0)
     return path
@@ -41,7 +41,7 @@ def test_a_step_of_the_wall_clock_shows_in_the_pairs(tmp_path: Path) -> None:
     """
     start, hour = 1_800_000_000_000_000_000, 3_600_000_000_000
     clocks = [(start + n * 10**10 + (hour if n > 1 else 0), 5 + n * 10**10) for n in range(4)]
-    with RunLog(_written(tmp_path / "a.mcap", clocks, 35.0, deterministic=False)) as log:
+    with RunLog(_write_log(tmp_path / "a.mcap", clocks, 35.0, deterministic=False)) as log:
         assert [pair[1:] for pair in log.clock_pairs] == clocks
         times = [pair.t_ns for pair in log.clock_pairs]
         assert times[0] <= 300_000_000
@@ -55,5 +55,5 @@ def test_a_slewed_clock_has_no_step() -> None:
 
 
 def test_a_lockstep_run_reads_no_clock(tmp_path: Path) -> None:
-    with RunLog(_written(tmp_path / "a.mcap", [], 12.0, deterministic=True)) as log:
+    with RunLog(_write_log(tmp_path / "a.mcap", [], 12.0, deterministic=True)) as log:
         assert log.clock_pairs == []

@@ -7,27 +7,27 @@ import pytest
 from handctl.log.read.chunk_reader import BYTES_PER_BLOCK, MAX_CHANNELS, MIN_BLOCKS, iter_messages
 
 
-def channel(number: int) -> bytes:
+def channel_record(number: int) -> bytes:
     return struct.pack("<BQHHIIIB", 4, 17, number, 0, 0, 0, 1, 0)
 
 
-def message(number: int) -> bytes:
+def message_record(number: int) -> bytes:
     return struct.pack("<BQHIQQ", 5, 22, number, 0, 0, 0)
 
 
 def test_a_chunk_may_define_so_many_channels_however_large_it_is() -> None:
     """Regression: a million channels in thirty megabytes kept `log check` busy for more than a second."""
     plenty = 1 << 30
-    allowed = channel(7) * 2 * MAX_CHANNELS + message(7)
+    allowed = channel_record(7) * 2 * MAX_CHANNELS + message_record(7)
     assert [one.channel for one in iter_messages(allowed, plenty)] == [7]
     with pytest.raises(ValueError, match=f"more than {MAX_CHANNELS} channels"):
-        list(iter_messages(channel(7) + allowed, plenty))
+        list(iter_messages(channel_record(7) + allowed, plenty))
 
 
 @pytest.mark.parametrize("packed", [0, 10 * BYTES_PER_BLOCK])
 def test_a_chunk_may_have_runs_in_proportion_to_its_size_in_the_file(packed: int) -> None:
     limit = MIN_BLOCKS + packed // BYTES_PER_BLOCK
-    alternating = b"".join(message(number % 2) for number in range(limit))
+    alternating = b"".join(message_record(number % 2) for number in range(limit))
     assert len(list(iter_messages(alternating, packed))) == limit
     with pytest.raises(ValueError, match="more messages than"):
-        list(iter_messages(alternating + message(limit % 2), packed))
+        list(iter_messages(alternating + message_record(limit % 2), packed))

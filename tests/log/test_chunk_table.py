@@ -8,14 +8,14 @@ import pytest
 from handctl.log.chunk_table import CHUNKS_PER_BLOCK, ChunkEntry, ChunkTable
 
 
-def at(k: int) -> ChunkEntry:
+def chunk_at(k: int) -> ChunkEntry:
     return ChunkEntry(1000 * k, 700, 650, 2000, 250 * k, 250 * k + 249, 100)
 
 
 def test_each_chunk_has_its_position_and_those_of_its_message_indexes() -> None:
     table = ChunkTable()
     for k, behind in enumerate(({1: 0, 2: 40}, {}, {1: 0, 2: 40}, {2: 0})):
-        table.add(at(k), behind)
+        table.add(chunk_at(k), behind)
     indexes = list(table.indexes())
     assert len(table) == 4
     assert [index.message_index_offsets for index in indexes] == [
@@ -40,7 +40,7 @@ def test_each_chunk_has_its_position_and_those_of_its_message_indexes() -> None:
 def test_packing_changes_neither_their_order_nor_a_number(chunks: int) -> None:
     table = ChunkTable()
     for k in range(chunks):
-        table.add(at(k), {1: k % 3})
+        table.add(chunk_at(k), {1: k % 3})
     indexes = list(table.indexes())
     assert len(table) == len(indexes) == chunks
     for k, index in enumerate(indexes):

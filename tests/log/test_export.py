@@ -28,42 +28,45 @@ from handctl.log.export.tables import (
 from handctl.log.read.reader import RunLog
 from handctl.safety.action import SafetyAction
 
-GOLDEN = Path(__file__).parents[2] / "logs" / "golden"
+GOLDEN_FOLDER = Path(__file__).parents[2] / "logs" / "golden"
 
 
 @pytest.fixture
-def log():  # type: ignore[no-untyped-def]
-    with RunLog(GOLDEN / "jamia-fault.mcap") as opened:
+def golden_log():  # type: ignore[no-untyped-def]
+    with RunLog(GOLDEN_FOLDER / "jamia-fault.mcap") as opened:
         yield opened
 
 
-def table_of(log: RunLog) -> np.ndarray:
-    return np.array([np.frombuffer(row, "<f8") for row in log.packed()])
+def table_of(golden_log: RunLog) -> np.ndarray:
+    return np.array([np.frombuffer(row, "<f8") for row in golden_log.packed()])
 
 
-def test_parquet_reads_back_bit_for_bit(log: RunLog, tmp_path: Path) -> None:
-    assert export_parquet(log, tmp_path / "x.parquet") == len(log)
+def test_parquet_reads_back_bit_for_bit(golden_log: RunLog, tmp_path: Path) -> None:
+    assert export_parquet(golden_log, tmp_path / "x.parquet") == len(golden_log)
     table = pq.read_table(tmp_path / "x.parquet")
     assert table.schema.metadata[b"handctl.hand"] == b"jamia"
-    np.testing.assert_array_equal(table["t_ns"].to_numpy(), log.t_ns)
-    numbers = np.column_stack([table[name].to_numpy() for name in column_names(log)])
-    assert numbers.tobytes() == np.ascontiguousarray(table_of(log)).tobytes()
+    np.testing.assert_array_equal(table["t_ns"].to_numpy(), golden_log.t_ns)
+    numbers = np.column_stack([table[name].to_numpy() for name in column_names(golden_log)])
+    assert numbers.tobytes() == np.ascontiguousarray(table_of(golden_log)).tobytes()
     np.testing.assert_array_equal(
-        table["tension/ring_tendon"].to_numpy(), log.field("tension")[:, 2]
+        table["tension/ring_tendon"].to_numpy(), golden_log.field("tension")[:, 2]
     )
-    assert [tick.phase for tick in log.ticks()] == table["phase"].to_pylist()
-    assert [SafetyAction(value).name for value in log.action] == table["action"].to_pylist()
+    assert [tick.phase for tick in golden_log.ticks()] == table["phase"].to_pylist()
+    assert [SafetyAction(value).name for value in golden_log.action] == table["action"].to_pylist()
 
 
-def test_csv_reads_back_bit_for_bit(log: RunLog, tmp_path: Path) -> None:
-    assert export_csv(log, tmp_path / "x.csv") == len(log)
+def test_csv_reads_back_bit_for_bit(golden_log: RunLog, tmp_path: Path) -> None:
+    assert export_csv(golden_log, tmp_path / "x.csv") == len(golden_log)
     with (tmp_path / "x.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     numbers = np.array(
-        [[float(row[column_title(name)] or "nan") for name in column_names(log)] for row in rows]
+        [
+            [float(row[column_title(name)] or "nan") for name in column_names(golden_log)]
+            for row in rows
+        ]
     )
-    np.testing.assert_array_equal(numbers, table_of(log))
-    assert [int(row["k"]) for row in rows] == log.k.tolist()
+    np.testing.assert_array_equal(numbers, table_of(golden_log))
+    assert [int(row["k"]) for row in rows] == golden_log.k.tolist()
     assert rows[-1]["mode"] == "DONE"
 
 
@@ -83,16 +86,16 @@ def test_units_are_those_that_the_telemetry_declares() -> None:
         ), name
 
 
-def test_every_column_says_its_unit(log: RunLog, tmp_path: Path) -> None:
-    export_parquet(log, tmp_path / "x.parquet")
+def test_every_column_says_its_unit(golden_log: RunLog, tmp_path: Path) -> None:
+    export_parquet(golden_log, tmp_path / "x.parquet")
     for field in pq.read_schema(tmp_path / "x.parquet"):
         assert field.name in TEXT_COLUMNS or field.metadata == {
             b"unit": column_unit(field.name).encode()
         }, field.name
-    export_csv(log, tmp_path / "x.csv")
+    export_csv(golden_log, tmp_path / "x.csv")
     with (tmp_path / "x.csv").open(newline="") as file:
         titles = next(csv.reader(file))
-    assert titles == [*INTEGER_COLUMNS, *TEXT_COLUMNS, *map(column_title, column_names(log))]
+    assert titles == [*INTEGER_COLUMNS, *TEXT_COLUMNS, *map(column_title, column_names(golden_log))]
     assert {
         "q/index_j1 [rad]",
         "tension_raw/thumb_tendon [N]",
@@ -102,7 +105,7 @@ def test_every_column_says_its_unit(log: RunLog, tmp_path: Path) -> None:
 
 def test_the_page_has_the_units() -> None:
     """The table in docs/how-to/logs.md has the unit of every exported quantity."""
-    page = (GOLDEN.parents[1] / "docs" / "how-to" / "logs.md").read_text(encoding="utf-8")
+    page = (GOLDEN_FOLDER.parents[1] / "docs" / "how-to" / "logs.md").read_text(encoding="utf-8")
     listed = {
         name: row[2]
         for row in re.findall(r"^\| (`[^|]*) \| ([^|]+) \| ([^|]+) \|", page, re.MULTILINE)
@@ -114,15 +117,15 @@ def test_the_page_has_the_units() -> None:
         ), name
 
 
-def test_python_can_reads_the_candump(log: RunLog, tmp_path: Path) -> None:
+def test_python_can_reads_the_candump(golden_log: RunLog, tmp_path: Path) -> None:
     path = tmp_path / "x.log"
-    assert export_candump(log, path) == sum(
-        len(t.frames) + len(t.tick_in.frames) for t in log.ticks()
+    assert export_candump(golden_log, path) == sum(
+        len(t.frames) + len(t.tick_in.frames) for t in golden_log.ticks()
     )
     messages = list(can.CanutilsLogReader(path))
     expected = [
         (frame, tick.tick_in.t_ns if direction == "T" else frame.t_ns, direction == "R")
-        for tick in log.ticks()
+        for tick in golden_log.ticks()
         for direction, frames in (("R", tick.tick_in.frames), ("T", tick.frames))
         for frame in frames
     ]
@@ -134,14 +137,14 @@ def test_python_can_reads_the_candump(log: RunLog, tmp_path: Path) -> None:
 
 
 def test_time_stamps_of_the_candump_rise(
-    log: RunLog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    golden_log: RunLog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """On a local bus, a frame gets its time stamp when it is read.
 
     This may be after the start of the tick whose frames follow it.
     """
     path = tmp_path / "x.log"
-    ticks = [tick for tick, _ in zip(log.ticks(), range(500), strict=False)]
+    ticks = [tick for tick, _ in zip(golden_log.ticks(), range(500), strict=False)]
     for bus_delay in (0, 40_000):
         late = [
             tick._replace(
@@ -159,8 +162,8 @@ def test_time_stamps_of_the_candump_rise(
             )
             for tick in ticks
         ]
-        monkeypatch.setattr(log, "ticks", lambda late=late: iter(late))
-        count = export_candump(log, path)
+        monkeypatch.setattr(golden_log, "ticks", lambda late=late: iter(late))
+        count = export_candump(golden_log, path)
         stamps = [message.timestamp for message in can.CanutilsLogReader(path)]
         assert len(stamps) == count > 3000
         assert stamps == sorted(stamps)
@@ -191,10 +194,10 @@ def test_python_can_reads_every_kind_of_frame(frame: Frame, tmp_path: Path) -> N
         assert bytes(message.data) == frame.data
 
 
-def test_nothing_is_overwritten(log: RunLog, tmp_path: Path) -> None:
+def test_nothing_is_overwritten(golden_log: RunLog, tmp_path: Path) -> None:
     path = tmp_path / "there"
     path.write_text("mine")
     for export in (export_csv, export_candump, export_parquet):
         with pytest.raises(FileExistsError, match="there"):
-            export(log, path)
+            export(golden_log, path)
     assert path.read_text() == "mine"

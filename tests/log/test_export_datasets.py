@@ -21,17 +21,17 @@ from handctl.log.read.reader import RunLog
 from handctl.view.feed import write_rrd
 from handctl.view.scene.run_info import RunInfo
 
-GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-fault.mcap"
+GOLDEN_LOG = Path(__file__).parents[2] / "logs" / "golden" / "jamia-fault.mcap"
 
 
 @pytest.fixture
-def log() -> Iterator[RunLog]:
-    with RunLog(GOLDEN) as opened:
+def golden_log() -> Iterator[RunLog]:
+    with RunLog(GOLDEN_LOG) as opened:
         yield opened
 
 
-def table_of(log: RunLog) -> np.ndarray:
-    return np.array([np.frombuffer(row, "<f8") for row in log.packed()])
+def table_of(golden_log: RunLog) -> np.ndarray:
+    return np.array([np.frombuffer(row, "<f8") for row in golden_log.packed()])
 
 
 def frames_of(path: Path) -> polars.DataFrame:
@@ -39,53 +39,59 @@ def frames_of(path: Path) -> polars.DataFrame:
 
 
 @pytest.fixture
-def dataset(log: RunLog, tmp_path: Path) -> Path:
-    frames = export_lerobot([log], tmp_path / "x.lerobot")
-    assert frames == int((log.mode == int(HandMode.ACTIVE)).sum())
+def exported_dataset(golden_log: RunLog, tmp_path: Path) -> Path:
+    frames = export_lerobot([golden_log], tmp_path / "x.lerobot")
+    assert frames == int((golden_log.mode == int(HandMode.ACTIVE)).sum())
     return tmp_path / "x.lerobot"
 
 
-def test_polars_reads_the_table(log: RunLog, tmp_path: Path) -> None:
-    export_parquet(log, tmp_path / "x.parquet")
+def test_polars_reads_the_table(golden_log: RunLog, tmp_path: Path) -> None:
+    export_parquet(golden_log, tmp_path / "x.parquet")
     table = polars.read_parquet(tmp_path / "x.parquet")
-    assert table["k"].to_list() == log.k.tolist()
-    assert table["mode"].to_list() == [HandMode(value).name for value in log.mode.tolist()]
-    np.testing.assert_array_equal(table.select(column_names(log)).to_numpy(), table_of(log))
+    assert table["k"].to_list() == golden_log.k.tolist()
+    assert table["mode"].to_list() == [HandMode(value).name for value in golden_log.mode.tolist()]
+    np.testing.assert_array_equal(
+        table.select(column_names(golden_log)).to_numpy(), table_of(golden_log)
+    )
 
 
-def test_polars_reads_the_text(log: RunLog, tmp_path: Path) -> None:
-    export_csv(log, tmp_path / "x.csv")
+def test_polars_reads_the_text(golden_log: RunLog, tmp_path: Path) -> None:
+    export_csv(golden_log, tmp_path / "x.csv")
     table = polars.read_csv(tmp_path / "x.csv", infer_schema_length=None)
-    assert table["t_ns"].to_list() == log.t_ns.tolist()
+    assert table["t_ns"].to_list() == golden_log.t_ns.tolist()
     numbers = table.select(
-        [polars.col(column_title(name)).cast(polars.Float64) for name in column_names(log)]
+        [polars.col(column_title(name)).cast(polars.Float64) for name in column_names(golden_log)]
     ).to_numpy()
-    np.testing.assert_array_equal(numbers, table_of(log))
+    np.testing.assert_array_equal(numbers, table_of(golden_log))
 
 
-def test_the_dataset_has_the_values_of_the_log(log: RunLog, dataset: Path) -> None:
-    info = json.loads((dataset / "meta" / "info.json").read_text())
+def test_the_dataset_has_the_values_of_the_log(golden_log: RunLog, exported_dataset: Path) -> None:
+    info = json.loads((exported_dataset / "meta" / "info.json").read_text())
     place = {"chunk_index": 0, "file_index": 0}
-    table = polars.read_parquet(dataset / info["data_path"].format(**place))
-    active = log.mode == int(HandMode.ACTIVE)
-    state = np.hstack([log.field("q")[active], log.field("tension")[active]]).astype(np.float32)
+    table = polars.read_parquet(exported_dataset / info["data_path"].format(**place))
+    active = golden_log.mode == int(HandMode.ACTIVE)
+    state = np.hstack([golden_log.field("q")[active], golden_log.field("tension")[active]]).astype(
+        np.float32
+    )
     np.testing.assert_array_equal(table["observation.state"].to_numpy(), state)
-    goal, q = log.field("q_goal")[active], log.field("q")[active]
+    goal, q = golden_log.field("q_goal")[active], golden_log.field("q")[active]
     commands = np.hstack(
-        [np.where(np.isnan(goal), q, goal), log.field("tension_goal")[active]]
+        [np.where(np.isnan(goal), q, goal), golden_log.field("tension_goal")[active]]
     ).astype(np.float32)
     np.testing.assert_array_equal(table["action"].to_numpy(), commands)
-    times = (log.t_ns[active] - log.t_ns[active][0]) * 1e-9
+    times = (golden_log.t_ns[active] - golden_log.t_ns[active][0]) * 1e-9
     np.testing.assert_allclose(table["timestamp"].to_numpy(), times, atol=1e-6)
     assert table["frame_index"].to_list() == table["index"].to_list() == list(range(len(table)))
     assert table["next.done"].to_list() == [False] * (len(table) - 1) + [True]
     assert (info["fps"], info["total_frames"], info["robot_type"]) == (200, len(table), "jamia")
 
 
-def test_every_feature_is_declared_as_it_is(dataset: Path) -> None:
-    info = json.loads((dataset / "meta" / "info.json").read_text())
-    statistics = json.loads((dataset / "meta" / "stats.json").read_text())
-    table = polars.read_parquet(dataset / info["data_path"].format(chunk_index=0, file_index=0))
+def test_every_feature_is_declared_as_it_is(exported_dataset: Path) -> None:
+    info = json.loads((exported_dataset / "meta" / "info.json").read_text())
+    statistics = json.loads((exported_dataset / "meta" / "stats.json").read_text())
+    table = polars.read_parquet(
+        exported_dataset / info["data_path"].format(chunk_index=0, file_index=0)
+    )
     assert set(info["features"]) == set(table.columns) == set(statistics)
     for name, feature in info["features"].items():
         (size,) = feature["shape"]
@@ -101,18 +107,21 @@ def test_every_feature_is_declared_as_it_is(dataset: Path) -> None:
         a <= b <= c for a, b, c in zip(state["min"], state["q50"], state["max"], strict=True)
     )
     (episode,) = polars.read_parquet(
-        dataset / "meta/episodes/chunk-000/file-000.parquet"
+        exported_dataset / "meta/episodes/chunk-000/file-000.parquet"
     ).to_dicts()
     assert (episode["dataset_from_index"], episode["dataset_to_index"]) == (0, len(table))
-    assert polars.read_parquet(dataset / "meta/tasks.parquet")["task"].to_list() == episode["tasks"]
+    assert (
+        polars.read_parquet(exported_dataset / "meta/tasks.parquet")["task"].to_list()
+        == episode["tasks"]
+    )
 
 
-def test_the_episode_has_its_statistics(dataset: Path) -> None:
+def test_the_episode_has_its_statistics(exported_dataset: Path) -> None:
     """When a dataset is split, LeRobot computes the statistics of a part from those of its episodes."""
-    whole = json.loads((dataset / "meta" / "stats.json").read_text())
-    table = polars.read_parquet(dataset / "meta/episodes/chunk-000/file-000.parquet")
+    whole = json.loads((exported_dataset / "meta" / "stats.json").read_text())
+    table = polars.read_parquet(exported_dataset / "meta/episodes/chunk-000/file-000.parquet")
     names = {"min", "max", "mean", "std", "count", "q01", "q10", "q50", "q90", "q99"}
-    features = json.loads((dataset / "meta" / "info.json").read_text())["features"]
+    features = json.loads((exported_dataset / "meta" / "info.json").read_text())["features"]
     expected = {f"stats/{feature}/{name}" for feature in features for name in names}
     assert {column for column in table.columns if column.startswith("stats/")} == expected
     for column in expected:
@@ -126,10 +135,10 @@ def test_the_episode_has_its_statistics(dataset: Path) -> None:
 
 
 def test_several_logs_become_episodes_of_one_dataset(
-    log: RunLog, dataset: Path, tmp_path: Path
+    golden_log: RunLog, exported_dataset: Path, tmp_path: Path
 ) -> None:
-    with RunLog(GOLDEN.parent / "jamia-grasp.mcap") as other:
-        frames = export_lerobot([other, log, other], tmp_path / "y")
+    with RunLog(GOLDEN_LOG.parent / "jamia-grasp.mcap") as other:
+        frames = export_lerobot([other, golden_log, other], tmp_path / "y")
     table = polars.read_parquet(tmp_path / "y" / "data" / "chunk-000" / "file-000.parquet")
     episodes = polars.read_parquet(
         tmp_path / "y" / "meta" / "episodes" / "chunk-000" / "file-000.parquet"
@@ -143,7 +152,7 @@ def test_several_logs_become_episodes_of_one_dataset(
     )
     assert table["index"].to_list() == list(range(frames))
     assert len(tasks) == info["total_tasks"] == len({episode["tasks"][0] for episode in episodes})
-    alone = polars.read_parquet(dataset / "data" / "chunk-000" / "file-000.parquet")
+    alone = polars.read_parquet(exported_dataset / "data" / "chunk-000" / "file-000.parquet")
     for episode in episodes:
         part = table[episode["dataset_from_index"] : episode["dataset_to_index"]]
         assert set(part["episode_index"]) == {episode["episode_index"]}
@@ -157,14 +166,14 @@ def test_several_logs_become_episodes_of_one_dataset(
         assert middle[name].to_list() == alone[name].to_list()
 
 
-def test_a_log_of_another_hand_is_no_episode(log: RunLog, tmp_path: Path) -> None:
+def test_a_log_of_another_hand_is_no_episode(golden_log: RunLog, tmp_path: Path) -> None:
     with (
-        RunLog(GOLDEN.parent / "jamia11-grasp.mcap") as other,
+        RunLog(GOLDEN_LOG.parent / "jamia11-grasp.mcap") as other,
         pytest.raises(
             LogError, match="log 2: a run of hand jamia11; expected a run of hand jamia, as in"
         ),
     ):
-        export_lerobot([log, other], tmp_path / "y")
+        export_lerobot([golden_log, other], tmp_path / "y")
     assert not (tmp_path / "y").exists()
 
 
@@ -172,7 +181,17 @@ def test_only_a_dataset_takes_several_logs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert (
-        main(["log", "export", str(GOLDEN), str(GOLDEN), "--csv", "--output", str(tmp_path / "x")])
+        main(
+            [
+                "log",
+                "export",
+                str(GOLDEN_LOG),
+                str(GOLDEN_LOG),
+                "--csv",
+                "--output",
+                str(tmp_path / "x"),
+            ]
+        )
         == 2
     )
     assert "a second log" in capsys.readouterr().err
@@ -181,8 +200,8 @@ def test_only_a_dataset_takes_several_logs(
             [
                 "log",
                 "export",
-                str(GOLDEN),
-                str(GOLDEN),
+                str(GOLDEN_LOG),
+                str(GOLDEN_LOG),
                 "--lerobot",
                 "--output",
                 str(tmp_path / "x"),
@@ -194,16 +213,16 @@ def test_only_a_dataset_takes_several_logs(
 
 
 def test_a_lower_frame_rate_takes_the_latest_tick(
-    log: RunLog, dataset: Path, tmp_path: Path
+    golden_log: RunLog, exported_dataset: Path, tmp_path: Path
 ) -> None:
-    frames = export_lerobot([log], tmp_path / "slow", fps=40)
-    whole, slow = [frames_of(path) for path in (dataset, tmp_path / "slow")]
+    frames = export_lerobot([golden_log], tmp_path / "slow", fps=40)
+    whole, slow = [frames_of(path) for path in (exported_dataset, tmp_path / "slow")]
     assert len(slow) == frames == (len(whole) - 1) // 5 + 1
     assert slow["action"].to_list() == whole["action"].to_list()[::5]
     assert slow["timestamp"].to_list() == pytest.approx([i / 40 for i in range(frames)])
     for fps in (0, 201):
         with pytest.raises(ConfigError, match=f"--fps: {fps} Hz; expected 1 to 200 Hz"):
-            export_lerobot([log], tmp_path / "wrong", fps=fps)
+            export_lerobot([golden_log], tmp_path / "wrong", fps=fps)
     assert not (tmp_path / "wrong").exists()
 
 
@@ -257,7 +276,7 @@ def test_a_wrong_camera_is_one_line(
     monkeypatch.setenv("PATH", "")
     (tmp_path / "one.mp4").touch()
     (tmp_path / "two.mp4").touch()
-    assert main(["log", "export", str(GOLDEN), *words.split(), "--output", "out"]) == 2
+    assert main(["log", "export", str(GOLDEN_LOG), *words.split(), "--output", "out"]) == 2
     assert f"handctl: {line}" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
@@ -278,8 +297,8 @@ def test_statistics_of_images_are_those_of_their_pixels() -> None:
         )
 
 
-def test_names_of_elements_have_their_unit(dataset: Path) -> None:
-    features = json.loads((dataset / "meta" / "info.json").read_text())["features"]
+def test_names_of_elements_have_their_unit(exported_dataset: Path) -> None:
+    features = json.loads((exported_dataset / "meta" / "info.json").read_text())["features"]
     units = {
         "observation.state": {"pos_rad", "tension_N"},
         "observation.sigma": {"pos_sigma_rad", "tension_sigma_N"},
@@ -291,21 +310,21 @@ def test_names_of_elements_have_their_unit(dataset: Path) -> None:
             assert {inner.partition(".")[2] for inner in feature["names"]} == expected, name
 
 
-def test_rerun_reads_the_dataset(log: RunLog, dataset: Path) -> None:
-    reader = LeRobotReader(dataset)
+def test_rerun_reads_the_dataset(golden_log: RunLog, exported_dataset: Path) -> None:
+    reader = LeRobotReader(exported_dataset)
     assert reader.episodes() == [0]
     chunks = {str(chunk.entity_path): chunk for chunk in reader.stream(0).to_chunks()}
     batch = chunks["/observation.state"].to_record_batch()
     values = np.array(batch.column("Scalars:scalars").to_pylist())
-    active = log.mode == int(HandMode.ACTIVE)
+    active = golden_log.mode == int(HandMode.ACTIVE)
     np.testing.assert_array_equal(
-        values[:, : len(log.header.joints)], log.field("q")[active].astype(np.float32)
+        values[:, : len(golden_log.header.joints)], golden_log.field("q")[active].astype(np.float32)
     )
     assert batch.column("frame_index").to_pylist() == list(range(len(values)))
 
 
-def test_rerun_reads_the_recording(log: RunLog, tmp_path: Path) -> None:
-    write_rrd(GOLDEN, RunInfo.of(log.header, "x"), tmp_path / "x.rrd")
+def test_rerun_reads_the_recording(golden_log: RunLog, tmp_path: Path) -> None:
+    write_rrd(GOLDEN_LOG, RunInfo.of(golden_log.header, "x"), tmp_path / "x.rrd")
     lines: dict[str, list[tuple[int, list[float]]]] = {}
     for chunk in RrdReader(tmp_path / "x.rrd").stream().to_chunks():
         field = str(chunk.entity_path).removeprefix("/controller/")
@@ -322,12 +341,12 @@ def test_rerun_reads_the_recording(log: RunLog, tmp_path: Path) -> None:
     for field, rows in lines.items():
         rows.sort(key=lambda row: row[0])
         np.testing.assert_array_equal(
-            np.array([values for _, values in rows]), log.field(field), err_msg=field
+            np.array([values for _, values in rows]), golden_log.field(field), err_msg=field
         )
 
 
-def test_a_folder_that_is_there_is_left_alone(log: RunLog, tmp_path: Path) -> None:
+def test_a_folder_that_is_there_is_left_alone(golden_log: RunLog, tmp_path: Path) -> None:
     (tmp_path / "x").mkdir()
     with pytest.raises(FileExistsError, match="x"):
-        export_lerobot([log], tmp_path / "x")
+        export_lerobot([golden_log], tmp_path / "x")
     assert list((tmp_path / "x").iterdir()) == []

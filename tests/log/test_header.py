@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 
 import pytest
-from headers import with_metadata, with_run
+from changed_headers import with_metadata, with_run_metadata
 
 from handctl.cli.main import main
 from handctl.errors import LogError
@@ -15,8 +15,8 @@ from handctl.hand.hand_loading import PACKAGED_HANDS_FOLDER
 from handctl.log.header import MAX_LOG_TIME_NS, PERIOD_RANGE_NS
 from handctl.log.read.reader import RunLog
 
-GOLDEN = PACKAGED_HANDS_FOLDER.parents[3] / "logs" / "golden" / "jamia-fault.mcap"
-VERBS = {
+GOLDEN_LOG = PACKAGED_HANDS_FOLDER.parents[3] / "logs" / "golden" / "jamia-fault.mcap"
+READING_COMMANDS = {
     "log info": ("log", "info", "odd.mcap"),
     "log check": ("log", "check", "odd.mcap"),
     "log diff": ("log", "diff", "odd.mcap", "odd.mcap"),
@@ -32,7 +32,7 @@ VERBS = {
     "identify": ("identify", "--from-log", "odd.mcap"),
     "view": ("view", "odd.mcap", "--save", "odd.rrd"),
 }
-NUMBERS = {
+WRONG_NUMBERS = {
     "period_ns": [
         "0",
         "0.5",
@@ -60,7 +60,7 @@ NUMBERS = {
         str(2**64),
     ],
 }
-TEXTS = [
+WRONG_TEXTS = [
     '"abc"',
     "{}",
     '[["a"]]',
@@ -72,17 +72,17 @@ TEXTS = [
     '["a\\nb"]',
     '[""]',
 ]
-LISTS = ("joints", "tendons", "motors", "digits", "buses")
+LIST_KEYS = ("joints", "tendons", "motors", "digits", "buses")
 
 
 @pytest.fixture
-def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def log_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "limits.toml").write_text("tension_trip_N = 20")
     return tmp_path
 
 
-def _refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+def _refusal_line(capsys: pytest.CaptureFixture[str], *words: str) -> str:
     """Return the error line that a command prints when it refuses a log.
 
     `log check` prints its finding on standard output and has exit code 1.
@@ -99,52 +99,61 @@ def _refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
     return message
 
 
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("verb", READING_COMMANDS)
 def test_invalid_period_is_refused_in_one_line(
-    place: Path, capsys: pytest.CaptureFixture[str], verb: str
+    log_folder: Path, capsys: pytest.CaptureFixture[str], verb: str
 ) -> None:
     for period in ("0", "0.5", str(2**64)):
-        with_run(GOLDEN, place / "odd.mcap", period_ns=period)
-        assert "period_ns" in _refused(capsys, *VERBS[verb])
-    with_run(GOLDEN, place / "odd.mcap", offset_ns=str(2**64))
-    assert "offset_ns" in _refused(capsys, *VERBS[verb])
-    with_run(GOLDEN, place / "odd.mcap", tendons='["\\ud800", ["a"]]')
-    assert "tendons" in _refused(capsys, *VERBS[verb])
+        with_run_metadata(GOLDEN_LOG, log_folder / "odd.mcap", period_ns=period)
+        assert "period_ns" in _refusal_line(capsys, *READING_COMMANDS[verb])
+    with_run_metadata(GOLDEN_LOG, log_folder / "odd.mcap", offset_ns=str(2**64))
+    assert "offset_ns" in _refusal_line(capsys, *READING_COMMANDS[verb])
+    with_run_metadata(GOLDEN_LOG, log_folder / "odd.mcap", tendons='["\\ud800", ["a"]]')
+    assert "tendons" in _refusal_line(capsys, *READING_COMMANDS[verb])
 
 
 @pytest.mark.parametrize(
-    ("key", "text"), [(key, text) for key, texts in NUMBERS.items() for text in texts]
+    ("key", "text"), [(key, text) for key, texts in WRONG_NUMBERS.items() for text in texts]
 )
 def test_a_number_of_the_header_has_its_type_and_range(
     small_log: Path, tmp_path: Path, key: str, text: str
 ) -> None:
     with pytest.raises(LogError, match=key if len(text) < 4000 else "digits"):
-        RunLog(with_run(small_log, tmp_path / "odd.mcap", **{key: text}))
+        RunLog(with_run_metadata(small_log, tmp_path / "odd.mcap", **{key: text}))
 
 
-@pytest.mark.parametrize("text", TEXTS)
-@pytest.mark.parametrize("key", LISTS)
+@pytest.mark.parametrize("text", WRONG_TEXTS)
+@pytest.mark.parametrize("key", LIST_KEYS)
 def test_a_name_of_the_header_is_a_name(
     small_log: Path, tmp_path: Path, key: str, text: str
 ) -> None:
     with pytest.raises(LogError, match=key) as refused:
-        RunLog(with_run(small_log, tmp_path / "odd.mcap", **{key: text}))
+        RunLog(with_run_metadata(small_log, tmp_path / "odd.mcap", **{key: text}))
     assert str(refused.value).isprintable()
 
 
 def test_the_ends_of_the_ranges_are_read(small_log: Path, tmp_path: Path) -> None:
     for period in PERIOD_RANGE_NS:
-        with RunLog(with_run(small_log, tmp_path / "odd.mcap", period_ns=str(period))) as log:
+        with RunLog(
+            with_run_metadata(small_log, tmp_path / "odd.mcap", period_ns=str(period))
+        ) as log:
             assert log.header.period_ns == period
-    with RunLog(with_run(small_log, tmp_path / "odd.mcap", offset_ns=str(MAX_LOG_TIME_NS))) as log:
+    with RunLog(
+        with_run_metadata(small_log, tmp_path / "odd.mcap", offset_ns=str(MAX_LOG_TIME_NS))
+    ) as log:
         assert log.header.offset_ns == MAX_LOG_TIME_NS
 
 
 @pytest.mark.parametrize(
-    "verb", [verb for verb in VERBS if verb.startswith(("report", "replay", "identify", "view"))]
+    "verb",
+    [
+        verb
+        for verb in READING_COMMANDS
+        if verb.startswith(("report", "replay", "identify", "view"))
+    ],
 )
 def test_a_hand_with_other_names_than_the_columns_is_refused(
-    place: Path, capsys: pytest.CaptureFixture[str], verb: str
+    log_folder: Path, capsys: pytest.CaptureFixture[str], verb: str
 ) -> None:
     def renamed(name: str, old: dict[str, str]) -> dict[str, str]:
         if name != "handctl.run":
@@ -152,27 +161,27 @@ def test_a_hand_with_other_names_than_the_columns_is_refused(
         joints = json.loads(old["joints"])
         return old | {"joints": json.dumps([*joints[:-1], "another"])}
 
-    (place / "odd.mcap").write_bytes(with_metadata(GOLDEN.read_bytes(), renamed))
-    assert "names differ" in _refused(capsys, *VERBS[verb])
+    (log_folder / "odd.mcap").write_bytes(with_metadata(GOLDEN_LOG.read_bytes(), renamed))
+    assert "names differ" in _refusal_line(capsys, *READING_COMMANDS[verb])
 
 
 @pytest.mark.parametrize("text", ["²", "-1", "1.5", "9" * 5000, str(2**64), "\x1b[2J"])
 def test_invalid_truth_offset_is_refused(
-    place: Path, capsys: pytest.CaptureFixture[str], text: str
+    log_folder: Path, capsys: pytest.CaptureFixture[str], text: str
 ) -> None:
     more = {"truth_offset_ns": text}
     changed = with_metadata(
-        GOLDEN.read_bytes(), lambda name, old: old | more if name == "handctl" else old
+        GOLDEN_LOG.read_bytes(), lambda name, old: old | more if name == "handctl" else old
     )
-    (place / "odd.mcap").write_bytes(changed)
-    assert "truth_offset_ns" in _refused(capsys, "report", "odd.mcap")
+    (log_folder / "odd.mcap").write_bytes(changed)
+    assert "truth_offset_ns" in _refusal_line(capsys, "report", "odd.mcap")
 
 
 def test_logs_of_other_columns_are_not_compared(
-    place: Path, capsys: pytest.CaptureFixture[str]
+    log_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with_run(GOLDEN, place / "odd.mcap", joints='["a", "b"]')
-    assert main(["log", "diff", str(GOLDEN), "odd.mcap"]) == 4
+    with_run_metadata(GOLDEN_LOG, log_folder / "odd.mcap", joints='["a", "b"]')
+    assert main(["log", "diff", str(GOLDEN_LOG), "odd.mcap"]) == 4
     assert "other joints" in capsys.readouterr().err
 
 

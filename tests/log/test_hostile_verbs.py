@@ -6,14 +6,14 @@ import sys
 from pathlib import Path
 
 import pytest
-import synthetic
-from hostile import hostile
+import synthetic_run
+from hostile_logs import hostile_files
 
 from handctl.cli.main import main
 from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record
 from handctl.log.write.writer import LogWriter
 
-CODES = {
+EXIT_CODES = {
     "log recover": (1, 2, 3),
     "log check": (1, 2, 3),
     "replay drive": (2, 4),
@@ -23,7 +23,7 @@ CODES = {
 
 The logs name no hand, which `replay drive` checks first.
 """
-PROBE = """
+PROBE_PROGRAM = """
 import contextlib, io, json, resource, sys, time
 from pathlib import Path
 from handctl.cli.main import main
@@ -55,10 +55,13 @@ print(json.dumps([found, peak <= limit]))
 def test_every_verb_refuses_a_hostile_log_in_one_line(small_log: Path, tmp_path: Path) -> None:
     folder = tmp_path / "hostile"
     folder.mkdir()
-    for name, data in hostile(small_log).items():
+    for name, data in hostile_files(small_log).items():
         (folder / f"{name}\x1b[2J.mcap").write_bytes(data)
     done = subprocess.run(
-        [sys.executable, "-c", PROBE, str(folder)], capture_output=True, text=True, check=False
+        [sys.executable, "-c", PROBE_PROGRAM, str(folder)],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 0, done.stderr
     outcomes, little_memory = json.loads(done.stdout)
@@ -66,7 +69,7 @@ def test_every_verb_refuses_a_hostile_log_in_one_line(small_log: Path, tmp_path:
     assert len(outcomes) == 10 * len(list(folder.glob("*.mcap")))
     for name, words, code, output, seconds in outcomes:
         what = f"{words} on {name}: {output}"
-        assert code in CODES.get(" ".join(words[:2]), (2,)), what
+        assert code in EXIT_CODES.get(" ".join(words[:2]), (2,)), what
         assert len(output) <= 2, what
         assert "\x1b" not in "".join(output), what
         assert "Traceback" not in "".join(output), what
@@ -84,9 +87,9 @@ def test_names_from_a_log_cannot_control_the_terminal_or_write_files(
         "gains": {evil: evil},
         "attachments": {f"../{evil}": b"x"},
     }
-    run = synthetic.header(rate_hz=50, **more)
+    run = synthetic_run.synthetic_header(rate_hz=50, **more)
     writer = LogWriter(inner / "run.mcap", run, lambda *what: None, 1)
-    for tick in synthetic.Synthetic(run, 0.5):
+    for tick in synthetic_run.SyntheticTicks(run, 0.5):
         writer.add(pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :])
     writer.finish(evil, 0)
     for words in (

@@ -6,18 +6,18 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.writers.sustained import sustained
+from benchmarks.writers.sustained_recording import measure_sustained
 
 pytestmark = [pytest.mark.realtime, pytest.mark.alone]
-SECONDS = 30.0 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 1.0
-FRAMES = 24
+DURATION_S = 30.0 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 1.0
+FRAMES_PER_TICK = 24
 """Number of frames in a tick: eleven commands and their replies, a SYNC, and one frame of load cells."""
 
 
 def test_nothing_is_dropped_and_the_recorder_has_a_core_to_spare(tmp_path: Path) -> None:
     with multiprocessing.get_context("spawn").Pool(1) as pool:  # a loop locks its process's memory
-        result = pool.apply(sustained, (tmp_path / "run.mcap", SECONDS))
+        result = pool.apply(measure_sustained, (tmp_path / "run.mcap", DURATION_S))
     assert (result["dropped"], result["lost"]) == (0, 0)
-    assert result["ticks"] == result["ticks_in_log"] > 0.9 * 1000 * SECONDS
-    assert result["frames_in_log"] == pytest.approx(FRAMES * result["ticks"], rel=0.001)
+    assert result["ticks"] == result["ticks_in_log"] > 0.9 * 1000 * DURATION_S
+    assert result["frames_in_log"] == pytest.approx(FRAMES_PER_TICK * result["ticks"], rel=0.001)
     assert result["recorder_core_share"] < 0.5

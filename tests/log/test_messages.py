@@ -3,10 +3,15 @@
 import struct
 from pathlib import Path
 
-import lively
 import numpy as np
 import pytest
-from oracle import Ros2Support, Rosbags, by_topic, oracles
+import varied_run
+from other_log_readers import (
+    Ros2SupportSerialiser,
+    RosbagsSerialiser,
+    messages_by_topic,
+    other_serialisers,
+)
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from handctl.log.message_types import MESSAGE_DEFINITIONS, schema_name, schema_text
@@ -21,7 +26,7 @@ from handctl.log.topics.event_topics import (
 from handctl.log.topics.health import DiagnosticStatus, encode_diagnostic_array
 from handctl.log.write.recorder import Recorder
 
-STANDARD = (
+STANDARD_PACKAGES = (
     "builtin_interfaces",
     "std_msgs",
     "geometry_msgs",
@@ -31,19 +36,19 @@ STANDARD = (
 )
 
 
-STATES = {30: b"one state", 136: bytes(range(256)) * 100}
+SNAPSHOTS = {30: b"one state", 136: bytes(range(256)) * 100}
 """Snapshots of the run by the number of the tick that precedes them."""
 
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def varied_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("lively") / "run.mcap"
-    run = lively.header(deterministic=False)
+    run = varied_run.varied_header(deterministic=False)
     recorder = Recorder.start(path, run)
-    for tick_in, out in lively.ticks(run):
+    for tick_in, out in varied_run.varied_ticks(run):
         assert recorder.record(pack_tick_record(tick_in, out))
-        if tick_in.k in STATES:
-            assert recorder.record(pack_snapshot(tick_in, STATES[tick_in.k]))
+        if tick_in.k in SNAPSHOTS:
+            assert recorder.record(pack_snapshot(tick_in, SNAPSHOTS[tick_in.k]))
     assert recorder.close("finished")["complete"]
     return path
 
@@ -52,15 +57,18 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_standard_type_has_the_fields_and_constants_of_ros(name: str) -> None:
     package = name.split("/")[0]
     types = get_types_from_msg(schema_text(name), schema_name(name))
-    if package in STANDARD or name in ("rcl_interfaces/Log", "rcl_interfaces/ParameterEvent"):
+    if package in STANDARD_PACKAGES or name in (
+        "rcl_interfaces/Log",
+        "rcl_interfaces/ParameterEvent",
+    ):
         humble = get_typestore(Stores.ROS2_HUMBLE).fielddefs
         for kind, fields in types.items():
             assert fields == humble[kind], kind
     assert schema_name(name) in types
 
 
-def test_every_topic_has_messages_in_the_lively_run(log: Path) -> None:
-    topics = by_topic(log)
+def test_every_topic_has_messages_in_the_lively_run(varied_log: Path) -> None:
+    topics = messages_by_topic(varied_log)
     used = {message.kind for messages in topics.values() for message in messages}
     parts = {
         "Time",
@@ -78,29 +86,29 @@ def test_every_topic_has_messages_in_the_lively_run(log: Path) -> None:
     }
 
 
-def test_a_snapshot_is_read_as_it_was_written(log: Path) -> None:
-    with RunLog(log) as run:
-        assert dict(run.snapshots) == STATES
+def test_a_snapshot_is_read_as_it_was_written(varied_log: Path) -> None:
+    with RunLog(varied_log) as run:
+        assert dict(run.snapshots) == SNAPSHOTS
 
 
-def test_both_serialisers_give_back_every_message(log: Path) -> None:
+def test_both_serialisers_give_back_every_message(varied_log: Path) -> None:
     seen = 0
-    for messages in by_topic(log).values():
+    for messages in messages_by_topic(varied_log).values():
         first = messages[0]
-        for oracle in oracles(first.kind, first.schema):
+        for oracle in other_serialisers(first.kind, first.schema):
             for message in messages:
                 assert oracle.encode(oracle.decode(message.data)) == message.data, message.topic
                 seen += 1
     assert seen > 5000
 
 
-def _built(kind: str, values: dict[str, object]) -> bytes:
-    return Ros2Support(schema_name(kind), schema_text(kind)).encode(values)
+def _built_message(kind: str, values: dict[str, object]) -> bytes:
+    return Ros2SupportSerialiser(schema_name(kind), schema_text(kind)).encode(values)
 
 
-STAMP = {"sec": 5, "nanosec": 7}
+STAMP_VALUE = {"sec": 5, "nanosec": 7}
 T_NS = 5_000_000_007
-LABEL = {"header": {"stamp": STAMP, "frame_id": ""}, "name": "hold"}
+LABEL_VALUE = {"header": {"stamp": STAMP_VALUE, "frame_id": ""}, "name": "hold"}
 
 
 @pytest.mark.parametrize(
@@ -109,15 +117,19 @@ LABEL = {"header": {"stamp": STAMP, "frame_id": ""}, "name": "hold"}
         (
             "rcl_interfaces/Log",
             encode_rosout(T_NS, "warn", "handctl.x", "text"),
-            {"stamp": STAMP, "level": 30, "name": "handctl.x", "msg": "text"},
+            {"stamp": STAMP_VALUE, "level": 30, "name": "handctl.x", "msg": "text"},
         ),
-        ("handctl_msgs/GraspPhase", encode_labelled_number(T_NS, 6, "hold"), LABEL | {"phase": 6}),
-        ("handctl_msgs/Mode", encode_labelled_number(T_NS, 6, "hold"), LABEL | {"mode": 6}),
+        (
+            "handctl_msgs/GraspPhase",
+            encode_labelled_number(T_NS, 6, "hold"),
+            LABEL_VALUE | {"phase": 6},
+        ),
+        ("handctl_msgs/Mode", encode_labelled_number(T_NS, 6, "hold"), LABEL_VALUE | {"mode": 6}),
         (
             "ros2_socketcan_msgs/FdFrame",
             encode_fd_frame("main", T_NS, 0x8000_1234, bytes(range(20))),
             {
-                "header": {"stamp": STAMP, "frame_id": "main"},
+                "header": {"stamp": STAMP_VALUE, "frame_id": "main"},
                 "id": 0x1234,
                 "is_extended": True,
                 "len": 20,
@@ -131,7 +143,7 @@ LABEL = {"header": {"stamp": STAMP, "frame_id": ""}, "name": "hold"}
                 [DiagnosticStatus(2, "a", "b", "c", {"k": "v"}), DiagnosticStatus(0, "", "", "")],
             ),
             {
-                "header": {"stamp": STAMP},
+                "header": {"stamp": STAMP_VALUE},
                 "status": [
                     {
                         "level": 2,
@@ -148,7 +160,7 @@ LABEL = {"header": {"stamp": STAMP, "frame_id": ""}, "name": "hold"}
             "rcl_interfaces/ParameterEvent",
             encode_parameter_event(T_NS, {"a": "0.5", "b": "word"}, {"c": "3"}),
             {
-                "stamp": STAMP,
+                "stamp": STAMP_VALUE,
                 "node": "/handctl",
                 "new_parameters": [
                     {"name": "a", "value": {"type": 3, "double_value": 0.5}},
@@ -162,13 +174,13 @@ LABEL = {"header": {"stamp": STAMP, "frame_id": ""}, "name": "hold"}
 def test_message_equals_the_reference_encoding(
     kind: str, ours: bytes, values: dict[str, object]
 ) -> None:
-    assert ours == _built(kind, values)
+    assert ours == _built_message(kind, values)
 
 
-def test_joint_states_carry_the_telemetry_by_name(log: Path) -> None:
-    run, logged = lively.header(), by_topic(log)["/joint_states"]
-    oracle = Rosbags(logged[0].kind, logged[0].schema)
-    for (tick_in, out), message in zip(lively.ticks(run), logged, strict=True):
+def test_joint_states_carry_the_telemetry_by_name(varied_log: Path) -> None:
+    run, logged = varied_run.varied_header(), messages_by_topic(varied_log)["/joint_states"]
+    oracle = RosbagsSerialiser(logged[0].kind, logged[0].schema)
+    for (tick_in, out), message in zip(varied_run.varied_ticks(run), logged, strict=True):
         state = oracle.decode(message.data)
         assert state.name == list(run.joints)
         np.testing.assert_array_equal(state.position, out.telemetry.q)
@@ -177,16 +189,16 @@ def test_joint_states_carry_the_telemetry_by_name(log: Path) -> None:
         assert state.header.stamp.sec * 10**9 + state.header.stamp.nanosec == tick_in.t_ns
 
 
-def test_frames_of_all_buses_stay_in_order(log: Path) -> None:
-    topics = by_topic(log)
+def test_frames_of_all_buses_stay_in_order(varied_log: Path) -> None:
+    topics = messages_by_topic(varied_log)
     for topic, choose in (("rx", lambda i, o: i.frames), ("tx", lambda i, o: o.frames)):
         for suffix, long in (("", False), ("_fd", True)):
             messages = topics[f"/can/{topic}{suffix}"]
-            oracle = Rosbags(messages[0].kind, messages[0].schema)
+            oracle = RosbagsSerialiser(messages[0].kind, messages[0].schema)
             ours = [oracle.decode(message.data) for message in messages]
             sent = [
                 frame
-                for tick in lively.ticks(lively.header())
+                for tick in varied_run.varied_ticks(varied_run.varied_header())
                 for frame in choose(*tick)
                 if bool(frame.flags & 4) == long
             ]
@@ -195,30 +207,35 @@ def test_frames_of_all_buses_stay_in_order(log: Path) -> None:
                 assert message.id == frame.can_id & 0x1FFF_FFFF
                 assert message.is_extended == bool(frame.can_id >> 31)
                 assert message.is_error == bool(frame.can_id >> 29 & 1)
-                assert message.header.frame_id == (*lively.BUSES, "unknown")[min(frame.bus, 2)]
+                assert (
+                    message.header.frame_id == (*varied_run.BUS_NAMES, "unknown")[min(frame.bus, 2)]
+                )
                 length = message.len if long else message.dlc
                 assert bytes(message.data[:length]) == frame.data
                 assert long or message.is_rtr == bool(frame.can_id >> 30 & 1)
 
 
-def test_received_frames_have_their_time_and_sent_frames_that_of_their_tick(log: Path) -> None:
-    topics = by_topic(log)
+def test_received_frames_have_their_time_and_sent_frames_that_of_their_tick(
+    varied_log: Path,
+) -> None:
+    topics = messages_by_topic(varied_log)
     times = [
         frame.t_ns
-        for tick_in, _ in lively.ticks(lively.header())
+        for tick_in, _ in varied_run.varied_ticks(varied_run.varied_header())
         for frame in tick_in.frames
         if not frame.flags
     ]
     assert [message.publish_time for message in topics["/can/rx"]] == times
-    oracle = Rosbags(topics["/can/tx"][0].kind, topics["/can/tx"][0].schema)
+    oracle = RosbagsSerialiser(topics["/can/tx"][0].kind, topics["/can/tx"][0].schema)
     starts = {
-        tick_in.k: tick_in.t_ns + tick_in.late_ns for tick_in, _ in lively.ticks(lively.header())
+        tick_in.k: tick_in.t_ns + tick_in.late_ns
+        for tick_in, _ in varied_run.varied_ticks(varied_run.varied_header())
     }
     for message in topics["/can/tx"]:
         stamp = oracle.decode(message.data).header.stamp
         assert stamp.sec * 10**9 + stamp.nanosec == starts[message.sequence] == message.publish_time
 
 
-def test_every_message_header_is_little_endian_cdr(log: Path) -> None:
-    for messages in by_topic(log).values():
+def test_every_message_header_is_little_endian_cdr(varied_log: Path) -> None:
+    for messages in messages_by_topic(varied_log).values():
         assert all(struct.unpack_from("<I", message.data)[0] == 0x100 for message in messages)

@@ -11,11 +11,11 @@ import sys
 import time
 from pathlib import Path
 
-import lively
 import numpy as np
 import pytest
-import synthetic
-from hostile import hostile
+import synthetic_run
+import varied_run
+from hostile_logs import hostile_files
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.writer import Writer
@@ -30,21 +30,23 @@ from handctl.printing import printable_text
 
 
 @pytest.fixture(scope="module")
-def lively_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def varied_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("lively") / "run.mcap"
-    run = lively.header(deterministic=False)
+    run = varied_run.varied_header(deterministic=False)
     recorder = Recorder.start(path, run)
-    for tick in lively.ticks(run):
+    for tick in varied_run.varied_ticks(run):
         assert recorder.record(pack_tick_record(*tick))
         time.sleep(0.003)
     recorder.close("finished")
     return path
 
 
-def test_ticks_come_back_exactly(lively_log: Path) -> None:
-    with RunLog(lively_log) as log:
+def test_ticks_come_back_exactly(varied_log: Path) -> None:
+    with RunLog(varied_log) as log:
         ticks = list(log.ticks())
-    for (tick_in, out), one in zip(lively.ticks(lively.header()), ticks, strict=True):
+    for (tick_in, out), one in zip(
+        varied_run.varied_ticks(varied_run.varied_header()), ticks, strict=True
+    ):
         expected = TickRecord(
             tick_in, out.frames, out.mode, out.phase, out.action, out.events, out.state_hash
         )
@@ -53,12 +55,12 @@ def test_ticks_come_back_exactly(lively_log: Path) -> None:
 
 @pytest.mark.parametrize("cached", [True, False])
 def test_every_field_comes_back_bit_for_bit(
-    lively_log: Path, cached: bool, monkeypatch: pytest.MonkeyPatch
+    varied_log: Path, cached: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if not cached:
         monkeypatch.setattr("handctl.log.read.reader._CACHE_BYTES", 0)
-    recorded = [out.telemetry for _, out in lively.ticks(lively.header())]
-    with RunLog(lively_log) as log:
+    recorded = [out.telemetry for _, out in varied_run.varied_ticks(varied_run.varied_header())]
+    with RunLog(varied_log) as log:
         for name in TELEMETRY_FIELDS:
             expected = np.array([getattr(telemetry, name) for telemetry in recorded])
             assert log.field(name).tobytes() == expected.tobytes(), name
@@ -66,18 +68,18 @@ def test_every_field_comes_back_bit_for_bit(
 
 
 def test_a_log_without_the_latest_fields_is_read(
-    lively_log: Path, monkeypatch: pytest.MonkeyPatch
+    varied_log: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A later version may have a field that an older log lacks, as logs of version 0.1 lack q_sigma.
 
     The field is then NaN.
     """
-    recorded = [out.telemetry for _, out in lively.ticks(lively.header())]
+    recorded = [out.telemetry for _, out in varied_run.varied_ticks(varied_run.varied_header())]
     monkeypatch.setitem(TELEMETRY_AXES, "coming", "joint")
     for module in ("batch", "read.reader"):
         monkeypatch.setattr(f"handctl.log.{module}.TELEMETRY_FIELDS", (*TELEMETRY_FIELDS, "coming"))
     monkeypatch.setattr("handctl.log.batch.TELEMETRY_FIRST", len(TELEMETRY_FIELDS))
-    with RunLog(lively_log) as log:
+    with RunLog(varied_log) as log:
         assert log.fields == TELEMETRY_FIELDS
         assert np.isnan(log.field("coming")).all()
         assert log.field("coming").shape == (len(log), len(log.header.joints))
@@ -85,9 +87,9 @@ def test_a_log_without_the_latest_fields_is_read(
         assert log.field("q_sigma").tobytes() == expected.tobytes()
 
 
-def test_reader_returns_times_gaps_events_and_phases_as_written(lively_log: Path) -> None:
-    ticks = list(lively.ticks(lively.header()))
-    with RunLog(lively_log) as log:
+def test_reader_returns_times_gaps_events_and_phases_as_written(varied_log: Path) -> None:
+    ticks = list(varied_run.varied_ticks(varied_run.varied_header()))
+    with RunLog(varied_log) as log:
         assert log.k.tolist() == [tick_in.k for tick_in, _ in ticks]
         assert log.late_ns.tolist() == [tick_in.late_ns for tick_in, _ in ticks]
         np.testing.assert_allclose(log.times, [tick_in.t_ns / 1e9 for tick_in, _ in ticks])
@@ -102,9 +104,9 @@ def test_reader_returns_times_gaps_events_and_phases_as_written(lively_log: Path
         assert int(log.end["missed"]) == 21
 
 
-def test_the_header_comes_back(lively_log: Path) -> None:
-    run = lively.header(deterministic=False)
-    with RunLog(lively_log) as log:
+def test_the_header_comes_back(varied_log: Path) -> None:
+    run = varied_run.varied_header(deterministic=False)
+    with RunLog(varied_log) as log:
         for name in (
             "hand_toml",
             "joints",
@@ -127,7 +129,7 @@ def test_the_error_of_an_unknown_field_lists_all_fields(small_log: Path) -> None
         log.field("tenshun\x1b[2J")
 
 
-def _everything(path: Path) -> tuple[bytes, bytes]:
+def _all_content(path: Path) -> tuple[bytes, bytes]:
     with RunLog(path) as log:
         ticks = repr([*log.ticks(), log.header, log.metadata, log.events, log.phases, log.gaps])
         return ticks.encode("utf-8", "surrogatepass"), b"".join(
@@ -137,7 +139,7 @@ def _everything(path: Path) -> tuple[bytes, bytes]:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_changed_bit_is_detected_or_harmless(small_log: Path, tmp_path: Path, seed: int) -> None:
-    raw, expected = small_log.read_bytes(), _everything(small_log)
+    raw, expected = small_log.read_bytes(), _all_content(small_log)
     random = np.random.default_rng(seed)
     errors: list[str] = []
     bad = tmp_path / "bad.mcap"
@@ -147,7 +149,7 @@ def test_a_changed_bit_is_detected_or_harmless(small_log: Path, tmp_path: Path, 
         bad.write_bytes(data)
         start = time.process_time()
         try:
-            assert _everything(bad) == expected
+            assert _all_content(bad) == expected
         except LogError as error:
             errors.append(str(error))
         assert time.process_time() - start < 1.0
@@ -170,10 +172,10 @@ def test_a_changed_file_without_an_end_never_does_worse_than_log_error(
     bad = tmp_path / "bad.mcap"
     bad.write_bytes(raw)
     with contextlib.suppress(LogError):
-        _everything(bad)
+        _all_content(bad)
 
 
-_PROBE = """
+_PROBE_PROGRAM = """
 import resource, sys, time
 from pathlib import Path
 from handctl.errors import LogError
@@ -195,10 +197,10 @@ def test_hostile_files_end_in_one_error_soon_and_in_little_memory(
     small_log: Path, tmp_path: Path
 ) -> None:
     bad = tmp_path / "bad\x1b[2J.mcap"
-    for name, data in hostile(small_log).items():
+    for name, data in hostile_files(small_log).items():
         bad.write_bytes(data)
         done = subprocess.run(
-            [sys.executable, "-c", _PROBE, bad], capture_output=True, text=True, check=True
+            [sys.executable, "-c", _PROBE_PROGRAM, bad], capture_output=True, text=True, check=True
         )
         verdict, seconds, kibibytes = done.stdout.splitlines()
         assert verdict.startswith("refused"), name
@@ -238,7 +240,7 @@ def test_a_log_of_another_version_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "a.mcap"
-    synthetic.write(path, synthetic.header(rate_hz=50), 0.1)
+    synthetic_run.write_synthetic_run(path, synthetic_run.synthetic_header(rate_hz=50), 0.1)
     monkeypatch.setattr("handctl.log.read.reader.LOG_SCHEMA_VERSION", 2)
     with pytest.raises(LogError, match="version 1"):
         RunLog(path)

@@ -31,33 +31,40 @@ from handctl.log.record import (
 )
 from handctl.safety.action import SafetyAction
 
-I64 = st.integers(-(2**63), 2**63 - 1)
-TEXT = st.text(st.characters(codec="utf-8"), max_size=30)
-CLASSICAL = st.builds(
-    Frame, st.integers(0, 2**32 - 1), st.binary(max_size=8), st.just(0), st.integers(0, 255), I64
+INT64_STRATEGY = st.integers(-(2**63), 2**63 - 1)
+TEXT_STRATEGY = st.text(st.characters(codec="utf-8"), max_size=30)
+CLASSICAL_STRATEGY = st.builds(
+    Frame,
+    st.integers(0, 2**32 - 1),
+    st.binary(max_size=8),
+    st.just(0),
+    st.integers(0, 255),
+    INT64_STRATEGY,
 )
-LONG = st.builds(
+FD_STRATEGY = st.builds(
     Frame,
     st.integers(0, 2**32 - 1),
     st.binary(max_size=64),
     st.integers(FDF, 7),
     st.integers(0, 255),
-    I64,
+    INT64_STRATEGY,
 )
-FRAMES = st.lists(CLASSICAL | LONG, max_size=12).map(tuple)
-TICK_IN = st.builds(
+FRAMES_STRATEGY = st.lists(CLASSICAL_STRATEGY | FD_STRATEGY, max_size=12).map(tuple)
+TICK_IN_STRATEGY = st.builds(
     TickIn,
-    I64,
-    I64,
-    I64,
-    FRAMES,
-    st.lists(st.builds(IoEvent, TEXT, TEXT, I64), max_size=3).map(tuple),
-    st.lists(TEXT, max_size=3).map(tuple),
+    INT64_STRATEGY,
+    INT64_STRATEGY,
+    INT64_STRATEGY,
+    FRAMES_STRATEGY,
+    st.lists(st.builds(IoEvent, TEXT_STRATEGY, TEXT_STRATEGY, INT64_STRATEGY), max_size=3).map(
+        tuple
+    ),
+    st.lists(TEXT_STRATEGY, max_size=3).map(tuple),
 )
 
 
 @st.composite
-def telemetries(draw: st.DrawFn) -> Telemetry:
+def telemetry_strategy(draw: st.DrawFn) -> Telemetry:
     sizes = {axis: draw(st.integers(1, 12)) for axis in ("joint", "tendon", "motor", "digit")}
     bits = np.random.default_rng(draw(st.integers(0, 2**32))).integers(
         0, 2**64, 300, dtype=np.uint64
@@ -67,20 +74,22 @@ def telemetries(draw: st.DrawFn) -> Telemetry:
     )
 
 
-TICK_OUT = st.builds(
+TICK_OUT_STRATEGY = st.builds(
     TickOut,
-    FRAMES,
+    FRAMES_STRATEGY,
     st.sampled_from(HandMode),
-    TEXT,
+    TEXT_STRATEGY,
     st.sampled_from(SafetyAction),
-    telemetries(),
-    st.lists(st.builds(TickEvent, TEXT, TEXT, TEXT, TEXT), max_size=3).map(tuple),
+    telemetry_strategy(),
+    st.lists(
+        st.builds(TickEvent, TEXT_STRATEGY, TEXT_STRATEGY, TEXT_STRATEGY, TEXT_STRATEGY), max_size=3
+    ).map(tuple),
     st.binary(min_size=8, max_size=8),
 )
 
 
 @settings(deadline=None)
-@given(TICK_IN, TICK_OUT)
+@given(TICK_IN_STRATEGY, TICK_OUT_STRATEGY)
 def test_a_tick_comes_back_bit_for_bit(tick_in: TickIn, out: TickOut) -> None:
     again_in, again = unpack_tick_record(pack_tick_record(tick_in, out))
     assert again_in == tick_in
@@ -90,7 +99,7 @@ def test_a_tick_comes_back_bit_for_bit(tick_in: TickIn, out: TickOut) -> None:
 
 
 @settings(max_examples=20, deadline=None)
-@given(TICK_IN, TICK_OUT)
+@given(TICK_IN_STRATEGY, TICK_OUT_STRATEGY)
 def test_a_lone_surrogate_is_escaped_since_no_other_reader_could_decode_it(
     tick_in: TickIn, out: TickOut
 ) -> None:
@@ -101,7 +110,7 @@ def test_a_lone_surrogate_is_escaped_since_no_other_reader_could_decode_it(
 
 
 @settings(deadline=None)
-@given(TICK_IN, TICK_OUT)
+@given(TICK_IN_STRATEGY, TICK_OUT_STRATEGY)
 def test_the_layout_agrees_with_the_decoder(tick_in: TickIn, out: TickOut) -> None:
     message = pack_tick(tick_in, out)
     places = message_layout(message)
@@ -114,7 +123,7 @@ def test_the_layout_agrees_with_the_decoder(tick_in: TickIn, out: TickOut) -> No
 
 
 @settings(deadline=None)
-@given(st.lists(st.tuples(TICK_IN, TICK_OUT), max_size=5))
+@given(st.lists(st.tuples(TICK_IN_STRATEGY, TICK_OUT_STRATEGY), max_size=5))
 def test_ticks_decoded_together_are_those_decoded_one_by_one(
     ticks: list[tuple[TickIn, TickOut]],
 ) -> None:
@@ -130,7 +139,7 @@ def test_ticks_decoded_together_are_those_decoded_one_by_one(
 
 
 @settings(deadline=None)
-@given(TICK_IN, TICK_OUT)
+@given(TICK_IN_STRATEGY, TICK_OUT_STRATEGY)
 def test_records_are_packed_as_frames_are(tick_in: TickIn, out: TickOut) -> None:
     as_records = (
         tick_in._replace(frames=frames_as_records(tick_in.frames)),
@@ -171,7 +180,7 @@ def test_a_payload_longer_than_any_frames_is_refused() -> None:
 
 
 @settings(deadline=None)
-@given(TICK_IN, TICK_OUT, st.data())
+@given(TICK_IN_STRATEGY, TICK_OUT_STRATEGY, st.data())
 def test_a_cut_or_changed_message_never_does_worse_than_value_error(
     tick_in: TickIn, out: TickOut, data: st.DataObject
 ) -> None:

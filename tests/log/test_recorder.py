@@ -12,9 +12,9 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 
-import lively
 import pytest
-import synthetic
+import synthetic_run
+import varied_run
 
 from handctl.core.tick_types import IoEvent, TickIn
 from handctl.errors import LogError
@@ -28,13 +28,15 @@ from handctl.log.write.syncer import DiskSyncer
 from handctl.log.write.writer import LogWriter
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
-KILLS, TOGETHER = 100 if NIGHTLY else 8, 4
+FEEDER_KILLS, PARALLEL_KILLS = 100 if NIGHTLY else 8, 4
 RECORDER_KILLS = 100 if NIGHTLY else 1
-FEEDER = Path(__file__).with_name("feeder.py")
+FEEDER_PROGRAM = Path(__file__).with_name("recorder_feeder.py")
 
 
 @pytest.fixture
-def start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Recorder]]:
+def start_recorder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Callable[..., Recorder]]:
     """Yield a function that starts a recorder with a pipe of unprivileged size.
 
     All recorders are ended after the test.
@@ -42,39 +44,39 @@ def start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[
     started: list[Recorder] = []
     monkeypatch.setattr("handctl.log.write.recorder.PIPE_BYTES", PIPE_BYTES[-1:])
 
-    def one(
+    def start_one_recorder(
         name: str = "run.mcap", deterministic: bool = False, floor_bytes: int = 1, **more: object
     ) -> Recorder:
-        run = synthetic.header(rate_hz=1000, deterministic=deterministic, **more)
+        run = synthetic_run.synthetic_header(rate_hz=1000, deterministic=deterministic, **more)
         started.append(Recorder.start(tmp_path / name, run, floor_bytes))
         return started[-1]
 
-    yield one
+    yield start_one_recorder
     for recorder in started:
         if recorder._child.poll() is None:
             recorder._child.send_signal(signal.SIGCONT)
             recorder.close("test over")
 
 
-def _records(number: int) -> list[bytes]:
-    run = synthetic.header(rate_hz=1000)
-    return [pack_tick_record(*tick) for tick in synthetic.Synthetic(run, number / 1000)]
+def _make_records(number: int) -> list[bytes]:
+    run = synthetic_run.synthetic_header(rate_hz=1000)
+    return [pack_tick_record(*tick) for tick in synthetic_run.SyntheticTicks(run, number / 1000)]
 
 
-def _until(condition: Callable[[], bool], timeout_s: float = 10.0) -> bool:
+def _wait_until(condition: Callable[[], bool], timeout_s: float = 10.0) -> bool:
     end = time.monotonic() + timeout_s
     while not (done := condition()) and time.monotonic() < end:
         time.sleep(0.01)
     return done
 
 
-def _finished(path: Path) -> bool:
+def _is_finished(path: Path) -> bool:
     with RunLog(path) as log:
         return not log.warning
 
 
 def test_a_recorder_that_does_not_start_in_time_is_named(
-    start: Callable[..., Recorder], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    start_recorder: Callable[..., Recorder], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The error gives the time in which the recorder has not started, and asks for a computer with less load."""
     python = tmp_path / "python"
@@ -85,16 +87,16 @@ def test_a_recorder_that_does_not_start_in_time_is_named(
     with pytest.raises(
         LogError, match=r"has not started within 0\.2 s; expected a computer with less other load"
     ):
-        start()
+        start_recorder()
 
 
 def test_a_process_started_ahead_records_the_first_run(
-    start: Callable[..., Recorder], tmp_path: Path
+    start_recorder: Callable[..., Recorder], tmp_path: Path
 ) -> None:
     with recorder_process_ahead():
         (waiting,) = child._started_ahead
-        first = start("first.mcap")
-        second = start("second.mcap")
+        first = start_recorder("first.mcap")
+        second = start_recorder("second.mcap")
         assert waiting.child.poll() is None
     assert first._child is waiting.child
     assert second._child is not waiting.child
@@ -117,16 +119,18 @@ def test_a_process_started_ahead_ends_with_its_controller() -> None:
         [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, check=False
     )
     recorder = Path(f"/proc/{ended.stdout.strip()}")
-    assert _until(lambda: not recorder.exists() or ") Z " in (recorder / "stat").read_text())
+    assert _wait_until(lambda: not recorder.exists() or ") Z " in (recorder / "stat").read_text())
 
 
 def test_a_kill_of_the_controller_loses_no_tick(tmp_path: Path) -> None:
     chance = random.Random(5)
-    for first in range(0, KILLS, TOGETHER):
-        paths = [tmp_path / f"{n}.mcap" for n in range(first, first + TOGETHER)]
+    for first in range(0, FEEDER_KILLS, PARALLEL_KILLS):
+        paths = [tmp_path / f"{n}.mcap" for n in range(first, first + PARALLEL_KILLS)]
         feeders = [
             subprocess.Popen(
-                [sys.executable, FEEDER, path], stdout=subprocess.PIPE, start_new_session=True
+                [sys.executable, FEEDER_PROGRAM, path],
+                stdout=subprocess.PIPE,
+                start_new_session=True,
             )
             for path in paths
         ]
@@ -138,7 +142,7 @@ def test_a_kill_of_the_controller_loses_no_tick(tmp_path: Path) -> None:
             feeder.kill()
         for path, feeder in zip(paths, feeders, strict=True):
             written = 8 + len(feeder.communicate()[0])
-            assert _until(lambda path=path: _finished(path))
+            assert _wait_until(lambda path=path: _is_finished(path))
             with RunLog(path) as log:
                 assert log.end["reason"] == "controller died"
                 assert int(log.k[-1]) >= written // 8 - 1
@@ -148,10 +152,10 @@ def test_a_kill_of_the_controller_loses_no_tick(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kill", range(RECORDER_KILLS))
 def test_a_killed_recorder_loses_a_quarter_of_a_second(
-    start: Callable[..., Recorder], tmp_path: Path, kill: int
+    start_recorder: Callable[..., Recorder], tmp_path: Path, kill: int
 ) -> None:
     number = random.Random(kill).randrange(300, 900)
-    recorder, records = start(), _records(number)
+    recorder, records = start_recorder(), _make_records(number)
     started = time.monotonic()
     for k, record in enumerate(records):
         assert recorder.record(record)
@@ -174,9 +178,9 @@ def test_a_killed_recorder_loses_a_quarter_of_a_second(
 
 
 def test_a_stalled_recorder_never_holds_up_the_controller(
-    start: Callable[..., Recorder], tmp_path: Path
+    start_recorder: Callable[..., Recorder], tmp_path: Path
 ) -> None:
-    recorder, records = start(), _records(3000)
+    recorder, records = start_recorder(), _make_records(3000)
     recorder.record(records[0])
     os.kill(recorder._child.pid, signal.SIGSTOP)
     taken, longest, events = [], 0.0, []
@@ -191,7 +195,7 @@ def test_a_stalled_recorder_never_holds_up_the_controller(
     assert 100 < len(taken) < len(records) - 100
     assert [event.where for event in events][:2] == ["filling", "dropped"]
     assert sum(event.number for event in events if event.where == "dropped") == recorder.dropped
-    assert _until(lambda: recorder.record(records[-1]))
+    assert _wait_until(lambda: recorder.record(records[-1]))
     summary = recorder.close("finished")
     with RunLog(tmp_path / "run.mcap") as log:
         assert log.k.tolist() == [0, *taken, len(records) - 1]
@@ -200,14 +204,14 @@ def test_a_stalled_recorder_never_holds_up_the_controller(
 
 
 def test_a_deterministic_run_has_no_event_of_the_time_that_its_recorder_takes(
-    start: Callable[..., Recorder],
+    start_recorder: Callable[..., Recorder],
 ) -> None:
     # The run waits while the pipe is full, and loses nothing. An event about this would make two
     # equal runs differ.
-    recorder = start(deterministic=True)
+    recorder = start_recorder(deterministic=True)
     os.kill(recorder._child.pid, signal.SIGSTOP)
     events, sent = [], 0
-    for record in _records(1000):
+    for record in _make_records(1000):
         if sent > 0.52 * recorder._size:
             break
         assert recorder.record(record)
@@ -219,10 +223,10 @@ def test_a_deterministic_run_has_no_event_of_the_time_that_its_recorder_takes(
 
 
 def test_records_longer_than_an_atomic_write_stay_whole(
-    start: Callable[..., Recorder], tmp_path: Path
+    start_recorder: Callable[..., Recorder], tmp_path: Path
 ) -> None:
-    recorder, chance, taken = start(), random.Random(3), []
-    ticks = list(synthetic.Synthetic(synthetic.header(rate_hz=1000), 1.0))
+    recorder, chance, taken = start_recorder(), random.Random(3), []
+    ticks = list(synthetic_run.SyntheticTicks(synthetic_run.synthetic_header(rate_hz=1000), 1.0))
     for k, (tick_in, out) in enumerate(ticks):
         if k % 250 == 100:
             os.kill(recorder._child.pid, signal.SIGSTOP)
@@ -238,49 +242,55 @@ def test_records_longer_than_an_atomic_write_stay_whole(
         assert [(tick.tick_in.k, *tick.tick_in.requests) for tick in log.ticks()] == taken
 
 
-def test_telemetry_of_another_shape_is_announced(start: Callable[..., Recorder]) -> None:
-    recorder = start()
-    other = synthetic.header("jamia11", rate_hz=1000)
-    for tick in synthetic.Synthetic(other, 0.01):
+def test_telemetry_of_another_shape_is_announced(
+    start_recorder: Callable[..., Recorder],
+) -> None:
+    recorder = start_recorder()
+    other = synthetic_run.synthetic_header("jamia11", rate_hz=1000)
+    for tick in synthetic_run.SyntheticTicks(other, 0.01):
         recorder.record(pack_tick_record(*tick))
     events: list[IoEvent] = []
-    assert _until(lambda: bool(events.extend(recorder.events())) or bool(events))
+    assert _wait_until(lambda: bool(events.extend(recorder.events())) or bool(events))
     assert events == [IoEvent("recorder", "misshapen", 1)]
 
 
 def test_a_lockstep_run_waits_and_loses_nothing(
-    start: Callable[..., Recorder], tmp_path: Path
+    start_recorder: Callable[..., Recorder], tmp_path: Path
 ) -> None:
-    recorder, records = start(deterministic=True), _records(3000)
+    recorder, records = start_recorder(deterministic=True), _make_records(3000)
     assert all(recorder.record(record) for record in records)
     summary = recorder.close("finished")
     assert (summary["ticks"], summary["dropped"], summary["complete"]) == (3000, 0, True)
 
 
 def test_interrupts_do_not_reach_the_recorder(
-    start: Callable[..., Recorder], tmp_path: Path
+    start_recorder: Callable[..., Recorder], tmp_path: Path
 ) -> None:
-    recorder = start()
+    recorder = start_recorder()
     assert os.getsid(recorder._child.pid) != os.getsid(0)
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         os.kill(recorder._child.pid, number)
-    for record in _records(10):
+    for record in _make_records(10):
         assert recorder.record(record)
     assert recorder.close("stopped by hand")["ticks"] == 10
     with RunLog(tmp_path / "run.mcap") as log:
         assert log.end["reason"] == "stopped by hand"
 
 
-def test_the_recorder_has_priority_over_other_programs(start: Callable[..., Recorder]) -> None:
-    priority, child = (os.getpriority(os.PRIO_PROCESS, pid) for pid in (0, start()._child.pid))
+def test_the_recorder_has_priority_over_other_programs(
+    start_recorder: Callable[..., Recorder],
+) -> None:
+    priority, child = (
+        os.getpriority(os.PRIO_PROCESS, pid) for pid in (0, start_recorder()._child.pid)
+    )
     assert child == (RECORDER_NICE_VALUE if os.geteuid() == 0 else priority)
 
 
 def test_the_header_is_in_the_file_before_the_first_tick(
-    start: Callable[..., Recorder], tmp_path: Path
+    start_recorder: Callable[..., Recorder], tmp_path: Path
 ) -> None:
     notes = {"big.bin": random.Random(1).randbytes(3 << 20)}
-    recorder = start(attachments=notes, metadata={"note": "a \u00e4"}, wall={"host": "x"})
+    recorder = start_recorder(attachments=notes, metadata={"note": "a \u00e4"}, wall={"host": "x"})
     with RunLog(tmp_path / "run.mcap") as log:
         assert log.header.attachments["big.bin"] == notes["big.bin"]
         assert log.header.attachments["hand.toml"].decode() == log.header.hand_toml
@@ -292,11 +302,11 @@ def test_the_header_is_in_the_file_before_the_first_tick(
 
 @pytest.mark.parametrize("name", ["exists.mcap", "no/such/directory.mcap"])
 def test_a_file_that_cannot_be_created_is_refused(
-    start: Callable[..., Recorder], tmp_path: Path, name: str
+    start_recorder: Callable[..., Recorder], tmp_path: Path, name: str
 ) -> None:
     (tmp_path / "exists.mcap").write_text("precious")
     with pytest.raises(LogError, match="cannot record"):
-        start(name)
+        start_recorder(name)
     assert (tmp_path / "exists.mcap").read_text() == "precious"
 
 
@@ -315,16 +325,16 @@ def _readable_prefix(path: Path, fed: int) -> None:
 
 
 def test_a_failed_write_is_announced_and_ends_the_file(
-    start: Callable[..., Recorder], tmp_path: Path
+    start_recorder: Callable[..., Recorder], tmp_path: Path
 ) -> None:
-    recorder, records = start(), _records(2000)
+    recorder, records = start_recorder(), _make_records(2000)
     resource.prlimit(recorder._child.pid, resource.RLIMIT_FSIZE, (LIMIT_BYTES, LIMIT_BYTES))
     events: list[IoEvent] = []
     for record in records:
         recorder.record(record)
         time.sleep(0.0002)
         events += recorder.events()
-    assert _until(
+    assert _wait_until(
         lambda: (
             bool(events.extend(recorder.events()))
             or any(one.where == "disk_full" for one in events)
@@ -353,13 +363,16 @@ def tiny_disk(tmp_path: Path) -> Iterator[Path]:
 
 @pytest.mark.parametrize("floor_bytes", [1, 700_000])
 def test_a_full_disk_leaves_a_whole_file(
-    tiny_disk: Path, start: Callable[..., Recorder], floor_bytes: int
+    tiny_disk: Path, start_recorder: Callable[..., Recorder], floor_bytes: int
 ) -> None:
-    recorder, records = start("disk/run.mcap", floor_bytes=floor_bytes), _records(3000)
+    recorder, records = (
+        start_recorder("disk/run.mcap", floor_bytes=floor_bytes),
+        _make_records(3000),
+    )
     for record in records:
         recorder.record(record)
         time.sleep(0.0005)
-    assert _until(lambda: any(event.where == "disk_full" for event in recorder.events()))
+    assert _wait_until(lambda: any(event.where == "disk_full" for event in recorder.events()))
     recorder.close("finished")
     _readable_prefix(tiny_disk / "run.mcap", len(records))
     with RunLog(tiny_disk / "run.mcap") as log:
@@ -371,9 +384,12 @@ def test_a_full_disk_leaves_a_whole_file(
 def test_a_full_disk_has_reserved_space_for_the_end(tiny_disk: Path) -> None:
     events: list[tuple[str, int]] = []
     writer = LogWriter(
-        tiny_disk / "run.mcap", synthetic.header(), lambda *what: events.append(what), 700_000
+        tiny_disk / "run.mcap",
+        synthetic_run.synthetic_header(),
+        lambda *what: events.append(what),
+        700_000,
     )
-    for record in _records(200):
+    for record in _make_records(200):
         writer.add(record[RECORD_FRAMING_STRUCT.size :])
     writer.flush()
     with (tiny_disk / "other").open("wb", buffering=0) as other, suppress(OSError):
@@ -389,9 +405,13 @@ def test_a_full_disk_has_reserved_space_for_the_end(tiny_disk: Path) -> None:
 def test_the_syncing_process_does_not_hold_the_reserved_space(tiny_disk: Path) -> None:
     syncer = DiskSyncer()
     writer = LogWriter(
-        tiny_disk / "run.mcap", synthetic.header(), lambda *what: None, 1, to_disk=syncer
+        tiny_disk / "run.mcap",
+        synthetic_run.synthetic_header(),
+        lambda *what: None,
+        1,
+        to_disk=syncer,
     )
-    for record in _records(100):
+    for record in _make_records(100):
         writer.add(record[RECORD_FRAMING_STRUCT.size :])
     writer.flush()
     writer.sync()
@@ -399,14 +419,16 @@ def test_the_syncing_process_does_not_hold_the_reserved_space(tiny_disk: Path) -
         while True:
             other.write(bytes(4096))
     writer._reserved.release()
-    assert _until(lambda: shutil.disk_usage(tiny_disk).free > 256 << 10, 5.0)
+    assert _wait_until(lambda: shutil.disk_usage(tiny_disk).free > 256 << 10, 5.0)
     writer.finish("finished", 0)
     os.close(syncer._request_pipe)  # ends the syncer's process
 
 
-def test_recording_a_tick_is_fast(start: Callable[..., Recorder]) -> None:
-    recorder = start()
-    tick_in, out = next(iter(synthetic.Synthetic(synthetic.header(rate_hz=1000), 0.01)))
+def test_recording_a_tick_is_fast(start_recorder: Callable[..., Recorder]) -> None:
+    recorder = start_recorder()
+    tick_in, out = next(
+        iter(synthetic_run.SyntheticTicks(synthetic_run.synthetic_header(rate_hz=1000), 0.01))
+    )
     spent = []
     for k in range(300):
         started = time.perf_counter()
@@ -422,13 +444,13 @@ def test_the_recorder_needs_no_compiler(tmp_path: Path) -> None:
 
     Regression: the recorder imported numba, llvmlite and scipy to check a single text.
     """
-    run = lively.header()
+    run = varied_run.varied_header()
     path = tmp_path / "run.mcap"
     recorder = Recorder.start(path, run, 1)
     size = path.stat().st_size
-    for tick in lively.ticks(run):
+    for tick in varied_run.varied_ticks(run):
         recorder.record(pack_tick_record(*tick))
-    assert _until(lambda: path.stat().st_size > size)
+    assert _wait_until(lambda: path.stat().st_size > size)
     mapped = Path(f"/proc/{recorder._child.pid}/maps").read_text()
     assert recorder.close("finished")["complete"]
     assert "/numpy/" in mapped

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import synthetic
-from oracle import messages
+import synthetic_run
+from other_log_readers import read_messages
 
 from handctl.errors import ConfigError, LogError
 from handctl.log.read.logfile import LogFile
@@ -14,7 +14,7 @@ from handctl.log.read.reader import RunLog
 from handctl.log.read.record_scan import RecordScan, scan_records
 from handctl.log.read.recover import RecoveryReport, RecoveryStatus, recover_log
 
-SAMPLE = 500
+SAMPLE_COUNT = 500
 
 
 @pytest.fixture(scope="module")
@@ -28,19 +28,21 @@ def smallest_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "gains.toml": b"[motion]\nposition_error_m = 6e-4\n",
         "initial_state": bytes(range(64)),
     }
-    synthetic.write(path, synthetic.header(rate_hz=4, attachments=attachments), 1.75)
+    synthetic_run.write_synthetic_run(
+        path, synthetic_run.synthetic_header(rate_hz=4, attachments=attachments), 1.75
+    )
     assert 60 << 10 < path.stat().st_size <= 68 << 10
     return path
 
 
-def _scan(path: Path) -> RecordScan:
+def _scan_log(path: Path) -> RecordScan:
     file, scan = LogFile(path), RecordScan()
     scan_records(file, scan)
     file.close()
     return scan
 
 
-def _recovered(data: bytes, folder: Path) -> tuple[RecoveryReport, Path]:
+def _recover_bytes(data: bytes, folder: Path) -> tuple[RecoveryReport, Path]:
     cut, out = folder / "cut.mcap", folder / "out.mcap"
     cut.write_bytes(data)
     out.unlink(missing_ok=True)
@@ -49,7 +51,7 @@ def _recovered(data: bytes, folder: Path) -> tuple[RecoveryReport, Path]:
 
 def _chunk_starts(path: Path) -> dict[int, int]:
     """Return the number of /tick messages in the first n chunks, for every n."""
-    scan, ticks = _scan(path), {0: 0}
+    scan, ticks = _scan_log(path), {0: 0}
     with RunLog(path) as log:
         for n in range(1, len(scan.chunks) + 1):
             log._chunks = scan.chunks[:n]
@@ -64,7 +66,11 @@ def _chunk_starts(path: Path) -> dict[int, int]:
     ids=["some", "every"],
 )
 def test_a_cut_gives_the_exact_prefix(smallest_log: Path, tmp_path: Path, every: bool) -> None:
-    raw, scan, ticks = smallest_log.read_bytes(), _scan(smallest_log), _chunk_starts(smallest_log)
+    raw, scan, ticks = (
+        smallest_log.read_bytes(),
+        _scan_log(smallest_log),
+        _chunk_starts(smallest_log),
+    )
     assert len(scan.chunks) == 8
     with RunLog(smallest_log) as log:
         tension, k = log.field("tension"), log.k
@@ -72,12 +78,15 @@ def test_a_cut_gives_the_exact_prefix(smallest_log: Path, tmp_path: Path, every:
     if not every:
         borders = {chunk.end + step for chunk in scan.chunks for step in (-1, 0, 1)}
         cuts = (
-            np.random.default_rng(0).choice(len(raw) - 8, SAMPLE - len(borders), replace=False) + 8
+            np.random.default_rng(0).choice(
+                len(raw) - 8, SAMPLE_COUNT - len(borders), replace=False
+            )
+            + 8
         )
         cuts = sorted({*cuts.tolist(), *borders})
     for cut in cuts:
         complete = sum(chunk.end <= cut for chunk in scan.chunks)
-        recovery, out = _recovered(raw[:cut], tmp_path)
+        recovery, out = _recover_bytes(raw[:cut], tmp_path)
         if not complete:
             assert recovery.status == RecoveryStatus.NOTHING
             assert not out.exists()
@@ -94,14 +103,14 @@ def test_a_cut_gives_the_exact_prefix(smallest_log: Path, tmp_path: Path, every:
 def test_a_recovered_file_is_readable_by_others_and_marked_as_recovered(
     small_log: Path, tmp_path: Path
 ) -> None:
-    raw, scan = small_log.read_bytes(), _scan(small_log)
-    recovery, out = _recovered(raw[: scan.chunks[6].end + 5], tmp_path)
+    raw, scan = small_log.read_bytes(), _scan_log(small_log)
+    recovery, out = _recover_bytes(raw[: scan.chunks[6].end + 5], tmp_path)
     assert recovery.status == RecoveryStatus.LOSSY
     assert recovery.lost[-1][1] == scan.chunks[6].end + 5
-    recovered = messages(out)
+    recovered = read_messages(out)
     assert len(recovered) == recovery.messages
     last = max(one.log_time for one in recovered if one.topic == "/tick")
-    whole = [one for one in messages(small_log) if one.log_time <= last]
+    whole = [one for one in read_messages(small_log) if one.log_time <= last]
     assert sorted(recovered) == sorted(whole)
     with RunLog(out) as log, RunLog(small_log) as old:
         assert "without an end mark" in log.end["recovered"]
@@ -110,19 +119,19 @@ def test_a_recovered_file_is_readable_by_others_and_marked_as_recovered(
 
 
 def test_a_complete_file_is_copied_unchanged(small_log: Path, tmp_path: Path) -> None:
-    recovery, out = _recovered(small_log.read_bytes(), tmp_path)
+    recovery, out = _recover_bytes(small_log.read_bytes(), tmp_path)
     assert (recovery.status, recovery.lost, recovery.problem) == (RecoveryStatus.WHOLE, (), "")
-    assert messages(out) == messages(small_log)
+    assert read_messages(out) == read_messages(small_log)
     with RunLog(out) as log, RunLog(small_log) as old:
         assert log.end == old.end
         assert log.header == old.header
 
 
 def test_one_damaged_chunk_is_left_out_and_the_rest_copied(small_log: Path, tmp_path: Path) -> None:
-    raw, scan = bytearray(small_log.read_bytes()), _scan(small_log)
+    raw, scan = bytearray(small_log.read_bytes()), _scan_log(small_log)
     hit = scan.chunks[4]
     raw[hit.data + 50] ^= 0xFF
-    recovery, out = _recovered(bytes(raw), tmp_path)
+    recovery, out = _recover_bytes(bytes(raw), tmp_path)
     assert recovery.status == RecoveryStatus.LOSSY
     assert recovery.chunks == len(scan.chunks) - 1
     assert recovery.lost[0] == (hit.offset, hit.end)
@@ -135,7 +144,7 @@ def test_one_damaged_chunk_is_left_out_and_the_rest_copied(small_log: Path, tmp_
 
 @pytest.mark.parametrize("what", ["attachment", "metadata", "chunk's header"])
 def test_a_damaged_record_affects_no_other(small_log: Path, tmp_path: Path, what: str) -> None:
-    raw, scan = bytearray(small_log.read_bytes()), _scan(small_log)
+    raw, scan = bytearray(small_log.read_bytes()), _scan_log(small_log)
     (_, _, content), values = scan.attachments["hand.urdf"], scan.metadata["handctl.run"]
     at = {
         "attachment": raw.index(content) + 100,
@@ -143,12 +152,12 @@ def test_a_damaged_record_affects_no_other(small_log: Path, tmp_path: Path, what
         "chunk's header": scan.chunks[3].offset + 9 + 23,
     }[what]
     raw[at] ^= 0x80
-    recovery, out = _recovered(bytes(raw), tmp_path)
+    recovery, out = _recover_bytes(bytes(raw), tmp_path)
     assert recovery.status == RecoveryStatus.LOSSY
     assert recovery.chunks == len(scan.chunks) - (what == "chunk's header")
     start, end = recovery.lost[0]
     assert start < at < end
-    recovered = _scan(out)
+    recovered = _scan_log(out)
     assert not recovered.problem
     assert scan.attachments.keys() - recovered.attachments.keys() == (
         {"hand.urdf"} if what == "attachment" else set()
@@ -158,10 +167,10 @@ def test_a_damaged_record_affects_no_other(small_log: Path, tmp_path: Path, what
 def test_a_damaged_summary_loses_no_message(small_log: Path, tmp_path: Path) -> None:
     raw = bytearray(small_log.read_bytes())
     raw[-60] ^= 1
-    recovery, out = _recovered(bytes(raw), tmp_path)
+    recovery, out = _recover_bytes(bytes(raw), tmp_path)
     assert recovery.status == RecoveryStatus.WHOLE
     assert "summary" in recovery.problem
-    assert messages(out) == messages(small_log)
+    assert read_messages(out) == read_messages(small_log)
 
 
 def test_an_existing_file_is_not_overwritten(small_log: Path, tmp_path: Path) -> None:
@@ -181,9 +190,9 @@ def test_another_file_is_an_error(tmp_path: Path) -> None:
 
 def test_a_log_with_only_its_header_gives_nothing_but_the_names(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
-    synthetic.write(path, synthetic.header(rate_hz=50), 0.5)
-    first = _scan(path).chunks[0]
-    recovery, out = _recovered(path.read_bytes()[: first.end], tmp_path)
+    synthetic_run.write_synthetic_run(path, synthetic_run.synthetic_header(rate_hz=50), 0.5)
+    first = _scan_log(path).chunks[0]
+    recovery, out = _recover_bytes(path.read_bytes()[: first.end], tmp_path)
     assert (recovery.status, recovery.chunks) == (RecoveryStatus.LOSSY, 1)
     with RunLog(out) as log:
         assert len(log) == 0

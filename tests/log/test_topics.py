@@ -7,13 +7,13 @@ from collections import Counter
 from pathlib import Path
 from xml.etree import ElementTree
 
-import lively
 import numpy as np
 import pytest
-import synthetic
+import synthetic_run
+import varied_run
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from oracle import Rosbags, by_topic, messages
+from other_log_readers import RosbagsSerialiser, messages_by_topic, read_messages
 from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
@@ -27,7 +27,7 @@ from handctl.log.write.writer import LogWriter
 from handctl.programs.requests import target_request_text
 
 
-def _write(
+def _write_log(
     path: Path,
     run: RunHeader,
     bodies: list[bytes],
@@ -47,8 +47,11 @@ def _write(
     return path
 
 
-def _bodies(run: RunHeader) -> list[bytes]:
-    return [pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :] for tick in lively.ticks(run)]
+def _tick_bodies(run: RunHeader) -> list[bytes]:
+    return [
+        pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :]
+        for tick in varied_run.varied_ticks(run)
+    ]
 
 
 def test_rosbags_reads_every_message(run_log: Path) -> None:
@@ -88,7 +91,7 @@ def test_rerun_reads_a_log_and_moves_the_hand(run_log: Path) -> None:
 
 
 def test_ticks_and_rows_join_by_sequence(run_log: Path) -> None:
-    topics = by_topic(run_log)
+    topics = messages_by_topic(run_log)
     for topic in (
         "/tick",
         "/joint_states",
@@ -109,10 +112,10 @@ def test_ticks_and_rows_join_by_sequence(run_log: Path) -> None:
 def test_messages_do_not_depend_on_where_chunks_end(
     tmp_path: Path, borders: frozenset[int]
 ) -> None:
-    run = lively.header()
-    bodies = _bodies(run)
+    run = varied_run.varied_header()
+    bodies = _tick_bodies(run)
     plain, cut = (
-        by_topic(_write(tmp_path / name, run, bodies, at))
+        messages_by_topic(_write_log(tmp_path / name, run, bodies, at))
         for name, at in (("a", frozenset()), ("b", borders))
     )
     assert plain.keys() == cut.keys()
@@ -122,30 +125,32 @@ def test_messages_do_not_depend_on_where_chunks_end(
 
 def test_equal_lockstep_runs_give_equal_files_except_the_wall_clock(tmp_path: Path) -> None:
     runs = [
-        synthetic.header(rate_hz=500, wall={"started": day, "pid": day})
+        synthetic_run.synthetic_header(rate_hz=500, wall={"started": day, "pid": day})
         for day in ("2026-01-01", "2026-01-02")
     ]
     paths = [tmp_path / "a.mcap", tmp_path / "b.mcap"]
     for path, run in zip(paths, runs, strict=True):
-        synthetic.write(path, run, 1.0)
-    assert messages(paths[0]) == messages(paths[1])
+        synthetic_run.write_synthetic_run(path, run, 1.0)
+    assert read_messages(paths[0]) == read_messages(paths[1])
     first, second = (path.read_bytes() for path in paths)
     assert first != second
-    wall = synthetic.header(rate_hz=500)
+    wall = synthetic_run.synthetic_header(rate_hz=500)
     same = [tmp_path / "c.mcap", tmp_path / "d.mcap"]
     for path in same:
-        synthetic.write(path, wall, 1.0)
+        synthetic_run.write_synthetic_run(path, wall, 1.0)
     assert same[0].read_bytes() == same[1].read_bytes()
 
 
 def test_the_wall_offset_shifts_all_times_alike(tmp_path: Path) -> None:
-    run, offset = lively.header(), 1_700_000_000_123_456_789
-    bodies = _bodies(run)
-    plain = messages(_write(tmp_path / "a", run, bodies))
-    shifted = messages(_write(tmp_path / "b", lively.header(offset_ns=offset), bodies))
+    run, offset = varied_run.varied_header(), 1_700_000_000_123_456_789
+    bodies = _tick_bodies(run)
+    plain = read_messages(_write_log(tmp_path / "a", run, bodies))
+    shifted = read_messages(
+        _write_log(tmp_path / "b", varied_run.varied_header(offset_ns=offset), bodies)
+    )
     assert [one.log_time + offset for one in plain] == [one.log_time for one in shifted]
     states = [one for one in shifted if one.topic == "/joint_states"]
-    oracle = Rosbags(states[0].kind, states[0].schema)
+    oracle = RosbagsSerialiser(states[0].kind, states[0].schema)
     for one in states:
         stamp = oracle.decode(one.data).header.stamp
         assert stamp.sec * 10**9 + stamp.nanosec == one.log_time
@@ -153,18 +158,18 @@ def test_the_wall_offset_shifts_all_times_alike(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 def test_transforms_equal_the_kinematics_of_the_hand(tmp_path: Path, hand: str) -> None:
-    run, described = synthetic.header(hand, rate_hz=50), load_hand(hand)
+    run, described = synthetic_run.synthetic_header(hand, rate_hz=50), load_hand(hand)
     digits = [DigitModel.from_hand(described, name) for name in run.digits]
-    ticks = list(synthetic.Synthetic(run, 1.0))
-    topics = by_topic(
-        _write(
+    ticks = list(synthetic_run.SyntheticTicks(run, 1.0))
+    topics = messages_by_topic(
+        _write_log(
             tmp_path / "a",
             run,
             [pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :] for tick in ticks],
         )
     )
     tf, fixed = topics["/tf"], topics["/tf_static"][0]
-    oracle = Rosbags(fixed.kind, fixed.schema)
+    oracle = RosbagsSerialiser(fixed.kind, fixed.schema)
     tips = oracle.decode(fixed.data).transforms
     assert len(tf) == 50
     for (_, out), message in zip(ticks, tf, strict=True):
@@ -183,7 +188,7 @@ def test_transforms_equal_the_kinematics_of_the_hand(tmp_path: Path, hand: str) 
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 def test_frames_have_the_parents_of_the_urdf(hand: str) -> None:
-    run = synthetic.header(hand)
+    run = synthetic_run.synthetic_header(hand)
     joints = ElementTree.fromstring(run.attachments["hand.urdf"]).findall("joint")
     expected = {
         (
@@ -199,19 +204,19 @@ def test_frames_have_the_parents_of_the_urdf(hand: str) -> None:
 
 
 def test_frames_form_one_tree() -> None:
-    tree = link_frames(synthetic.header().hand_toml)
+    tree = link_frames(synthetic_run.synthetic_header().hand_toml)
     frame_names = {"palm"}
     for link in tree:
         assert link.parent in frame_names
         assert link.child not in frame_names
         frame_names.add(link.child)
     assert [link.joint for link in tree if link.joint >= 0] == list(range(11))
-    assert {f"{digit}_tip" for digit in synthetic.header().digits} <= frame_names
+    assert {f"{digit}_tip" for digit in synthetic_run.synthetic_header().digits} <= frame_names
 
 
 def test_streamed_targets_have_a_topic_and_no_line_in_rosout(tmp_path: Path) -> None:
-    run = lively.header()
-    ticks = [(tick_in._replace(requests=()), out) for tick_in, out in lively.ticks(run)]
+    run = varied_run.varied_header()
+    ticks = [(tick_in._replace(requests=()), out) for tick_in, out in varied_run.varied_ticks(run)]
     opening = {
         "do": "stream",
         "stream": "s",
@@ -230,15 +235,15 @@ def test_streamed_targets_have_a_topic_and_no_line_in_rosout(tmp_path: Path) -> 
     ticks = [
         (tick_in._replace(requests=asked.get(i, ())), out) for i, (tick_in, out) in enumerate(ticks)
     ]
-    topics = by_topic(
-        _write(
+    topics = messages_by_topic(
+        _write_log(
             tmp_path / "a",
             run,
             [pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :] for tick in ticks],
         )
     )
     targets = topics["/stream/target"]
-    oracle = Rosbags(targets[0].kind, targets[0].schema)
+    oracle = RosbagsSerialiser(targets[0].kind, targets[0].schema)
     first, other, last = (oracle.decode(one.data) for one in targets)
     assert (first.stream, first.number, first.name) == ("s", 0, ["index_j1", "thumb_j1"])
     assert first.age == pytest.approx(0.003)
@@ -247,17 +252,17 @@ def test_streamed_targets_have_a_topic_and_no_line_in_rosout(tmp_path: Path) -> 
         "a stream that was never opened"
     )
     assert (last.number, last.name) == (2**63 - 1, [])
-    lines = [Rosbags(one.kind, one.schema).decode(one.data) for one in topics["/rosout"]]
+    lines = [RosbagsSerialiser(one.kind, one.schema).decode(one.data) for one in topics["/rosout"]]
     asked_lines = [line.msg for line in lines if line.name == "handctl.request"]
     assert asked_lines[:2] == [json.dumps(opening), '{"do": "stop"}']
     assert not any("target" in line for line in asked_lines)
 
 
 def test_the_cycle_topic_has_missed_ticks_and_lateness(tmp_path: Path) -> None:
-    run = lively.header()
-    ticks = list(lively.ticks(run))
-    topics = by_topic(_write(tmp_path / "a", run, _bodies(run)))["/cycle"]
-    oracle = Rosbags(topics[0].kind, topics[0].schema)
+    run = varied_run.varied_header()
+    ticks = list(varied_run.varied_ticks(run))
+    topics = messages_by_topic(_write_log(tmp_path / "a", run, _tick_bodies(run)))["/cycle"]
+    oracle = RosbagsSerialiser(topics[0].kind, topics[0].schema)
     last = None
     for (tick_in, out), message in zip(ticks, topics, strict=True):
         one, start = oracle.decode(message.data), (tick_in.t_ns + tick_in.late_ns) * 1e-9
@@ -278,8 +283,8 @@ def test_the_cycle_topic_has_missed_ticks_and_lateness(tmp_path: Path) -> None:
 
 
 def test_the_wrench_points_against_closing(run_log: Path) -> None:
-    topics = by_topic(run_log)["/fingertip/index/wrench"]
-    oracle = Rosbags(topics[0].kind, topics[0].schema)
+    topics = messages_by_topic(run_log)["/fingertip/index/wrench"]
+    oracle = RosbagsSerialiser(topics[0].kind, topics[0].schema)
     forces = np.array([[(w := oracle.decode(one.data).wrench.force).x, w.y, w.z] for one in topics])
     assert forces[:, 1].min() < -0.5
     assert (forces[:, 1] <= 0).all()
@@ -287,12 +292,15 @@ def test_the_wrench_points_against_closing(run_log: Path) -> None:
 
 
 def test_telemetry_of_another_shape_becomes_nan_and_is_counted(tmp_path: Path) -> None:
-    run, other = synthetic.header("jamia", 100), synthetic.header("jamia11", 100)
+    run, other = (
+        synthetic_run.synthetic_header("jamia", 100),
+        synthetic_run.synthetic_header("jamia11", 100),
+    )
     bodies = [
         pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :]
-        for tick in synthetic.Synthetic(other, 0.1)
+        for tick in synthetic_run.SyntheticTicks(other, 0.1)
     ]
-    log = _write(tmp_path / "a", run, bodies, events=("misshapen",))
-    topics = by_topic(log)["/tendon_states"]
-    oracle = Rosbags(topics[0].kind, topics[0].schema)
+    log = _write_log(tmp_path / "a", run, bodies, events=("misshapen",))
+    topics = messages_by_topic(log)["/tendon_states"]
+    oracle = RosbagsSerialiser(topics[0].kind, topics[0].schema)
     assert all(np.isnan(oracle.decode(one.data).effort).all() for one in topics)

@@ -10,19 +10,19 @@ from math import cos, sin
 from handctl.hand import dynamics
 from handctl.paper.model import equations
 
-TERMS = [
+EQUATION_TERMS = [
     term.readings[0] if os.environ["HANDCTL_EQ10"] == "printed" else term.right
     for term in equations.TORQUE_1
 ]
-PRESENT = dynamics._rigid_body_torque
+PRESENT_TORQUE = dynamics._rigid_body_torque
 
 
-def eq10(digit, gravity, q, dq, ddq):
+def torque_of_eq10(digit, gravity, q, dq, ddq):
     """Return the joint torques of a digit.
 
     The first follows from Eq. 10 for T_1, the others are those of the model.
     """
-    _, tau2, tau3 = (*PRESENT(digit, gravity, q, dq, ddq), 0.0, 0.0)[:3]
+    _, tau2, tau3 = (*PRESENT_TORQUE(digit, gravity, q, dq, ddq), 0.0, 0.0)[:3]
     r1, r2, _ = (*digit.armature, 0.0, 0.0)[:3]
     states = {"g": 1.0}
     for i in range(3):
@@ -39,10 +39,10 @@ def eq10(digit, gravity, q, dq, ddq):
     gx, gy, _ = gravity @ digit.mount_rotation
     angle = states["th1"]
     weight = gx * sin(angle) - gy * cos(angle)
-    moving = sum(term.value(states) for term in TERMS[:-1])
-    still = TERMS[-1].value({**states, "th1": 0.0}) * weight
+    moving = sum(term.value(states) for term in EQUATION_TERMS[:-1])
+    still = EQUATION_TERMS[-1].value({**states, "th1": 0.0}) * weight
     first = moving + still + tau2 - r2 * ddq[1] + r1 * ddq[0]
     return (float(first), tau2, tau3)[: digit.joint_count]
 
 
-dynamics._rigid_body_torque = eq10
+dynamics._rigid_body_torque = torque_of_eq10

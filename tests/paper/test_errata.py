@@ -13,29 +13,29 @@ from handctl.paper import sources as src
 from handctl.paper.item import ErrataItem, ErrataVerdict
 from handctl.paper.model import equations, kinematics, lagrange, motion
 
-PARAMETERS = sp.symbols("I1:4 m1:4 L1:4 d1:4 g", positive=True)
-ANGLES = [sp.Function(f"f{i}")(sp.Symbol("t")) for i in (1, 2, 3)]
-TIME = sp.Symbol("t")
-NAMED = {
+PARAMETER_SYMBOLS = sp.symbols("I1:4 m1:4 L1:4 d1:4 g", positive=True)
+ANGLE_FUNCTIONS = [sp.Function(f"f{i}")(sp.Symbol("t")) for i in (1, 2, 3)]
+TIME_SYMBOL = sp.Symbol("t")
+DERIVATIVE_SYMBOLS = {
     f"{'d' * order}th{i}": sp.Symbol(f"{'d' * order}th{i}") for order in range(3) for i in (1, 2, 3)
 }
-PLAIN = {str(symbol): symbol for symbol in PARAMETERS} | NAMED
+PLAIN_SYMBOLS = {str(symbol): symbol for symbol in PARAMETER_SYMBOLS} | DERIVATIVE_SYMBOLS
 
 
-def symbolic(text: str) -> sp.Expr:
-    return sp.sympify(text, locals=PLAIN)
+def symbolic_expression(text: str) -> sp.Expr:
+    return sp.sympify(text, locals=PLAIN_SYMBOLS)
 
 
 @cache
-def energies() -> tuple[list[sp.Expr], sp.Expr]:
+def derived_energies() -> tuple[list[sp.Expr], sp.Expr]:
     """Return the kinetic energy of each link and the potential energy, derived from the positions of the links."""
-    i, m, length, d = (PARAMETERS[k : k + 3] for k in (0, 3, 6, 9))
+    i, m, length, d = (PARAMETER_SYMBOLS[k : k + 3] for k in (0, 3, 6, 9))
     kinetic, potential, x, y = [], sp.Integer(0), sp.Integer(0), sp.Integer(0)
-    for k, angle in enumerate(ANGLES):
+    for k, angle in enumerate(ANGLE_FUNCTIONS):
         cx, cy = x + d[k] * sp.cos(angle), y + d[k] * sp.sin(angle)
-        speed = sp.diff(cx, TIME) ** 2 + sp.diff(cy, TIME) ** 2
-        kinetic.append(m[k] * speed / 2 + i[k] * sp.diff(angle, TIME) ** 2 / 2)
-        potential += m[k] * PARAMETERS[-1] * cy
+        speed = sp.diff(cx, TIME_SYMBOL) ** 2 + sp.diff(cy, TIME_SYMBOL) ** 2
+        kinetic.append(m[k] * speed / 2 + i[k] * sp.diff(angle, TIME_SYMBOL) ** 2 / 2)
+        potential += m[k] * PARAMETER_SYMBOLS[-1] * cy
         x, y = x + length[k] * sp.cos(angle), y + length[k] * sp.sin(angle)
     return kinetic, potential
 
@@ -45,31 +45,33 @@ def in_symbols(expression: sp.Expr) -> sp.Expr:
     for order in (2, 1, 0):
         expression = expression.subs(
             {
-                sp.diff(angle, TIME, order): NAMED[f"{'d' * order}th{k + 1}"]
-                for k, angle in enumerate(ANGLES)
+                sp.diff(angle, TIME_SYMBOL, order): DERIVATIVE_SYMBOLS[f"{'d' * order}th{k + 1}"]
+                for k, angle in enumerate(ANGLE_FUNCTIONS)
             }
         )
     return sp.expand(sp.expand_trig(expression))
 
 
-def total(terms: tuple[equations.EquationTerm, ...]) -> sp.Expr:
-    return sp.expand(sp.expand_trig(sum(symbolic(term.right.text) for term in terms)))
+def total_of_terms(terms: tuple[equations.EquationTerm, ...]) -> sp.Expr:
+    return sp.expand(sp.expand_trig(sum(symbolic_expression(term.right.text) for term in terms)))
 
 
 def test_corrected_energies_are_those_of_three_links() -> None:
-    kinetic, potential = energies()
+    kinetic, potential = derived_energies()
     printed = (equations.KINETIC_1, equations.KINETIC_2, equations.KINETIC_3)
     for mine, derived in zip(printed, kinetic, strict=True):
-        assert sp.simplify(total(mine) - in_symbols(derived)) == 0
-    assert sp.simplify(total(equations.POTENTIAL_TERMS) - in_symbols(potential)) == 0
+        assert sp.simplify(total_of_terms(mine) - in_symbols(derived)) == 0
+    assert sp.simplify(total_of_terms(equations.POTENTIAL_TERMS) - in_symbols(potential)) == 0
 
 
 @pytest.mark.parametrize("i", [0, 1, 2])
 def test_corrected_torques_follow_from_the_lagrangian(i: int) -> None:
-    kinetic, potential = energies()
-    lagrangian, angle = sum(kinetic) - potential, ANGLES[i]
-    torque = sp.diff(sp.diff(lagrangian, sp.diff(angle, TIME)), TIME) - sp.diff(lagrangian, angle)
-    assert sp.simplify(total(equations.TORQUE_TERMS[i]) - in_symbols(torque)) == 0
+    kinetic, potential = derived_energies()
+    lagrangian, angle = sum(kinetic) - potential, ANGLE_FUNCTIONS[i]
+    torque = sp.diff(sp.diff(lagrangian, sp.diff(angle, TIME_SYMBOL)), TIME_SYMBOL) - sp.diff(
+        lagrangian, angle
+    )
+    assert sp.simplify(total_of_terms(equations.TORQUE_TERMS[i]) - in_symbols(torque)) == 0
 
 
 def test_the_thumb_equations_are_the_same_without_a_third_link() -> None:
@@ -110,7 +112,7 @@ def test_each_verdict_on_a_term_agrees_with_sympy(item: ErrataItem) -> None:
     terms = [*equations.KINETIC_TERMS, *equations.POTENTIAL_TERMS, *sum(equations.TORQUE_TERMS, ())]
     term = next(term for term in terms if term.id == item.id)
     same = [
-        sp.simplify(symbolic(reading.text) - symbolic(term.right.text)) == 0
+        sp.simplify(symbolic_expression(reading.text) - symbolic_expression(term.right.text)) == 0
         for reading in term.readings
     ]
     expected = (
@@ -130,9 +132,9 @@ def test_the_corrected_mass_matrix_is_symmetric_and_the_printed_one_is_not() -> 
     def matrix(which: str) -> sp.Matrix:
         rows = []
         for terms in equations.TORQUE_TERMS:
-            torque = sum(symbolic(getattr(term, which)[0].text if which == "readings" else term.right.text)
+            torque = sum(symbolic_expression(getattr(term, which)[0].text if which == "readings" else term.right.text)
                          for term in terms)  # fmt: skip
-            rows.append([sp.diff(torque, NAMED[f"ddth{k}"]) for k in (1, 2, 3)])
+            rows.append([sp.diff(torque, DERIVATIVE_SYMBOLS[f"ddth{k}"]) for k in (1, 2, 3)])
         return sp.Matrix(rows)
 
     right, printed = matrix("right"), matrix("readings")
@@ -141,7 +143,7 @@ def test_the_corrected_mass_matrix_is_symmetric_and_the_printed_one_is_not() -> 
     assert all(unlike[i, k] != 0 for i, k in ((0, 1), (0, 2), (1, 2)))
 
 
-ERRATA = {
+EXPECTED_ERRATA = {
     ErrataVerdict.WRONG: """
         eq4.own eq5.middle eq5.own eq5.cross23 eq5.cross13 eq6.link3 eq10.inertia eq10.coupling12 eq10.coupling13
         eq10.velocity12 eq10.velocity13 eq10.gravity eq11.coupling23 eq11.velocity12 eq11.velocity23 eq12.velocity13
@@ -162,7 +164,7 @@ ERRATA = {
 
 def test_no_known_misprint_is_missing() -> None:
     found = {item.id: item.verdict for item in sections.page_items(None)}
-    for verdict, ids in ERRATA.items():
+    for verdict, ids in EXPECTED_ERRATA.items():
         for id in ids.split():
             assert found[id] == verdict, id
 

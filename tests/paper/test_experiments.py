@@ -18,8 +18,8 @@ from handctl.paper import sections
 from handctl.paper.bench import experiments, force_displacement, payload, pool
 from handctl.report.truth import TruthRecord
 
-ROOT = Path(__file__).parents[2]
-RESULTS = ROOT / "docs" / "evidence" / "paper-results.json"
+REPOSITORY_ROOT = Path(__file__).parents[2]
+RESULTS_FILE = REPOSITORY_ROOT / "docs" / "evidence" / "paper-results.json"
 
 
 def test_the_bench_hand_reaches_forces_that_its_sensors_distinguish() -> None:
@@ -46,7 +46,7 @@ def test_a_blocked_finger_shows_the_knee_of_its_tendon(tmp_path: Path) -> None:
     assert np.median(bent.force[end] / bent.displacement[end]) < 0.95e-3 * bent.stiffness
 
 
-def fall(speed: float, after: float) -> TruthRecord:
+def falling_object_truth(speed: float, after: float) -> TruthRecord:
     """Return the truth, in rows of 1 ms, of an object that rests until a time and then falls at a speed [m/s]."""
     t = np.arange(4000)
     z = -speed * np.maximum(0.0, t / 1000.0 - after)
@@ -65,7 +65,7 @@ def fall(speed: float, after: float) -> TruthRecord:
     ],
 )
 def test_slip_is_creep_or_displacement(speed: float, ended: str, time_s: float) -> None:
-    row, how = payload._find_slip(fall(speed, 1.0), 100, 3900)
+    row, how = payload._find_slip(falling_object_truth(speed, 1.0), 100, 3900)
     assert how == ended
     assert row / 1000.0 == pytest.approx(time_s, abs=0.003)
 
@@ -107,13 +107,14 @@ def test_all_experiments_finish_within_three_minutes(tmp_path: Path) -> None:
         [sys.executable, "-c", RUN_HANDCTL, *words],
         capture_output=True,
         text=True,
-        cwd=ROOT,
+        cwd=REPOSITORY_ROOT,
         check=True,
     )
     assert time.monotonic() - begun < 180.0
     items: list[dict[str, Any]] = json.loads(done.stdout)
     kept = {
-        item.id: item.computed for item in sections.page_items(experiments.load_results(RESULTS))
+        item.id: item.computed
+        for item in sections.page_items(experiments.load_results(RESULTS_FILE))
     }
     payloads = [
         item for item in items if item["id"].startswith(("payload.x.", "payload.y.", "payload.z."))

@@ -8,13 +8,17 @@ from handctl.paper.model import equations
 from handctl.paper.model.expression import DimensionError, Expression, dimension_text, pretty_name
 from handctl.paper.model.lagrange import ENERGY_DIMENSION, SYMBOL_DIMENSIONS, random_states
 
-TERMS = [*equations.KINETIC_TERMS, *equations.POTENTIAL_TERMS, *sum(equations.TORQUE_TERMS, ())]
-FORMULAS = sorted(
-    {expression.text for term in TERMS for expression in (*term.readings, term.right)}
+EQUATION_TERMS = [
+    *equations.KINETIC_TERMS,
+    *equations.POTENTIAL_TERMS,
+    *sum(equations.TORQUE_TERMS, ()),
+]
+FORMULA_TEXTS = sorted(
+    {expression.text for term in EQUATION_TERMS for expression in (*term.readings, term.right)}
 )
 
 
-@pytest.mark.parametrize("text", FORMULAS)
+@pytest.mark.parametrize("text", FORMULA_TEXTS)
 def test_values_equal_those_of_sympy(text: str) -> None:
     states, expression = random_states(), Expression(text)
     names = sorted(expression.names)
@@ -24,7 +28,7 @@ def test_values_equal_those_of_sympy(text: str) -> None:
     )
 
 
-@pytest.mark.parametrize("term", TERMS, ids=lambda term: term.id)
+@pytest.mark.parametrize("term", EQUATION_TERMS, ids=lambda term: term.id)
 def test_right_terms_are_energies_or_torques(term: equations.EquationTerm) -> None:
     assert term.right.dimension(SYMBOL_DIMENSIONS) == ENERGY_DIMENSION
 

@@ -16,14 +16,14 @@ from handctl.paper.model import kinematics
 
 
 @pytest.fixture
-def folder(drawn: dict[str, Path]) -> Path:
+def figures_folder(drawn: dict[str, Path]) -> Path:
     assert drawn.keys() == page.FIGURE_CAPTIONS.keys()
     return drawn["fig1-hand"].parent
 
 
 @pytest.mark.parametrize("name", list(page.FIGURE_CAPTIONS))
-def test_pictures_have_content_and_full_resolution(folder: Path, name: str) -> None:
-    picture = imread(folder / f"paper-{name}.png")[..., :3]
+def test_pictures_have_content_and_full_resolution(figures_folder: Path, name: str) -> None:
+    picture = imread(figures_folder / f"paper-{name}.png")[..., :3]
     height, width, _ = picture.shape
     assert width > 1100
     assert height > 500
@@ -37,22 +37,22 @@ def test_pictures_have_content_and_full_resolution(folder: Path, name: str) -> N
 
 
 @pytest.mark.parametrize("name", list(page.FIGURE_CAPTIONS))
-def test_nothing_is_drawn_outside_of_the_picture(folder: Path, name: str) -> None:
+def test_nothing_is_drawn_outside_of_the_picture(figures_folder: Path, name: str) -> None:
     """No dark pixel is at the border of a picture. A text that is cut off would touch the border."""
-    picture = imread(folder / f"paper-{name}.png")[..., :3]
+    picture = imread(figures_folder / f"paper-{name}.png")[..., :3]
     frame = np.concatenate([picture[0], picture[-1], picture[:, 0], picture[:, -1]])
     assert frame.min() > 0.99
 
 
 @pytest.mark.parametrize("name", list(page.FIGURE_CAPTIONS))
-def test_svg_is_the_same_each_time_and_names_no_place(folder: Path, name: str) -> None:
-    text = (folder / f"paper-{name}.svg").read_text(encoding="utf-8")
+def test_svg_is_the_same_each_time_and_names_no_place(figures_folder: Path, name: str) -> None:
+    text = (figures_folder / f"paper-{name}.svg").read_text(encoding="utf-8")
     assert "<dc:date>" not in text
     assert not re.search(r"/(home|tmp|work)/", text)
     assert text.count("<path") > 20
 
 
-def test_units_and_printed_values_are_in_the_figures(folder: Path) -> None:
+def test_units_and_printed_values_are_in_the_figures(figures_folder: Path) -> None:
     """matplotlib draws texts in an SVG as paths. Comments beside the paths contain the texts."""
     wanted = {
         "fig2-model": ["X [mm]", "L₁ = 30 mm", "L₃ = 10 mm", "palm"],
@@ -76,7 +76,7 @@ def test_units_and_printed_values_are_in_the_figures(folder: Path) -> None:
         "fig8-payload": ["payload [kg]", "0.915 kg", "1.835 kg"],
     }
     for name, texts in wanted.items():
-        drawn = (folder / f"paper-{name}.svg").read_text(encoding="utf-8")
+        drawn = (figures_folder / f"paper-{name}.svg").read_text(encoding="utf-8")
         for text in texts:
             assert text in drawn, (name, text)
 

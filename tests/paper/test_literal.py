@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
-TESTS = (
+REPOSITORY_ROOT = Path(__file__).parents[2]
+TEST_SELECTION = (
     "(pinocchio_built_by_hand and gravity3) or mass_matrix_is or coriolis or energy_is or sums_are"
 )
 NEED_EQ10 = {
@@ -20,7 +20,7 @@ NEED_EQ10 = {
 }
 
 
-def outcome(which: str) -> tuple[set[str], str]:
+def run_with_equation(which: str) -> tuple[set[str], str]:
     """Run the tests of the model with Eq. 10 as printed or corrected.
 
     Return the names of failed tests, and the last line.
@@ -41,10 +41,10 @@ def outcome(which: str) -> tuple[set[str], str]:
         [
             *command,
             "-k",
-            f"jamia and not jamia_bench and not jamia11 and ({TESTS})",
+            f"jamia and not jamia_bench and not jamia11 and ({TEST_SELECTION})",
             "tests/hand/test_dynamics.py",
         ],
-        cwd=ROOT,
+        cwd=REPOSITORY_ROOT,
         env={**os.environ, "HANDCTL_EQ10": which, "PYTHONPATH": str(Path(__file__).parent)},
         capture_output=True,
         text=True,
@@ -57,18 +57,20 @@ def outcome(which: str) -> tuple[set[str], str]:
 
 
 @pytest.fixture(scope="module")
-def outcomes() -> dict[str, tuple[set[str], str]]:
-    return {which: outcome(which) for which in ("printed", "corrected")}
+def outcome_by_equation() -> dict[str, tuple[set[str], str]]:
+    return {which: run_with_equation(which) for which in ("printed", "corrected")}
 
 
 def test_the_printed_equation_fails_the_model_s_tests(
-    outcomes: dict[str, tuple[set[str], str]],
+    outcome_by_equation: dict[str, tuple[set[str], str]],
 ) -> None:
-    failed, last = outcomes["printed"]
+    failed, last = outcome_by_equation["printed"]
     assert failed >= NEED_EQ10, last
 
 
-def test_the_corrected_equation_passes_them(outcomes: dict[str, tuple[set[str], str]]) -> None:
-    failed, last = outcomes["corrected"]
+def test_the_corrected_equation_passes_them(
+    outcome_by_equation: dict[str, tuple[set[str], str]],
+) -> None:
+    failed, last = outcome_by_equation["corrected"]
     assert not failed
     assert "passed" in last

@@ -15,11 +15,11 @@ from handctl.paper import page, sections
 from handctl.paper.bench import experiments, payload
 from handctl.paper.item import ErrataVerdict
 
-ROOT = Path(__file__).parents[2]
-PAGE = ROOT / "docs" / "evidence" / "paper.md"
+REPOSITORY_ROOT = Path(__file__).parents[2]
+PAGE_FILE = REPOSITORY_ROOT / "docs" / "evidence" / "paper.md"
 
 
-RESULTS = ROOT / "docs" / "evidence" / "paper-results.json"
+RESULTS_FILE = REPOSITORY_ROOT / "docs" / "evidence" / "paper-results.json"
 
 
 def test_the_page_in_the_repository_is_the_generator_s(capsys: pytest.CaptureFixture[str]) -> None:
@@ -27,14 +27,16 @@ def test_the_page_in_the_repository_is_the_generator_s(capsys: pytest.CaptureFix
 
     If this test fails, run the command on the page.
     """
-    assert main(["paper", "--markdown", "--results", str(RESULTS)]) == 0
-    assert PAGE.read_text(encoding="utf-8").splitlines() == capsys.readouterr().out.splitlines()
+    assert main(["paper", "--markdown", "--results", str(RESULTS_FILE)]) == 0
+    assert (
+        PAGE_FILE.read_text(encoding="utf-8").splitlines() == capsys.readouterr().out.splitlines()
+    )
 
 
-EMPTY = '{"payload": [], "force_displacement": {"ropes": []}}'
+EMPTY_RESULTS = '{"payload": [], "force_displacement": {"ropes": []}}'
 
 
-@pytest.mark.parametrize("content", ["", "{}", "[]", EMPTY, "[" * 9999])
+@pytest.mark.parametrize("content", ["", "{}", "[]", EMPTY_RESULTS, "[" * 9999])
 def test_a_file_without_results_is_refused_in_a_line(
     content: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -52,7 +54,7 @@ def test_results_are_stored_with_six_significant_digits() -> None:
 
 
 def test_page_has_every_measured_result(measured: dict[str, Any]) -> None:
-    text = PAGE.read_text(encoding="utf-8")
+    text = PAGE_FILE.read_text(encoding="utf-8")
     assert text.count(page.MEASURED_MARK) == 2
     for item in sections.page_items(measured):
         assert f"| {item.id} | " in text, item.id
@@ -70,12 +72,12 @@ def test_page_has_every_measured_result(measured: dict[str, Any]) -> None:
 
 
 def test_every_figure_of_the_page_exists(measured: dict[str, Any]) -> None:
-    text = PAGE.read_text(encoding="utf-8")
+    text = PAGE_FILE.read_text(encoding="utf-8")
     found = re.findall(r"\]\((\.\./figures/paper-[\w-]+\.png)\)", text)
     assert len(found) == len(set(found)) == len(page.FIGURE_CAPTIONS)
     for name in found:
-        assert (PAGE.parent / name).stat().st_size > 20_000
-        assert (PAGE.parent / name).with_suffix(".svg").is_file()
+        assert (PAGE_FILE.parent / name).stat().st_size > 20_000
+        assert (PAGE_FILE.parent / name).with_suffix(".svg").is_file()
 
 
 def test_markdown_tables_have_the_same_columns_everywhere(measured: dict[str, Any]) -> None:

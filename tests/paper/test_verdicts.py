@@ -19,12 +19,12 @@ from handctl.paper.verdicts import (
     verdict_of_statement,
 )
 
-VALUES = st.fractions(min_value=-1000, max_value=1000, max_denominator=10**6).filter(
+EXACT_VALUES = st.fractions(min_value=-1000, max_value=1000, max_denominator=10**6).filter(
     lambda value: abs(value) > 1
 )
 
 
-def digits(value: Fraction, places: int, rounding: str) -> str:
+def rounded_digits(value: Fraction, places: int, rounding: str) -> str:
     exact = Decimal(value.numerator) / Decimal(value.denominator)
     return str(exact.quantize(Decimal(1).scaleb(-places), rounding=rounding))
 
@@ -50,28 +50,28 @@ def test_verdict_of_a_number(printed: str, exact: Fraction | float, verdict: Err
     assert verdict_of_number(printed, exact) == verdict
 
 
-@given(VALUES, st.integers(0, 5))
+@given(EXACT_VALUES, st.integers(0, 5))
 def test_rounded_number_is_judged_as_rounded(value: Fraction, places: int) -> None:
-    assert verdict_of_number(digits(value, places, ROUND_HALF_EVEN), value) in (
+    assert verdict_of_number(rounded_digits(value, places, ROUND_HALF_EVEN), value) in (
         ErrataVerdict.EQUAL,
         ErrataVerdict.ROUNDED,
     )
 
 
-@given(VALUES, st.integers(0, 5))
+@given(EXACT_VALUES, st.integers(0, 5))
 def test_truncated_number_is_judged_as_truncated(value: Fraction, places: int) -> None:
-    shown = digits(value, places, ROUND_DOWN)
+    shown = rounded_digits(value, places, ROUND_DOWN)
     verdict = verdict_of_number(shown, value)
     assert verdict != ErrataVerdict.WRONG
     if 2 * abs(Fraction(shown) - value) > last_digit_value(shown):
         assert verdict == ErrataVerdict.TRUNCATED
 
 
-@given(VALUES, st.integers(0, 5), st.integers(1, 50))
+@given(EXACT_VALUES, st.integers(0, 5), st.integers(1, 50))
 def test_a_unit_of_the_last_digit_beyond_is_wrong(value: Fraction, places: int, units: int) -> None:
-    shown = digits(value, places, ROUND_HALF_EVEN)
+    shown = rounded_digits(value, places, ROUND_HALF_EVEN)
     off = Fraction(shown) + (units + 1) * last_digit_value(shown) * (1 if value > 0 else -1)
-    text = digits(off, places, ROUND_HALF_EVEN)
+    text = rounded_digits(off, places, ROUND_HALF_EVEN)
     assert verdict_of_number(text, value) == ErrataVerdict.WRONG
 
 

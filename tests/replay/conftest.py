@@ -6,19 +6,19 @@ from pathlib import Path
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
-GOLDEN = Path(__file__).parents[2] / "logs" / "golden"
+GOLDEN_FOLDER = Path(__file__).parents[2] / "logs" / "golden"
 
 
 @pytest.fixture(scope="session")
-def golden() -> Path:
+def golden_folder() -> Path:
     """Return the folder of the golden logs."""
-    return GOLDEN
+    return GOLDEN_FOLDER
 
 
 @pytest.fixture(scope="session")
-def fresh(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def fresh_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Record a grasp with a fault, a bus event and requests on this machine, and return the path of the log."""
-    import runs
+    import short_runs
 
     from handctl.core.tick_types import IoEvent
 
@@ -26,6 +26,8 @@ def fresh(tmp_path_factory: pytest.TempPathFactory) -> Path:
     io_events = {300: (IoEvent("enobufs", "main", 2),)}
     requests = {250: ('{"do": "arm"}', "no request"), 450: ('{"do": "stop"}',)}
     log = folder / "fresh.mcap"
-    task, spoil = runs.short_task(folder), runs.peer_with_silent_index
-    runs.run(log, task, rate_hz=200.0, spoil=spoil, io_events=io_events, requests=requests)
+    task, spoil = short_runs.short_task(folder), short_runs.peer_with_silent_index
+    short_runs.record_lockstep_run(
+        log, task, rate_hz=200.0, spoil=spoil, io_events=io_events, requests=requests
+    )
     return log

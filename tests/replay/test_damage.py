@@ -18,21 +18,21 @@ from handctl.replay.damage import first_damage
 
 
 @pytest.fixture
-def log(golden: Path, tmp_path: Path) -> Path:
+def log_copy(golden_folder: Path, tmp_path: Path) -> Path:
     path = tmp_path / "run.mcap"
-    path.write_bytes((golden / "jamia-grasp.mcap").read_bytes())
+    path.write_bytes((golden_folder / "jamia-grasp.mcap").read_bytes())
     return path
 
 
-def _chunks(path: Path) -> tuple[LogFile, RecordScan]:
+def _scan_chunks(path: Path) -> tuple[LogFile, RecordScan]:
     file, scan = LogFile(path), RecordScan()
     scan_records(file, scan)
     return file, scan
 
 
-def _changed(path: Path, topic: str, k: int, at: int, fitting: bool) -> None:
+def _change_message(path: Path, topic: str, k: int, at: int, fitting: bool) -> None:
     """Change a byte in the message of tick k. With `fitting`, all checksums are adjusted, as a forger would do."""
-    file, scan = _chunks(path)
+    file, scan = _scan_chunks(path)
     names = {
         name: number
         for number, _, name, _, _ in schemas_and_channels(file.content(scan.chunks[0])).channels
@@ -44,12 +44,14 @@ def _changed(path: Path, topic: str, k: int, at: int, fitting: bool) -> None:
             if hit:
                 bent = bytearray(content)
                 bent[one.start + hit[0] * one.records.shape[1] + 31 + at] ^= 0x10
-                _put(path, scan, chunk, bytes(bent), fitting)
+                _put_chunk(path, scan, chunk, bytes(bent), fitting)
                 return
     raise AssertionError("no such message")
 
 
-def _put(path: Path, scan: RecordScan, chunk: ChunkLocation, bent: bytes, fitting: bool) -> None:
+def _put_chunk(
+    path: Path, scan: RecordScan, chunk: ChunkLocation, bent: bytes, fitting: bool
+) -> None:
     """Write a log in which a chunk has other bytes. The file ends without its last checksum."""
     raw = path.read_bytes()
     packed = lz4.frame.compress(bent)
@@ -65,48 +67,50 @@ def _put(path: Path, scan: RecordScan, chunk: ChunkLocation, bent: bytes, fittin
 @pytest.mark.parametrize(
     ("topic", "at"), [("/tick", 60), ("/controller/values", 100), ("/tick/chain", 22)]
 )
-def test_a_changed_byte_is_named_by_its_tick(log: Path, topic: str, at: int, fitting: bool) -> None:
-    assert first_damage(log) == ""
-    _changed(log, topic, 321, at, fitting)
-    assert first_damage(log).startswith("tick 321 was changed after it was written")
+def test_a_changed_byte_is_named_by_its_tick(
+    log_copy: Path, topic: str, at: int, fitting: bool
+) -> None:
+    assert first_damage(log_copy) == ""
+    _change_message(log_copy, topic, 321, at, fitting)
+    assert first_damage(log_copy).startswith("tick 321 was changed after it was written")
     if fitting:
-        with RunLog(log) as opened:
+        with RunLog(log_copy) as opened:
             (line,) = [line for line in check_log(opened) if "chain" in line]
         assert "breaks at tick 321" in line
 
 
-def test_a_changed_byte_of_a_derived_topic_is_named_by_its_chunk(log: Path) -> None:
-    _changed(log, "/joint_states", 321, 300, False)
-    message = first_damage(log)
+def test_a_changed_byte_of_a_derived_topic_is_named_by_its_chunk(log_copy: Path) -> None:
+    _change_message(log_copy, "/joint_states", 321, 300, False)
+    message = first_damage(log_copy)
     assert "its ticks are intact" in message
     first, last = (int(word) for word in message.rpartition("ticks ")[2].split(" to "))
     assert first <= 321 <= last
 
 
 def test_log_check_reports_any_changed_byte_of_a_chunk(
-    log: Path, capsys: pytest.CaptureFixture[str]
+    log_copy: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    _, scan = _chunks(log)
+    _, scan = _scan_chunks(log_copy)
     chunk = scan.chunks[5]
-    raw = bytearray(log.read_bytes())
+    raw = bytearray(log_copy.read_bytes())
     raw[(chunk.data + chunk.end) // 2] ^= 1
-    log.write_bytes(raw)
-    assert main(["log", "check", str(log), "--json"]) == 1
+    log_copy.write_bytes(raw)
+    assert main(["log", "check", str(log_copy), "--json"]) == 1
     findings = json.loads(capsys.readouterr().out)["findings"]
     assert len(findings) == 2
     assert "tick" in findings[-1]
 
 
-def test_other_gains_in_the_header_break_the_chain_at_the_first_tick(log: Path) -> None:
-    with RunLog(log) as opened:
+def test_other_gains_in_the_header_break_the_chain_at_the_first_tick(log_copy: Path) -> None:
+    with RunLog(log_copy) as opened:
         opened.header.attachments["gains.json"] += b" "
         (line,) = [line for line in check_log(opened) if "chain" in line]
     assert "breaks at tick 0:" in line
 
 
-def test_a_recovered_log_has_an_unbroken_chain(log: Path, tmp_path: Path) -> None:
-    raw = log.read_bytes()
-    log.write_bytes(raw[: len(raw) // 2])
-    recover_log(log, tmp_path / "new.mcap")
+def test_a_recovered_log_has_an_unbroken_chain(log_copy: Path, tmp_path: Path) -> None:
+    raw = log_copy.read_bytes()
+    log_copy.write_bytes(raw[: len(raw) // 2])
+    recover_log(log_copy, tmp_path / "new.mcap")
     with RunLog(tmp_path / "new.mcap") as opened:
         assert not [line for line in check_log(opened) if "chain" in line]

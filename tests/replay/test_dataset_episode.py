@@ -23,30 +23,37 @@ from handctl.programs.playback import PlaybackProgram
 from handctl.replay.dataset_episode import find_episode
 from handctl.session.simulate import SimulatorSettings, homed_controller
 
-LOGS = Path(__file__).parents[2] / "logs" / "golden"
-PERIOD = 0.002
-HAND = load_hand("jamia")
+GOLDEN_FOLDER = Path(__file__).parents[2] / "logs" / "golden"
+PERIOD_S = 0.002
+JAMIA_HAND = load_hand("jamia")
 
 
 @pytest.fixture
-def dataset(tmp_path: Path) -> Path:
+def exported_dataset(tmp_path: Path) -> Path:
     """Return the folder of a dataset with two episodes: a run with a fault, and a grasp."""
-    with RunLog(LOGS / "jamia-fault.mcap") as one, RunLog(LOGS / "jamia-grasp.mcap") as two:
+    with (
+        RunLog(GOLDEN_FOLDER / "jamia-fault.mcap") as one,
+        RunLog(GOLDEN_FOLDER / "jamia-grasp.mcap") as two,
+    ):
         export_lerobot([one, two], tmp_path / "data")
     return tmp_path / "data"
 
 
-def actions(dataset: Path, episode: int) -> np.ndarray:
+def episode_actions(exported_dataset: Path, episode: int) -> np.ndarray:
     """Return the joint angles (frames, J) in the actions of an episode [rad]."""
-    table = pq.read_table(dataset / "data" / "chunk-000" / "file-000.parquet").to_pylist()
+    table = pq.read_table(exported_dataset / "data" / "chunk-000" / "file-000.parquet").to_pylist()
     return np.array(
-        [row["action"][: len(HAND.joints)] for row in table if row["episode_index"] == episode]
+        [
+            row["action"][: len(JAMIA_HAND.joints)]
+            for row in table
+            if row["episode_index"] == episode
+        ]
     )
 
 
-def change(dataset: Path, frame: int, joint: int, value: float) -> None:
+def change_action(exported_dataset: Path, frame: int, joint: int, value: float) -> None:
     """Change one joint angle in the action of a frame."""
-    path = dataset / "data" / "chunk-000" / "file-000.parquet"
+    path = exported_dataset / "data" / "chunk-000" / "file-000.parquet"
     table = pq.read_table(path)
     rows = table["action"].to_pylist()
     rows[frame][joint] = value
@@ -56,13 +63,13 @@ def change(dataset: Path, frame: int, joint: int, value: float) -> None:
     )
 
 
-def sine_dataset(dataset: Path) -> np.ndarray:
+def sine_dataset(exported_dataset: Path) -> np.ndarray:
     """Replace the actions of the first episode by a smooth motion, and return its angles (frames, J) [rad]."""
-    path = dataset / "data" / "chunk-000" / "file-000.parquet"
+    path = exported_dataset / "data" / "chunk-000" / "file-000.parquet"
     table = pq.read_table(path)
     rows = np.array(table["action"].to_pylist())
     frames = table["episode_index"].to_pylist().count(0)
-    joints = len(HAND.joints)
+    joints = len(JAMIA_HAND.joints)
     rows[:frames, :joints] = np.radians(30.0 - 20.0 * np.cos(np.arange(frames) / 200.0 * np.pi))[
         :, None
     ]
@@ -76,22 +83,22 @@ def sine_dataset(dataset: Path) -> np.ndarray:
     return rows[:frames, :joints]
 
 
-def test_the_curve_passes_through_the_actions(dataset: Path) -> None:
-    wanted = sine_dataset(dataset)
-    recording = find_episode(dataset, 0, HAND, PERIOD)
-    rows = np.rint(np.arange(len(wanted)) / 200.0 / PERIOD).astype(int)
-    exact = np.abs(rows * PERIOD - np.arange(len(wanted)) / 200.0) < 1e-9
+def test_the_curve_passes_through_the_actions(exported_dataset: Path) -> None:
+    wanted = sine_dataset(exported_dataset)
+    recording = find_episode(exported_dataset, 0, JAMIA_HAND, PERIOD_S)
+    rows = np.rint(np.arange(len(wanted)) / 200.0 / PERIOD_S).astype(int)
+    exact = np.abs(rows * PERIOD_S - np.arange(len(wanted)) / 200.0) < 1e-9
     np.testing.assert_allclose(recording.q[rows[exact]], wanted[exact], atol=1e-6)
     np.testing.assert_allclose(recording.dq[0], 0.0, atol=1e-9)
-    slope = np.diff(recording.q, axis=0) / PERIOD
+    slope = np.diff(recording.q, axis=0) / PERIOD_S
     np.testing.assert_allclose(
         slope[:-10], recording.dq[1:-10], atol=0.3
     )  # near its end the motion stops
 
 
-def test_a_hand_follows_an_episode_in_lockstep(dataset: Path) -> None:
-    jamia = HandModel.from_hand(HAND, Gains(), 1.0 / PERIOD)
-    program = PlaybackProgram(find_episode(dataset, 1, HAND, jamia.period, 200.0))
+def test_a_hand_follows_an_episode_in_lockstep(exported_dataset: Path) -> None:
+    jamia = HandModel.from_hand(JAMIA_HAND, Gains(), 1.0 / PERIOD_S)
+    program = PlaybackProgram(find_episode(exported_dataset, 1, JAMIA_HAND, jamia.period, 200.0))
     controller = homed_controller(jamia, program)
     errors, faults = [], set()
     with SimulatorSettings("jamia", homed=True).against(controller) as run:
@@ -106,7 +113,9 @@ def test_a_hand_follows_an_episode_in_lockstep(dataset: Path) -> None:
         assert run.out.mode == HandMode.DONE
     assert faults == set()
     assert run.state.progress.finished
-    assert len(errors) * jamia.period == pytest.approx(len(actions(dataset, 1)) / 200.0, abs=0.1)
+    assert len(errors) * jamia.period == pytest.approx(
+        len(episode_actions(exported_dataset, 1)) / 200.0, abs=0.1
+    )
     assert np.sqrt(np.mean(np.square(errors))) < 1.0
 
 
@@ -120,32 +129,32 @@ def test_a_hand_follows_an_episode_in_lockstep(dataset: Path) -> None:
     ],
 )
 def test_an_angle_or_a_speed_out_of_range_is_refused(
-    dataset: Path, value: float, text: str
+    exported_dataset: Path, value: float, text: str
 ) -> None:
-    sine_dataset(dataset)
-    change(dataset, 7, 0, value)
+    sine_dataset(exported_dataset)
+    change_action(exported_dataset, 7, 0, value)
     with pytest.raises(ConfigError, match=text):
-        find_episode(dataset, 0, HAND, PERIOD)
+        find_episode(exported_dataset, 0, JAMIA_HAND, PERIOD_S)
 
 
-def test_an_estimate_just_beyond_the_range_is_clipped(dataset: Path) -> None:
-    sine_dataset(dataset)
-    change(dataset, 0, 0, -0.01)
-    assert find_episode(dataset, 0, HAND, PERIOD, 100.0).q[0, 0] == 0.0
+def test_an_estimate_just_beyond_the_range_is_clipped(exported_dataset: Path) -> None:
+    sine_dataset(exported_dataset)
+    change_action(exported_dataset, 0, 0, -0.01)
+    assert find_episode(exported_dataset, 0, JAMIA_HAND, PERIOD_S, 100.0).q[0, 0] == 0.0
 
 
-def test_jumps_become_ramps_by_a_speed(dataset: Path) -> None:
+def test_jumps_become_ramps_by_a_speed(exported_dataset: Path) -> None:
     with pytest.raises(ConfigError, match="at most 700 deg/s, or a limit by --speed"):
-        find_episode(dataset, 1, HAND, PERIOD)
-    slow = np.degrees(find_episode(dataset, 1, HAND, PERIOD, 100.0).dq)
+        find_episode(exported_dataset, 1, JAMIA_HAND, PERIOD_S)
+    slow = np.degrees(find_episode(exported_dataset, 1, JAMIA_HAND, PERIOD_S, 100.0).dq)
     assert 90.0 < np.abs(slow).max() < 140.0, "a spline rounds the corners"
     with pytest.raises(ConfigError, match="--speed: 900 deg/s; expected above 0, at most 700"):
-        find_episode(dataset, 1, HAND, PERIOD, 900.0)
+        find_episode(exported_dataset, 1, JAMIA_HAND, PERIOD_S, 900.0)
 
 
-def edit(dataset: Path, **fields: object) -> None:
+def edit_info(exported_dataset: Path, **fields: object) -> None:
     """Change fields in the description of a dataset."""
-    path = dataset / "meta" / "info.json"
+    path = exported_dataset / "meta" / "info.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | fields))
 
 
@@ -162,39 +171,41 @@ def edit(dataset: Path, **fields: object) -> None:
     ],
 )
 def test_a_wrong_description_is_refused(
-    dataset: Path, fields: dict[str, object], text: str
+    exported_dataset: Path, fields: dict[str, object], text: str
 ) -> None:
-    edit(dataset, **fields)
+    edit_info(exported_dataset, **fields)
     with pytest.raises(ConfigError, match=text):
-        find_episode(dataset, 0, HAND, PERIOD)
+        find_episode(exported_dataset, 0, JAMIA_HAND, PERIOD_S)
 
 
-def test_a_damaged_dataset_is_refused(dataset: Path) -> None:
+def test_a_damaged_dataset_is_refused(exported_dataset: Path) -> None:
     with pytest.raises(ConfigError, match="no episode 2; expected 0 to 1"):
-        find_episode(dataset, 2, HAND, PERIOD)
+        find_episode(exported_dataset, 2, JAMIA_HAND, PERIOD_S)
     with pytest.raises(
         ConfigError, match=r"no thumb_j1.pos_rad|no .*pos_rad; expected an angle for each joint of"
     ):
-        find_episode(dataset, 0, load_hand("t42"), PERIOD)
-    data = dataset / "data" / "chunk-000" / "file-000.parquet"
+        find_episode(exported_dataset, 0, load_hand("t42"), PERIOD_S)
+    data = exported_dataset / "data" / "chunk-000" / "file-000.parquet"
     whole = data.read_bytes()
     for content in (b"", whole[:-100], b"PAR1" + whole[4:100] + b"PAR1"):
         data.write_bytes(content)
         with pytest.raises(ConfigError, match=r"file-000.parquet: cannot be read"):
-            find_episode(dataset, 0, HAND, PERIOD)
-    (dataset / "meta" / "info.json").write_text("{")
+            find_episode(exported_dataset, 0, JAMIA_HAND, PERIOD_S)
+    (exported_dataset / "meta" / "info.json").write_text("{")
     with pytest.raises(ConfigError, match=r"info.json: is no JSON"):
-        find_episode(dataset, 0, HAND, PERIOD)
+        find_episode(exported_dataset, 0, JAMIA_HAND, PERIOD_S)
     with pytest.raises(ConfigError, match="No such file or directory"):
-        find_episode(dataset / "x", 0, HAND, PERIOD)
+        find_episode(exported_dataset / "x", 0, JAMIA_HAND, PERIOD_S)
 
 
 def test_run_checks_the_dataset_before_it_opens_a_bus(
-    dataset: Path, capsys: pytest.CaptureFixture[str]
+    exported_dataset: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["run", "--hand", "jamia", "--bus", "local:no", "--dry-run"]
-    assert main([*words, "--dataset", str(dataset), "--episode", "1", "--speed", "200"]) == 0
+    assert (
+        main([*words, "--dataset", str(exported_dataset), "--episode", "1", "--speed", "200"]) == 0
+    )
     assert main([*words, "--episode", "1"]) == 2
     assert "only with --dataset" in capsys.readouterr().err
-    assert main([*words, "--dataset", str(dataset), "--episode", "5"]) == 2
+    assert main([*words, "--dataset", str(exported_dataset), "--episode", "5"]) == 2
     assert "no episode 5; expected 0 to 1" in capsys.readouterr().err

@@ -13,8 +13,11 @@ from handctl.replay.compare import compare_signals, difference_lines
 from handctl.replay.diff import compare_logs
 
 
-def test_a_run_does_not_differ_from_itself(golden: Path) -> None:
-    with RunLog(golden / "jamia-grasp.mcap") as a, RunLog(golden / "jamia-grasp.mcap") as b:
+def test_a_run_does_not_differ_from_itself(golden_folder: Path) -> None:
+    with (
+        RunLog(golden_folder / "jamia-grasp.mcap") as a,
+        RunLog(golden_folder / "jamia-grasp.mcap") as b,
+    ):
         compared = compare_logs(a, b, "b")
     assert (compared["gains"], compared["only_in_first"], compared["only_in_second"]) == (
         {},
@@ -29,8 +32,11 @@ def test_a_run_does_not_differ_from_itself(golden: Path) -> None:
     assert "joint_deg" in compared["phases"]["hold"]
 
 
-def test_a_lost_object_is_seen_in_the_hold_phase(golden: Path) -> None:
-    with RunLog(golden / "jamia-grasp.mcap") as a, RunLog(golden / "jamia-lost.mcap") as b:
+def test_a_lost_object_is_seen_in_the_hold_phase(golden_folder: Path) -> None:
+    with (
+        RunLog(golden_folder / "jamia-grasp.mcap") as a,
+        RunLog(golden_folder / "jamia-lost.mcap") as b,
+    ):
         compared = compare_logs(a, b, "b")
     # The joint angles of a digit in contact follow from its tension. One newton changes them by
     # some degrees.
@@ -38,29 +44,32 @@ def test_a_lost_object_is_seen_in_the_hold_phase(golden: Path) -> None:
     assert compared["phases"]["hold"]["joint_deg"]["index_j1"]["peak"] > 20.0
 
 
-def test_phases_of_only_one_run_are_named(golden: Path) -> None:
-    with RunLog(golden / "jamia-grasp.mcap") as a, RunLog(golden / "jamia-fault.mcap") as b:
+def test_phases_of_only_one_run_are_named(golden_folder: Path) -> None:
+    with (
+        RunLog(golden_folder / "jamia-grasp.mcap") as a,
+        RunLog(golden_folder / "jamia-fault.mcap") as b,
+    ):
         compared = compare_logs(a, b, "b")
     assert compared["only_in_first"] == ["release", "end"]
 
 
-def test_another_hand_s_log_is_refused(golden: Path) -> None:
+def test_another_hand_s_log_is_refused(golden_folder: Path) -> None:
     with (
-        RunLog(golden / "jamia-grasp.mcap") as a,
-        RunLog(golden / "jamia11-grasp.mcap") as b,
+        RunLog(golden_folder / "jamia-grasp.mcap") as a,
+        RunLog(golden_folder / "jamia11-grasp.mcap") as b,
         pytest.raises(IncomparableError, match="jamia11"),
     ):
         compare_logs(a, b, "b")
 
 
 @pytest.mark.parametrize("name", ["jamia-grasp", "jamia-fault", "jamia11-grasp"])
-def test_golden_logs_pass_the_check(golden: Path, name: str) -> None:
-    with RunLog(golden / f"{name}.mcap") as log:
+def test_golden_logs_pass_the_check(golden_folder: Path, name: str) -> None:
+    with RunLog(golden_folder / f"{name}.mcap") as log:
         assert check_log(log) == []
 
 
-def test_a_wrong_clock_and_a_gap_are_reported(golden: Path) -> None:
-    with RunLog(golden / "jamia-grasp.mcap") as log:
+def test_a_wrong_clock_and_a_gap_are_reported(golden_folder: Path) -> None:
+    with RunLog(golden_folder / "jamia-grasp.mcap") as log:
         bent = log.t_ns.copy()
         bent[10] += 1
         with patch.object(RunLog, "t_ns", PropertyMock(return_value=bent)):
@@ -70,8 +79,8 @@ def test_a_wrong_clock_and_a_gap_are_reported(golden: Path) -> None:
             assert "gap: 3 ticks are missing between 19 and 23" in check_log(log)
 
 
-def test_a_wrong_identity_is_reported(golden: Path) -> None:
-    with RunLog(golden / "jamia-grasp.mcap") as log:
+def test_a_wrong_identity_is_reported(golden_folder: Path) -> None:
+    with RunLog(golden_folder / "jamia-grasp.mcap") as log:
         log.header.metadata["identity"] = "0" * 64
         findings = check_log(log)
     assert findings[0].startswith("hand.toml has identity")

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import runs
+import short_runs
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -23,22 +23,24 @@ from handctl.replay.motion_replay import (
 
 
 @pytest.fixture(scope="module")
-def replayed(golden: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def replayed_logs(golden_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Let a simulated hand perform the golden grasp again at another rate and with other noise.
 
     Return the path of the log.
     """
     path = tmp_path_factory.mktemp("drive") / "again.mcap"
-    with RunLog(golden / "jamia-grasp.mcap") as before:
-        state = runs.run(path, playback_program(before, 1 / 250, raw=False), rate_hz=250.0, seed=5)
+    with RunLog(golden_folder / "jamia-grasp.mcap") as before:
+        state = short_runs.record_lockstep_run(
+            path, playback_program(before, 1 / 250, raw=False), rate_hz=250.0, seed=5
+        )
     assert state.failure == ""
     return path
 
 
 def test_a_grasp_repeats_within_a_degree_and_five_percent_of_force(
-    golden: Path, replayed: Path
+    golden_folder: Path, replayed_logs: Path
 ) -> None:
-    with RunLog(golden / "jamia-grasp.mcap") as before, RunLog(replayed) as after:
+    with RunLog(golden_folder / "jamia-grasp.mcap") as before, RunLog(replayed_logs) as after:
         compared = compare_replay(before, after)
         recorded_start, _ = active_interval(before)
         at_rest = [
@@ -55,23 +57,23 @@ def test_a_grasp_repeats_within_a_degree_and_five_percent_of_force(
     np.testing.assert_allclose(new, old, rtol=0.05)
 
 
-def test_the_driven_run_can_be_executed_again(replayed: Path) -> None:
-    with RunLog(replayed) as log:
+def test_the_driven_run_can_be_executed_again(replayed_logs: Path) -> None:
+    with RunLog(replayed_logs) as log:
         names = [change.name for change in log.phases]
         assert names.index("approach") < names.index("playback")
         assert execute_log(log).differing == 0
 
 
-def test_a_replay_moves_slowly_to_the_first_pose(replayed: Path) -> None:
-    with RunLog(replayed) as log:
+def test_a_replay_moves_slowly_to_the_first_pose(replayed_logs: Path) -> None:
+    with RunLog(replayed_logs) as log:
         starts = {change.name: change.k for change in log.phases}
         path = (log.k >= starts["approach"]) & (log.k < starts["playback"])
         assert np.nanmax(np.abs(log.field("dq_goal")[path])) < np.radians(30.0)
         assert path.sum() == 500
 
 
-def test_a_digit_under_tension_control_follows_tension_and_not_angles(golden: Path) -> None:
-    with RunLog(golden / "jamia-grasp.mcap") as log:
+def test_a_digit_under_tension_control_follows_tension_and_not_angles(golden_folder: Path) -> None:
+    with RunLog(golden_folder / "jamia-grasp.mcap") as log:
         played = recorded_targets(log, log.header.period_ns * 1e-9)
         start, end = active_interval(log)
         inside = (log.times >= start) & (log.times <= end)
@@ -93,9 +95,12 @@ def test_a_digit_under_tension_control_follows_tension_and_not_angles(golden: Pa
     )
 
 
-def test_another_hand_is_refused_with_both_identities(golden: Path) -> None:
+def test_another_hand_is_refused_with_both_identities(golden_folder: Path) -> None:
     other = load_hand("jamia11")
-    with RunLog(golden / "jamia-grasp.mcap") as log, pytest.raises(IncomparableError) as caught:
+    with (
+        RunLog(golden_folder / "jamia-grasp.mcap") as log,
+        pytest.raises(IncomparableError) as caught,
+    ):
         check_same_hand(log, other.name, other.identity, "--hand jamia11")
     assert other.identity[:12] in str(caught.value)
     assert load_hand("jamia").identity[:12] in str(caught.value)

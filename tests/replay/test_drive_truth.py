@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import runs
+import short_runs
 from numpy.typing import NDArray
 
 from handctl.log.read.reader import RunLog
@@ -24,7 +24,7 @@ DIGITS = ("index", "middle", "ring", "thumb")
 
 
 @dataclass(frozen=True)
-class Pair:
+class RunAndRepeat:
     """A run and its repetition: their logs, and their truths over the same interval."""
 
     folder: Path
@@ -73,22 +73,29 @@ class Pair:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Record the first run, and return the folder of its log and truth."""
     made = tmp_path_factory.mktemp("pair")
-    runs.run(made / "first.mcap", runs.short_task(made), rate_hz=200.0, truth=made / "first.truth")
+    short_runs.record_lockstep_run(
+        made / "first.mcap", short_runs.short_task(made), rate_hz=200.0, truth=made / "first.truth"
+    )
     return made
 
 
 @pytest.fixture(scope="module", params=[False, True], ids=["trajectories", "tensions"])
-def pair(folder: Path, request: pytest.FixtureRequest) -> Pair:
+def run_and_repeat(folder: Path, request: pytest.FixtureRequest) -> RunAndRepeat:
     """Return the first run and its repetition, which follows either trajectories or tensions."""
-    made = Pair(folder, request.param)
+    made = RunAndRepeat(folder, request.param)
     with RunLog(folder / "first.mcap") as before:
         program = playback_program(before, 1 / RATE_HZ, made.raw)
     truth = made.repeat.with_suffix(".truth")
-    assert runs.run(made.repeat, program, rate_hz=RATE_HZ, seed=5, truth=truth).failure == ""
+    assert (
+        short_runs.record_lockstep_run(
+            made.repeat, program, rate_hz=RATE_HZ, seed=5, truth=truth
+        ).failure
+        == ""
+    )
     return made
 
 
-def test_second_replay_gives_the_same_log(pair: Pair) -> None:
+def test_second_replay_gives_the_same_log(run_and_repeat: RunAndRepeat) -> None:
     """If only tensions are repeated, a digit in motion is not held at an angle.
 
     Half a newton moves its springs by six degrees.
@@ -96,12 +103,16 @@ def test_second_replay_gives_the_same_log(pair: Pair) -> None:
     At the first contact of a digit, one newton moves the estimated angles of its joints by two
     degrees more.
     """
-    compared = pair.compare_replay()
+    compared = run_and_repeat.compare_replay()
     worst = (
-        {"joint_deg": 12.0, "tendon_N": 13.0} if pair.raw else {"joint_deg": 3.0, "tendon_N": 13.0}
+        {"joint_deg": 12.0, "tendon_N": 13.0}
+        if run_and_repeat.raw
+        else {"joint_deg": 3.0, "tendon_N": 13.0}
     )
     usual_rms = (
-        {"joint_deg": 3.0, "tendon_N": 2.2} if pair.raw else {"joint_deg": 1.5, "tendon_N": 2.2}
+        {"joint_deg": 3.0, "tendon_N": 2.2}
+        if run_and_repeat.raw
+        else {"joint_deg": 1.5, "tendon_N": 2.2}
     )
     for signal in worst:
         assert max(row["peak"] for row in compared[signal].values()) < worst[signal]
@@ -109,23 +120,25 @@ def test_second_replay_gives_the_same_log(pair: Pair) -> None:
 
 
 @pytest.mark.parametrize("digit", DIGITS)
-def test_second_replay_gives_the_same_truth(pair: Pair, digit: str) -> None:
+def test_second_replay_gives_the_same_truth(run_and_repeat: RunAndRepeat, digit: str) -> None:
     """The mean joint angle of each digit is compared.
 
     Contact and friction decide how the motion of a tendon is divided among the joints.
     """
     joints = [f"q/{digit}_j{n}" for n in range(1, 3 if digit == "thumb" else 4)]
-    _, before, after = pair.truths(*joints)
+    _, before, after = run_and_repeat.truths(*joints)
     apart = np.degrees(np.abs(after.mean(axis=1) - before.mean(axis=1)))
-    assert apart.max() < (6.0 if pair.raw else 1.0)
-    assert apart.mean() < (1.5 if pair.raw else 0.3)
+    assert apart.max() < (6.0 if run_and_repeat.raw else 1.0)
+    assert apart.mean() < (1.5 if run_and_repeat.raw else 0.3)
 
 
-def test_a_replayed_grasp_is_as_strong_as_the_recorded_one(pair: Pair) -> None:
+def test_a_replayed_grasp_is_as_strong_as_the_recorded_one(run_and_repeat: RunAndRepeat) -> None:
     tensions = [f"tension/{digit}_tendon" for digit in DIGITS]
     forces = [f"contact_force/{digit}/{axis}" for digit in DIGITS for axis in "xyz"]
-    before, after = pair.mean_at_rest(*tensions)
-    np.testing.assert_allclose(after, before, rtol=0.08 if pair.raw else 0.05)
-    old, new = (np.linalg.norm(one.reshape(-1, 3), axis=1) for one in pair.mean_at_rest(*forces))
+    before, after = run_and_repeat.mean_at_rest(*tensions)
+    np.testing.assert_allclose(after, before, rtol=0.08 if run_and_repeat.raw else 0.05)
+    old, new = (
+        np.linalg.norm(one.reshape(-1, 3), axis=1) for one in run_and_repeat.mean_at_rest(*forces)
+    )
     assert old.min() > 1.0, "every digit has contact"
-    np.testing.assert_allclose(new, old, rtol=0.2 if pair.raw else 0.05)
+    np.testing.assert_allclose(new, old, rtol=0.2 if run_and_repeat.raw else 0.05)

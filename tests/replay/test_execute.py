@@ -39,11 +39,11 @@ from handctl.replay.tick_difference import (
     distance_in_ulps,
 )
 
-GOLDEN = ("jamia-grasp", "jamia-lost", "jamia-fault", "jamia11-grasp")
+GOLDEN_NAMES = ("jamia-grasp", "jamia-lost", "jamia-fault", "jamia11-grasp")
 
 
-def test_a_fresh_run_with_faults_and_requests_repeats_to_the_last_bit(fresh: Path) -> None:
-    with RunLog(fresh) as log:
+def test_a_fresh_run_with_faults_and_requests_repeats_to_the_last_bit(fresh_log: Path) -> None:
+    with RunLog(fresh_log) as log:
         texts = " ".join(event.event.text for event in log.events)
         assert "asked: stop" in texts
         assert "B17 some nodes do not hear" in texts
@@ -59,10 +59,10 @@ def test_a_fresh_run_with_faults_and_requests_repeats_to_the_last_bit(fresh: Pat
     assert result.times_real_time > 0
 
 
-@pytest.mark.parametrize("name", GOLDEN)
-def test_golden_logs_decide_the_same_within_1e_9(golden: Path, name: str) -> None:
+@pytest.mark.parametrize("name", GOLDEN_NAMES)
+def test_golden_logs_decide_the_same_within_1e_9(golden_folder: Path, name: str) -> None:
     """The golden logs come from another machine. Its processor may round the last bits differently."""
-    with RunLog(golden / f"{name}.mcap") as log:
+    with RunLog(golden_folder / f"{name}.mcap") as log:
         assert not log.warning
         result = execute_log(log)
         assert result.ticks == len(log) > 300
@@ -70,12 +70,12 @@ def test_golden_logs_decide_the_same_within_1e_9(golden: Path, name: str) -> Non
     assert is_within_tolerance(result, 1e-9), result.largest
 
 
-def test_one_bit_of_a_gain_is_found_at_the_first_tick_with_an_effect(fresh: Path) -> None:
+def test_one_bit_of_a_gain_is_found_at_the_first_tick_with_an_effect(fresh_log: Path) -> None:
     """The changed gain is that of the tension loop's integral.
 
     It acts from the first tick of the tightening on, not before.
     """
-    with RunLog(fresh) as log:
+    with RunLog(fresh_log) as log:
         gains = logged_gains(log)
         one_bit = math.nextafter(gains.tension.integral_per_s, math.inf)
         other = gains.model_copy(
@@ -89,8 +89,8 @@ def test_one_bit_of_a_gain_is_found_at_the_first_tick_with_an_effect(fresh: Path
     assert 0 < relative_error(result.largest) < 1e-9
 
 
-def test_a_changed_byte_of_the_log_is_named(fresh: Path) -> None:
-    with RunLog(fresh) as log:
+def test_a_changed_byte_of_the_log_is_named(fresh_log: Path) -> None:
+    with RunLog(fresh_log) as log:
         controller, columns = rebuild_controller(log), TelemetryColumns.of(log.header)
         logged, numbers = next(zip(log.ticks(), log.packed(), strict=True))
         _, out = controller.tick(controller.initial_state(), logged.tick_in)
@@ -122,7 +122,7 @@ def test_both_zeros_have_distance_0_in_ulps() -> None:
     assert distance_in_ulps(5e-324, -5e-324) == 2
 
 
-def calibration(hand_name: str) -> Calibration:
+def make_calibration(hand_name: str) -> Calibration:
     hand = load_hand(hand_name)
     rows = {
         name: TendonCalibration(tare_N=0.1 * i, zero_rad=-0.3 * i, answer_N=3.0, crosstalk_N=0.0)
@@ -145,7 +145,9 @@ def calibration(hand_name: str) -> Calibration:
 )
 def test_every_program_is_rebuilt_from_its_setup(program: Program) -> None:
     hand, gains, rate = load_hand("jamia"), Gains(), 333.3
-    first = make_controller(hand, gains, rate, program, calibration("jamia"), arm_at_once=False)
+    first = make_controller(
+        hand, gains, rate, program, make_calibration("jamia"), arm_at_once=False
+    )
     text = RunSetup.from_controller(first, rate).model_dump_json(by_alias=True)
     again = RunSetup.model_validate_json(text).controller(hand, gains)
     assert again.program == program
@@ -156,8 +158,8 @@ def test_every_program_is_rebuilt_from_its_setup(program: Program) -> None:
     assert again.initial_state().digest() == first.initial_state().digest()
 
 
-def test_a_log_without_a_setup_is_refused_in_one_line(fresh: Path) -> None:
-    with RunLog(fresh) as log:
+def test_a_log_without_a_setup_is_refused_in_one_line(fresh_log: Path) -> None:
+    with RunLog(fresh_log) as log:
         attachments = {
             name: data for name, data in log.header.attachments.items() if name != "setup.json"
         }
@@ -187,9 +189,9 @@ def test_a_log_without_a_setup_is_refused_in_one_line(fresh: Path) -> None:
     ids=["a gain that is gone", "a later schema"],
 )
 def test_gains_of_another_version_are_refused_in_one_line_with_both(
-    fresh: Path, gains: str, message: str
+    fresh_log: Path, gains: str, message: str
 ) -> None:
-    with RunLog(fresh) as log:
+    with RunLog(fresh_log) as log:
         metadata = log.header.metadata
         assert metadata["code"] == code_identity()
         log.header = replace(
@@ -204,8 +206,8 @@ def test_gains_of_another_version_are_refused_in_one_line_with_both(
     assert len(str(caught.value).splitlines()) == 1
 
 
-def test_other_gains_give_other_commands_and_a_figure(fresh: Path, tmp_path: Path) -> None:
-    with RunLog(fresh) as log:
+def test_other_gains_give_other_commands_and_a_figure(fresh_log: Path, tmp_path: Path) -> None:
+    with RunLog(fresh_log) as log:
         gains = logged_gains(log)
         stiff = gains.model_copy(
             update={"motion": gains.motion.model_copy(update={"position_error_m": 3e-4})}
@@ -219,18 +221,18 @@ def test_other_gains_give_other_commands_and_a_figure(fresh: Path, tmp_path: Pat
     assert (tmp_path / "change.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_observer_gets_every_tick(fresh: Path) -> None:
+def test_the_observer_gets_every_tick(fresh_log: Path) -> None:
     ticks: list[tuple[int, bytes]] = []
 
     def observer(entry: TickIn, out: TickOut) -> None:
         ticks.append((entry.k, out.state_hash))
 
-    with RunLog(fresh) as log:
+    with RunLog(fresh_log) as log:
         execute_log(log, observer=observer)
         assert ticks == [(tick.tick_in.k, tick.state_hash) for tick in log.ticks()]
 
 
-def test_replay_execute_imports_no_bus(fresh: Path) -> None:
+def test_replay_execute_imports_no_bus(fresh_log: Path) -> None:
     code = (
         "import sys; from handctl.cli.main import main; code = main(sys.argv[1:]);"
         "bad = [n for n in sys.modules if n == 'can' or n.startswith(('can.', 'firmware_sim'))"
@@ -238,7 +240,7 @@ def test_replay_execute_imports_no_bus(fresh: Path) -> None:
         "print(bad, file=sys.stderr); sys.exit(code or 9 * bool(bad))"
     )
     done = subprocess.run(
-        [sys.executable, "-c", code, "replay", "execute", str(fresh)],
+        [sys.executable, "-c", code, "replay", "execute", str(fresh_log)],
         capture_output=True,
         text=True,
     )

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import runs
+import short_runs
 
 from handctl.core.gains.gains import Gains
 from handctl.core.identified_parameters import IdentifiedParameters
@@ -22,16 +22,18 @@ from handctl.session.plan import RunPlan
 from handctl.session.run import make_controller, run_lockstep
 from handctl.session.simulate import SimulatorSettings, simulate
 
-REQUEST = '{"do": "gains", "set": {"motion.force_N": 40.0, "tension.integral_per_s": 6.0}}'
+GAINS_REQUEST = '{"do": "gains", "set": {"motion.force_N": 40.0, "tension.integral_per_s": 6.0}}'
 
 
 def test_a_run_whose_gains_were_set_repeats(tmp_path: Path) -> None:
     log = tmp_path / "set.mcap"
     requests = {
-        300: (REQUEST, '{"do": "gains", "set": {"motion.force": 1}}'),
+        300: (GAINS_REQUEST, '{"do": "gains", "set": {"motion.force": 1}}'),
         600: ('{"do": "stop"}',),
     }
-    runs.run(log, runs.short_task(tmp_path), rate_hz=200.0, requests=requests)
+    short_runs.record_lockstep_run(
+        log, short_runs.short_task(tmp_path), rate_hz=200.0, requests=requests
+    )
     with RunLog(log) as record:
         messages = {
             event.event.where: event.event.text

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import runs
+import short_runs
 
 from handctl.core.tick_types import IoEvent
 from handctl.log.read.reader import RunLog
@@ -19,9 +19,11 @@ from handctl.programs.task_program import TaskProgram
 from handctl.replay.execute import execute_log
 from handctl.runtime.clocks.lockstep import LockstepPeer
 
-RATE_HZ, SECONDS = 200.0, 600.0
+RATE_HZ, DURATION_S = 200.0, 600.0
 DEAF_S = 598.0
-MOVE = '[[phase]]\nkind = "move"\nname = "move {n}"\nangle_deg = {angle:.3f}\nduration_s = 2.0\n'
+MOVE_PHASE = (
+    '[[phase]]\nkind = "move"\nname = "move {n}"\nangle_deg = {angle:.3f}\nduration_s = 2.0\n'
+)
 
 
 @dataclass
@@ -48,25 +50,26 @@ class LossyPeer:
         self.peer.close()
 
 
-def write(log: Path) -> None:
+def write_long_log(log: Path) -> None:
     """Record ten minutes with a grasp and many moves.
 
     Frames are lost all the time, and a motor falls silent at the end.
     """
     chance = random.Random(7)
     moves = [
-        MOVE.format(n=n, angle=chance.uniform(2.0, 60.0)) for n in range(int((SECONDS - 4) / 2))
+        MOVE_PHASE.format(n=n, angle=chance.uniform(2.0, 60.0))
+        for n in range(int((DURATION_S - 4) / 2))
     ]
     task = log.with_suffix(".task.toml")
-    task.write_text(runs.TASK + "".join(moves))
-    ticks = range(400, int(SECONDS * RATE_HZ), 1999)
+    task.write_text(short_runs.SHORT_GRASP_TASK + "".join(moves))
+    ticks = range(400, int(DURATION_S * RATE_HZ), 1999)
     io_events = {k: (IoEvent("recorder", "dropped", 1),) for k in ticks}
     requests = {k + 7: ("no request",) for k in ticks}
 
     def spoil(peer: LockstepPeer) -> LockstepPeer:
-        return runs.PeerWithLostReplies(LossyPeer(peer), 0x12, int(DEAF_S * 1e9))
+        return short_runs.PeerWithLostReplies(LossyPeer(peer), 0x12, int(DEAF_S * 1e9))
 
-    runs.run(
+    short_runs.record_lockstep_run(
         log,
         TaskProgram(load_task(task)),
         rate_hz=RATE_HZ,
@@ -79,14 +82,14 @@ def write(log: Path) -> None:
 @pytest.mark.nightly
 @pytest.mark.timeout(3600)
 def test_ten_minutes_with_faults_repeat_to_the_last_bit(tmp_path: Path) -> None:
-    write(tmp_path / "ten.mcap")
+    write_long_log(tmp_path / "ten.mcap")
     with RunLog(tmp_path / "ten.mcap") as log:
         faults = {event.event.text[:3] for event in log.events if event.event.name == "fault"}
         assert {"B01", "B17", "H09", "I07"} <= faults
         result = execute_log(log)
-        assert result.ticks == len(log) > 0.99 * SECONDS * RATE_HZ
+        assert result.ticks == len(log) > 0.99 * DURATION_S * RATE_HZ
     assert (result.differing, result.first) == (0, None)
 
 
 if __name__ == "__main__":
-    write(Path(sys.argv[1]))
+    write_long_log(Path(sys.argv[1]))

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import runs
+import short_runs
 
 from handctl.cli.main import main
 from handctl.core.tick_types import TickEvent, TickIn, TickOut
@@ -31,20 +31,20 @@ from handctl.replay.motion_replay import (
 from handctl.replay.other_limits import judge_by_limits
 from handctl.replay.tick_difference import TelemetryColumns, are_outputs_equal, differing_fields
 
-Ticks = list[tuple[TickIn, TickOut]]
-STOP = '{"do": "stop"}'
+TickList = list[tuple[TickIn, TickOut]]
+STOP_REQUEST = '{"do": "stop"}'
 
 
 @pytest.fixture(scope="module")
-def grasp(golden: Path) -> tuple[RunHeader, Ticks]:
+def grasp_ticks(golden_folder: Path) -> tuple[RunHeader, TickList]:
     """Return the header and the ticks of the golden grasp."""
-    ticks: Ticks = []
-    with RunLog(golden / "jamia-grasp.mcap") as log:
+    ticks: TickList = []
+    with RunLog(golden_folder / "jamia-grasp.mcap") as log:
         execute_log(log, observer=lambda entry, out: ticks.append((entry, out)))
         return log.header, ticks
 
 
-def written(path: Path, header: RunHeader, ticks: Ticks) -> Path:
+def write_ticks(path: Path, header: RunHeader, ticks: TickList) -> Path:
     writer = LogWriter(path, header, lambda *what: None, 1)
     for entry, out in ticks:
         writer.add(pack_tick_record(entry, out)[RECORD_FRAMING_STRUCT.size :])
@@ -52,16 +52,16 @@ def written(path: Path, header: RunHeader, ticks: Ticks) -> Path:
     return path
 
 
-def without(ticks: Ticks, first: int, last: int) -> Ticks:
+def without_ticks(ticks: TickList, first: int, last: int) -> TickList:
     return [tick for tick in ticks if not first <= tick[0].k <= last]
 
 
 def test_a_short_gap_is_bridged_without_a_jump(
-    grasp: tuple[RunHeader, Ticks], tmp_path: Path, golden: Path
+    grasp_ticks: tuple[RunHeader, TickList], tmp_path: Path, golden_folder: Path
 ) -> None:
-    header, ticks = grasp
-    holey = written(tmp_path / "holey.mcap", header, without(ticks, 260, 268))
-    with RunLog(golden / "jamia-grasp.mcap") as log, RunLog(holey) as other:
+    header, ticks = grasp_ticks
+    holey = write_ticks(tmp_path / "holey.mcap", header, without_ticks(ticks, 260, 268))
+    with RunLog(golden_folder / "jamia-grasp.mcap") as log, RunLog(holey) as other:
         whole, result = recorded_targets(log, 0.005), recorded_targets(other, 0.005)
         assert (count_missing_ticks(log), count_missing_ticks(other)) == (0, 9)
     assert result.q.shape == whole.q.shape
@@ -71,10 +71,10 @@ def test_a_short_gap_is_bridged_without_a_jump(
 
 
 def test_a_long_gap_is_refused_with_its_times(
-    grasp: tuple[RunHeader, Ticks], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    grasp_ticks: tuple[RunHeader, TickList], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    header, ticks = grasp
-    path = written(tmp_path / "holey.mcap", header, without(ticks, 260, 300))
+    header, ticks = grasp_ticks
+    path = write_ticks(tmp_path / "holey.mcap", header, without_ticks(ticks, 260, 300))
     with (
         RunLog(path) as log,
         pytest.raises(LogError, match=r"no ticks between 1\.295 and 1\.505 s"),
@@ -89,25 +89,29 @@ def test_a_long_gap_is_refused_with_its_times(
 
 
 def test_a_cut_log_that_repeats_is_lossy(
-    golden: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    golden_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cut = tmp_path / "cut.mcap"
-    cut.write_bytes((golden / "jamia-grasp.mcap").read_bytes()[:100_000])
+    cut.write_bytes((golden_folder / "jamia-grasp.mcap").read_bytes()[:100_000])
     assert main(["replay", "execute", str(cut), "--within", "1e-9", "--json"]) == 3
     out, err = capsys.readouterr()
     assert json.loads(out)["warning"]
     assert err.count("\n") == 1
 
 
-def test_a_stopped_replay_is_compared_up_to_its_end(golden: Path, tmp_path: Path) -> None:
+def test_a_stopped_replay_is_compared_up_to_its_end(golden_folder: Path, tmp_path: Path) -> None:
     rate = 250.0
-    with RunLog(golden / "jamia-grasp.mcap") as before:
+    with RunLog(golden_folder / "jamia-grasp.mcap") as before:
         program, (start, end) = (
             playback_program(before, 1 / rate, raw=False),
             active_interval(before),
         )
-        runs.run(tmp_path / "late.mcap", program, rate_hz=rate, requests={1000: (STOP,)})
-        runs.run(tmp_path / "early.mcap", program, rate_hz=rate, requests={400: (STOP,)})
+        short_runs.record_lockstep_run(
+            tmp_path / "late.mcap", program, rate_hz=rate, requests={1000: (STOP_REQUEST,)}
+        )
+        short_runs.record_lockstep_run(
+            tmp_path / "early.mcap", program, rate_hz=rate, requests={400: (STOP_REQUEST,)}
+        )
         with RunLog(tmp_path / "late.mcap") as after:
             started = next(
                 change.t_ns * 1e-9 for change in after.phases if change.name == "playback"
@@ -142,14 +146,14 @@ def with_frame(**changes: int) -> Callable[[TickOut], TickOut]:
     ],
 )
 def test_every_difference_is_named(
-    grasp: tuple[RunHeader, Ticks], tmp_path: Path, changed: Callable[[TickOut], TickOut]
+    grasp_ticks: tuple[RunHeader, TickList], tmp_path: Path, changed: Callable[[TickOut], TickOut]
 ) -> None:
-    header, ticks = grasp
+    header, ticks = grasp_ticks
     entry, out = next(tick for tick in ticks if tick[1].frames)
     base = out._replace(
         events=(TickEvent("info", "phase", "", "hold"),), frames=(out.frames[0]._replace(can_id=1),)
     )
-    with RunLog(written(tmp_path / "one.mcap", header, [(entry, base)])) as log:
+    with RunLog(write_ticks(tmp_path / "one.mcap", header, [(entry, base)])) as log:
         logged, numbers = next(log.ticks()), next(log.packed())
     now = changed(base)
     assert are_outputs_equal(logged, numbers, base)
@@ -159,13 +163,13 @@ def test_every_difference_is_named(
 
 
 def test_values_that_the_controller_refuses_are_refused_by_every_replay(
-    grasp: tuple[RunHeader, Ticks], tmp_path: Path
+    grasp_ticks: tuple[RunHeader, TickList], tmp_path: Path
 ) -> None:
-    header, ticks = grasp
+    header, ticks = grasp_ticks
     setup = json.loads(header.attachments["setup.json"])
     far = json.dumps(setup | {"zero_rad": [1e308] * 4}).encode()
     bad = replace(header, attachments=header.attachments | {"setup.json": far})
-    path = written(tmp_path / "bad.mcap", bad, ticks)
+    path = write_ticks(tmp_path / "bad.mcap", bad, ticks)
     (tmp_path / "limits.toml").write_text("schema = 1\n")
     with warnings.catch_warnings():
         warnings.simplefilter("error")

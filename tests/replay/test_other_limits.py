@@ -9,15 +9,17 @@ from handctl.log.read.reader import RunLog
 from handctl.replay.other_limits import judge_by_limits
 
 
-def limits(folder: Path, text: str) -> Path:
+def write_limits(folder: Path, text: str) -> Path:
     path = folder / "limits.toml"
     path.write_text("schema = 1\n" + text)
     return path
 
 
-def test_the_original_limits_find_the_faults_of_the_run(golden: Path, tmp_path: Path) -> None:
-    with RunLog(golden / "jamia-fault.mcap") as log:
-        judgement = judge_by_limits(log, limits(tmp_path, ""))
+def test_the_original_limits_find_the_faults_of_the_run(
+    golden_folder: Path, tmp_path: Path
+) -> None:
+    with RunLog(golden_folder / "jamia-fault.mcap") as log:
+        judgement = judge_by_limits(log, write_limits(tmp_path, ""))
         assert judgement.ticks == len(log)
     assert judgement.stopped == judgement.stopped_logged > 0
     assert [(stop.fault, stop.instance) for stop in judgement.stops][:2] == [
@@ -27,9 +29,13 @@ def test_the_original_limits_find_the_faults_of_the_run(golden: Path, tmp_path: 
     assert all(stop.logged for stop in judgement.stops)
 
 
-def test_a_lower_trip_stops_at_the_first_sample_above_it(golden: Path, tmp_path: Path) -> None:
-    with RunLog(golden / "jamia-grasp.mcap") as log:
-        judgement = judge_by_limits(log, limits(tmp_path, "tension_trip_N = { thumb_tendon = 20 }"))
+def test_a_lower_trip_stops_at_the_first_sample_above_it(
+    golden_folder: Path, tmp_path: Path
+) -> None:
+    with RunLog(golden_folder / "jamia-grasp.mcap") as log:
+        judgement = judge_by_limits(
+            log, write_limits(tmp_path, "tension_trip_N = { thumb_tendon = 20 }")
+        )
         raw = log.field("tension_raw")[:, log.header.tendons.index("thumb_tendon")]
         first = int(log.k[raw > 20.0][0])
         after = int((log.k >= first).sum())
@@ -43,15 +49,18 @@ def test_a_lower_trip_stops_at_the_first_sample_above_it(golden: Path, tmp_path:
     )
 
 
-def test_wider_limits_would_not_have_stopped_the_run(golden: Path, tmp_path: Path) -> None:
-    with RunLog(golden / "jamia-fault.mcap") as log:
-        judgement = judge_by_limits(log, limits(tmp_path, "silent_ms = 10000"))
+def test_wider_limits_would_not_have_stopped_the_run(golden_folder: Path, tmp_path: Path) -> None:
+    with RunLog(golden_folder / "jamia-fault.mcap") as log:
+        judgement = judge_by_limits(log, write_limits(tmp_path, "silent_ms = 10000"))
     assert {stop.fault for stop in judgement.stops} <= {"B03a", "B03b"}, (
         "only the number of losses stops the run"
     )
     assert judgement.stopped < judgement.stopped_logged
 
 
-def test_an_unknown_tendon_is_refused(golden: Path, tmp_path: Path) -> None:
-    with RunLog(golden / "jamia-fault.mcap") as log, pytest.raises(ConfigError, match="pinky"):
-        judge_by_limits(log, limits(tmp_path, "tension_trip_N = { pinky = 20 }"))
+def test_an_unknown_tendon_is_refused(golden_folder: Path, tmp_path: Path) -> None:
+    with (
+        RunLog(golden_folder / "jamia-fault.mcap") as log,
+        pytest.raises(ConfigError, match="pinky"),
+    ):
+        judge_by_limits(log, write_limits(tmp_path, "tension_trip_N = { pinky = 20 }"))

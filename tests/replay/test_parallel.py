@@ -26,18 +26,18 @@ from handctl.replay.execute import LogExecution, execute_log
 from handctl.replay.rebuild import rebuild_controller
 from handctl.replay.tick_difference import state_difference
 
-Change = Callable[[ControllerState, TickIn], None]
-Both = Callable[..., tuple[LogExecution, LogExecution]]
+StateChange = Callable[[ControllerState, TickIn], None]
+ExecuteBothWays = Callable[..., tuple[LogExecution, LogExecution]]
 
 
 @pytest.fixture
-def both(fresh: Path, monkeypatch: pytest.MonkeyPatch) -> Both:
+def execute_both_ways(fresh_log: Path, monkeypatch: pytest.MonkeyPatch) -> ExecuteBothWays:
     """Return a function that executes a log with one process and with three.
 
     A change may spoil the controller's state.
     """
 
-    def run(change: Change | None = None) -> tuple[LogExecution, LogExecution]:
+    def run(change: StateChange | None = None) -> tuple[LogExecution, LogExecution]:
         original_tick = Controller.tick
 
         def tick(
@@ -49,20 +49,20 @@ def both(fresh: Path, monkeypatch: pytest.MonkeyPatch) -> Both:
 
         monkeypatch.setattr(Controller, "tick", tick)
         monkeypatch.setattr(parallel, "MIN_TICKS", 50)
-        with RunLog(fresh) as log:
+        with RunLog(fresh_log) as log:
             return execute_log(log), execute_log(log, workers=3)
 
     return run
 
 
-def findings(execution: LogExecution) -> dict[str, Any]:
+def execution_findings(execution: LogExecution) -> dict[str, Any]:
     """Return all results of an execution except its times."""
     return {
         name: value for name, value in asdict(execution).items() if name not in ("wall_s", "cpu_s")
     }
 
 
-def spoil(field: str, at: int) -> Change:
+def spoil_state(field: str, at: int) -> StateChange:
     """Return a change that spoils a field of the second tendon before tick ``at``."""
 
     def change(before: ControllerState, entry: TickIn) -> None:
@@ -72,9 +72,9 @@ def spoil(field: str, at: int) -> Change:
     return change
 
 
-def test_a_snapshot_restores_the_state_unchanged(fresh: Path) -> None:
+def test_a_snapshot_restores_the_state_unchanged(fresh_log: Path) -> None:
     """The bytes, the hash and the next tick agree in every tick of a run with faults and requests."""
-    with RunLog(fresh) as log:
+    with RunLog(fresh_log) as log:
         controller = rebuild_controller(log)
         state = controller.initial_state()
         for logged in log.ticks():
@@ -102,39 +102,45 @@ def test_a_snapshot_restores_the_state_of_every_protocol(protocol: str) -> None:
     assert {HandMode.SILENT, HandMode.INVENTORY, HandMode.ARMING} <= seen
 
 
-def test_a_log_has_a_snapshot_every_second(fresh: Path) -> None:
-    with RunLog(fresh) as log:
+def test_a_log_has_a_snapshot_every_second(fresh_log: Path) -> None:
+    with RunLog(fresh_log) as log:
         times = dict(zip(log.k.tolist(), log.times.tolist(), strict=True))
         snapshot_times = [times[k] for k in log.snapshots]
         assert snapshot_times == pytest.approx(np.arange(1, int(log.times[-1]) + 1))
 
 
-def test_three_processes_find_no_difference_where_one_finds_none(both: Both) -> None:
-    one, three = both()
-    assert findings(three) == findings(one)
+def test_three_processes_find_no_difference_where_one_finds_none(
+    execute_both_ways: ExecuteBothWays,
+) -> None:
+    one, three = execute_both_ways()
+    assert execution_findings(three) == execution_findings(one)
     assert (one.differing, three.differing) == (0, 0)
 
 
 @pytest.mark.parametrize("at", [150, 199, 200, 201, 330])
-def test_three_processes_find_the_first_difference_wherever_it_is(both: Both, at: int) -> None:
+def test_three_processes_find_the_first_difference_wherever_it_is(
+    execute_both_ways: ExecuteBothWays, at: int
+) -> None:
     """A field changes in the part of each process, and at the border between two parts."""
-    one, three = both(spoil("travel", at))
+    one, three = execute_both_ways(spoil_state("travel", at))
     assert one.first is not None
-    assert findings(three) == findings(one)
+    assert execution_findings(three) == execution_findings(one)
 
 
-def test_the_first_field_of_the_state_that_differs_is_named(both: Both) -> None:
+def test_the_first_field_of_the_state_that_differs_is_named(
+    execute_both_ways: ExecuteBothWays,
+) -> None:
     def change(before: ControllerState, entry: TickIn) -> None:
         if entry.k >= 150:
             before.view("nis_mean")[1] += 1e-6
 
-    one, _ = both(change)
+    one, _ = execute_both_ways(change)
     assert one.state is not None
     assert (one.state.field, one.state.k) == ("state nis_mean", 200)
 
 
-def test_a_decision_that_differs_is_named(fresh: Path) -> None:
-    with RunLog(fresh) as log:
+def test_a_decision_that_differs_is_named(fresh_log: Path) -> None:
+    with RunLog(fresh_log) as log:
         state, logged = rebuild_controller(log).initial_state(), next(log.ticks())
         other = state.copy()
         other.decide(unconfirmed=("index_motor",))
@@ -148,20 +154,22 @@ def test_a_decision_that_differs_is_named(fresh: Path) -> None:
     )
 
 
-def test_a_refusal_of_the_controller_is_reported_with_any_number_of_processes(both: Both) -> None:
+def test_a_refusal_of_the_controller_is_reported_with_any_number_of_processes(
+    execute_both_ways: ExecuteBothWays,
+) -> None:
     def change(before: ControllerState, entry: TickIn) -> None:
         if entry.k == 330:
             raise ValueError("no such angle")
 
     with pytest.raises(LogError, match="no such angle"):
-        both(change)
+        execute_both_ways(change)
 
 
 def test_a_wrong_snapshot_is_not_used_as_a_start(
-    fresh: Path, monkeypatch: pytest.MonkeyPatch
+    fresh_log: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(parallel, "MIN_TICKS", 50)
-    with RunLog(fresh) as log:
+    with RunLog(fresh_log) as log:
         runner = courses.LogRunner.of(log)
         assert len(parallel.split_log(runner, 3)) == 3
         bent = {
@@ -188,8 +196,10 @@ def test_a_wrong_snapshot_is_not_used_as_a_start(
         '[":array","O",[1],[":bytes","0000000000000000"]]',
     ],
 )
-def test_a_snapshot_with_other_objects_than_decisions_is_refused(fresh: Path, text: str) -> None:
-    with RunLog(fresh) as log:
+def test_a_snapshot_with_other_objects_than_decisions_is_refused(
+    fresh_log: Path, text: str
+) -> None:
+    with RunLog(fresh_log) as log:
         controller = rebuild_controller(log)
         state = controller.initial_state()
         head = snapshot_bytes(state)[: 8 + state.block.nbytes]

@@ -14,66 +14,68 @@ from handctl.log.read.reader import RunLog
 from handctl.log.record import TickRecord
 from handctl.report.frame_counts import frame_counts
 
-GOLDEN = Path(__file__).parents[2] / "logs" / "golden"
+GOLDEN_FOLDER = Path(__file__).parents[2] / "logs" / "golden"
 
-HAND = load_hand("jamia")
-TICKS = 600
+JAMIA_HAND = load_hand("jamia")
+TICK_COUNT = 600
 
 
 @pytest.fixture(scope="module")
-def ticks() -> list[TickRecord]:
-    with RunLog(GOLDEN / "jamia-grasp.mcap") as log:
-        return list(islice(log.ticks(), TICKS))
+def golden_ticks() -> list[TickRecord]:
+    with RunLog(GOLDEN_FOLDER / "jamia-grasp.mcap") as log:
+        return list(islice(log.ticks(), TICK_COUNT))
 
 
-def counted(ticks: list[TickRecord]) -> tuple[int, ...]:
+def count_frames(golden_ticks: list[TickRecord]) -> tuple[int, ...]:
     def read() -> Iterator[TickRecord]:
-        yield from ticks
+        yield from golden_ticks
 
-    return tuple(frame_counts(SimpleNamespace(ticks=read), HAND))  # type: ignore[arg-type]
+    return tuple(frame_counts(SimpleNamespace(ticks=read), JAMIA_HAND))  # type: ignore[arg-type]
 
 
-def without(ticks: list[TickRecord], at: int) -> tuple[list[TickRecord], object]:
+def without_frame(golden_ticks: list[TickRecord], at: int) -> tuple[list[TickRecord], object]:
     """Return ticks of which one has lost its first tension frame, and this frame."""
-    first_tension_frame = make_sensors(HAND).ids[0]
-    entry = ticks[at].tick_in
+    first_tension_frame = make_sensors(JAMIA_HAND).ids[0]
+    entry = golden_ticks[at].tick_in
     [lost] = [frame for frame in entry.frames if frame.can_id == first_tension_frame][:1]
     rest = tuple(frame for frame in entry.frames if frame != lost)
-    changed = ticks[at]._replace(tick_in=entry._replace(frames=rest))
-    return [*ticks[:at], changed, *ticks[at + 1 :]], lost
+    changed = golden_ticks[at]._replace(tick_in=entry._replace(frames=rest))
+    return [*golden_ticks[:at], changed, *golden_ticks[at + 1 :]], lost
 
 
-def test_a_run_without_faults_has_no_lost_and_no_late_frame(ticks: list[TickRecord]) -> None:
-    assert counted(ticks) == (0, 0, 0)
+def test_a_run_without_faults_has_no_lost_and_no_late_frame(golden_ticks: list[TickRecord]) -> None:
+    assert count_frames(golden_ticks) == (0, 0, 0)
 
 
-def test_a_frame_that_never_comes_is_lost(ticks: list[TickRecord]) -> None:
+def test_a_frame_that_never_comes_is_lost(golden_ticks: list[TickRecord]) -> None:
     for at in (300, 310, 320):
-        ticks, _ = without(ticks, at)
-    assert counted(ticks) == (0, 3, 0)
+        golden_ticks, _ = without_frame(golden_ticks, at)
+    assert count_frames(golden_ticks) == (0, 3, 0)
 
 
-def test_a_frame_of_the_tick_before_is_late(ticks: list[TickRecord]) -> None:
-    ticks, frame = without(ticks, 300)
-    entry = ticks[301].tick_in
-    ticks[301] = ticks[301]._replace(tick_in=entry._replace(frames=(frame, *entry.frames)))
-    assert counted(ticks) == (1, 0, 0)
+def test_a_frame_of_the_tick_before_is_late(golden_ticks: list[TickRecord]) -> None:
+    golden_ticks, frame = without_frame(golden_ticks, 300)
+    entry = golden_ticks[301].tick_in
+    golden_ticks[301] = golden_ticks[301]._replace(
+        tick_in=entry._replace(frames=(frame, *entry.frames))
+    )
+    assert count_frames(golden_ticks) == (1, 0, 0)
 
 
-def test_a_refused_frame_is_lost(ticks: list[TickRecord]) -> None:
-    entry = ticks[300].tick_in
-    refused = ticks[300]._replace(
+def test_a_refused_frame_is_lost(golden_ticks: list[TickRecord]) -> None:
+    entry = golden_ticks[300].tick_in
+    refused = golden_ticks[300]._replace(
         tick_in=entry._replace(io_events=(IoEvent("enobufs", "can0", 2),))
     )
-    assert counted([*ticks[:300], refused, *ticks[301:]]) == (0, 2, 0)
+    assert count_frames([*golden_ticks[:300], refused, *golden_ticks[301:]]) == (0, 2, 0)
 
 
-def test_a_paused_simulator_causes_a_tick_without_frames(ticks: list[TickRecord]) -> None:
+def test_a_paused_simulator_causes_a_tick_without_frames(golden_ticks: list[TickRecord]) -> None:
     """The replies of a tick arrive in the next tick."""
-    entry, following = ticks[300].tick_in, ticks[301].tick_in
-    ticks = [*ticks]
-    ticks[300] = ticks[300]._replace(tick_in=entry._replace(frames=()))
-    ticks[301] = ticks[301]._replace(
+    entry, following = golden_ticks[300].tick_in, golden_ticks[301].tick_in
+    golden_ticks = [*golden_ticks]
+    golden_ticks[300] = golden_ticks[300]._replace(tick_in=entry._replace(frames=()))
+    golden_ticks[301] = golden_ticks[301]._replace(
         tick_in=following._replace(frames=(*entry.frames, *following.frames))
     )
-    assert counted(ticks) == (1, 0, 1)
+    assert count_frames(golden_ticks) == (1, 0, 1)

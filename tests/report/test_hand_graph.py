@@ -8,7 +8,7 @@ import pytest
 from handctl.cli.main import main
 from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand, packaged_hands
 from handctl.report.hand_graph import draw_hand, text_graph
-from tests.cli.refused import refused
+from tests.cli.command_refusals import refusal_line
 
 
 @pytest.mark.parametrize("name", packaged_hands())
@@ -50,9 +50,9 @@ def test_config_show_graph_prints_or_draws_the_hand(
     assert "left_flexor: j1 +10 mm  j2 +5 mm" in capsys.readouterr().out
     assert main(["config", "show", "--graph", "--hand", "t42", "--output", "t42.svg"]) == 0
     assert "t42.svg: 2 digits, 2 tendons" in capsys.readouterr().out
-    assert "--graph with it" in refused(
+    assert "--graph with it" in refusal_line(
         capsys, "config", "show", "--hand", "t42", "--output", "x.svg"
     )
-    assert ".svg" in refused(
+    assert ".svg" in refusal_line(
         capsys, "config", "show", "--graph", "--hand", "t42", "--output", "x.txt"
     )

@@ -9,32 +9,34 @@ import pytest
 from handctl.report.lift import MAX_SLIP_MM, judge_lift, lift_failure
 from handctl.report.summary import summarise_run
 from handctl.report.truth import TruthRecord
-from tests.report.made_up import JAMIA, MadeUpLog, set_column, truth_of
+from tests.report.invented_run import JAMIA, InventedLog, set_truth_column, zero_truth
 
-TICKS = 400
-SINKS, ENDS = 200, 350
+TICK_COUNT = 400
+SINK_START_TICK, SINK_END_TICK = 200, 350
 """Tick in which the table begins to sink, and tick in which the hold ends."""
 
 
-def log_and_truth_of_lift(sunk_m: float, fallen_m: float) -> tuple[MadeUpLog, TruthRecord]:
-    """Create a log and a truth in which table and object sink linearly from SINKS to the end of the hold."""
-    log = MadeUpLog(JAMIA, TICKS, {0: "close", 100: "carry", ENDS: "release"})
-    truth = truth_of(JAMIA, TICKS)
+def log_and_truth_of_lift(sunk_m: float, fallen_m: float) -> tuple[InventedLog, TruthRecord]:
+    """Create a log and a truth in which table and object sink linearly from SINK_START_TICK to the end of the hold."""
+    log = InventedLog(JAMIA, TICK_COUNT, {0: "close", 100: "carry", SINK_END_TICK: "release"})
+    truth = zero_truth(JAMIA, TICK_COUNT)
     truth = replace(
         truth,
         values=np.column_stack([truth.values, truth.values[:, 0]]),
         columns=(*truth.columns, "support"),
     )
-    fall = np.interp(np.arange(TICKS), [SINKS, ENDS - 1], [0.0, 1.0])
-    set_column(truth, "support", sunk_m * fall)
-    set_column(
-        truth, "object/z", -fallen_m * fall - 0.5 * (np.arange(TICKS) >= ENDS)
+    fall = np.interp(np.arange(TICK_COUNT), [SINK_START_TICK, SINK_END_TICK - 1], [0.0, 1.0])
+    set_truth_column(truth, "support", sunk_m * fall)
+    set_truth_column(
+        truth, "object/z", -fallen_m * fall - 0.5 * (np.arange(TICK_COUNT) >= SINK_END_TICK)
     )  # falls when released
-    set_column(truth, "object/x", 0.05 * (np.arange(TICKS) < 150))  # pushed before the lift
+    set_truth_column(
+        truth, "object/x", 0.05 * (np.arange(TICK_COUNT) < 150)
+    )  # pushed before the lift
     return log, truth
 
 
-def lift_result(log: MadeUpLog, truth: TruthRecord | None, *holds: str) -> dict[str, Any]:
+def lift_result(log: InventedLog, truth: TruthRecord | None, *holds: str) -> dict[str, Any]:
     return judge_lift(log, truth, 0, holds)  # type: ignore[arg-type]
 
 
@@ -59,7 +61,7 @@ def test_an_object_may_slide_by_the_limit_and_no_farther(side: float) -> None:
 def test_without_a_sunk_table_the_lift_fails_and_has_no_object_motion() -> None:
     log, truth = log_and_truth_of_lift(0.0, 0.0)
     assert "never lifted" in lift_failure(lift_result(log, truth, "carry"))
-    steady = MadeUpLog(JAMIA, TICKS, {0: "hold"})
+    steady = InventedLog(JAMIA, TICK_COUNT, {0: "hold"})
     steady.fields["contact"][:, 0] = 1.0
     steady.fields["tension_goal"][:] = steady.fields["tension"][:] = steady.fields["tension_raw"][
         :
@@ -73,6 +75,6 @@ def test_without_a_sunk_table_the_lift_fails_and_has_no_object_motion() -> None:
 def test_without_a_sinking_table_or_a_hold_there_is_no_judgement() -> None:
     log, truth = log_and_truth_of_lift(0.2, 0.2)
     for lift in (lift_result(log, truth), lift_result(log, truth, "elsewhere"), lift_result(log, None, "carry"),
-                  lift_result(log, truth_of(JAMIA, TICKS), "carry")):  # fmt: skip
+                  lift_result(log, zero_truth(JAMIA, TICK_COUNT), "carry")):  # fmt: skip
         assert np.isnan(lift["table_sunk_mm"])
         assert lift_failure(lift) == ""

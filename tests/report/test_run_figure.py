@@ -9,11 +9,11 @@ from handctl.core.tick_types import HandMode
 from handctl.hand.hand_loading import load_hand
 from handctl.report.run_figure import draw_run
 from handctl.report.truth import TruthRecord
-from tests.report.made_up import MadeUpLog, truth_of
+from tests.report.invented_run import InventedLog, zero_truth
 
 
-def run_of(name: str, lively: bool) -> MadeUpLog:
-    log = MadeUpLog(load_hand(name), 120, {0: "silent", 40: "hold", 80: "done"})
+def run_of(name: str, lively: bool) -> InventedLog:
+    log = InventedLog(load_hand(name), 120, {0: "silent", 40: "hold", 80: "done"})
     if lively:
         rng = np.random.default_rng(2)
         for field in log.fields.values():
@@ -28,7 +28,7 @@ def run_of(name: str, lively: bool) -> MadeUpLog:
 @pytest.mark.parametrize("with_truth", [True, False])
 @pytest.mark.parametrize("lively", [True, False])
 def test_a_png_is_written(name: str, with_truth: bool, lively: bool, tmp_path: Path) -> None:
-    truth: TruthRecord | None = truth_of(load_hand(name), 120) if with_truth else None
+    truth: TruthRecord | None = zero_truth(load_hand(name), 120) if with_truth else None
     path = tmp_path / "run.png"
     draw_run(path, run_of(name, lively), load_hand(name), truth, 0, "a title")  # type: ignore[arg-type]
     content = path.read_bytes()

@@ -13,20 +13,20 @@ from handctl.report.summary import (
     root_mean_square,
     summarise_run,
 )
-from tests.report.made_up import JAMIA, PERIOD_NS, MadeUpLog, set_column, truth_of
+from tests.report.invented_run import JAMIA, PERIOD_NS, InventedLog, set_truth_column, zero_truth
 
 
-def quiet() -> MadeUpLog:
+def quiet_run() -> InventedLog:
     """Create a run of two seconds without events."""
-    log = MadeUpLog(JAMIA, 200, {0: "home"})
+    log = InventedLog(JAMIA, 200, {0: "home"})
     for name in ("tension", "tension_raw", "tip_force"):
         log.fields[name][:] = 0.0
     return log
 
 
-def hold_log(ramp: int = 20) -> MadeUpLog:
+def hold_log(ramp: int = 20) -> InventedLog:
     """Create a run of four seconds with a hold. Its tension goal rises, and index and thumb are in contact."""
-    log = MadeUpLog(JAMIA, 400, {0: "home", 100: "hold", 300: "release"})
+    log = InventedLog(JAMIA, 400, {0: "home", 100: "hold", 300: "release"})
     for name in ("tension", "tension_raw", "tip_force"):
         log.fields[name][:] = 0.0
     log.fields["contact"][100:, [0, 3]] = 1.0
@@ -38,7 +38,7 @@ def hold_log(ramp: int = 20) -> MadeUpLog:
 
 
 def test_ticks_misses_and_lateness() -> None:
-    log = quiet()
+    log = quiet_run()
     log.k = np.concatenate((np.arange(100), np.arange(103, 203)))
     log.late_ns = np.arange(200) * 1000
     result = summarise_run(log, JAMIA, None, 0)
@@ -67,7 +67,7 @@ def test_summary_without_truth_has_nan() -> None:
 def test_a_truth_of_another_time_is_no_truth() -> None:
     """The truth file of an earlier simulator on the same bus may still exist. It is not used for a later run."""
     log = hold_log()
-    result = summarise_run(log, JAMIA, truth_of(JAMIA, 400, offset_ns=10**15), 0)
+    result = summarise_run(log, JAMIA, zero_truth(JAMIA, 400, offset_ns=10**15), 0)
     assert math.isnan(result["tracking_rmse_rad"])
     assert result["contact_force_n"] == {}
 
@@ -82,7 +82,7 @@ def test_the_mean_angle_weights_joints_by_their_moment_arms() -> None:
 
 
 def test_tracking_error_is_computed_in_free_motion_only() -> None:
-    log, truth = quiet(), truth_of(JAMIA, 200, 7)
+    log, truth = quiet_run(), zero_truth(JAMIA, 200, 7)
     joints = slice(0, 3)  # joints of the index finger
     log.fields["q_goal"][:, joints] = 0.5
     for joint in JAMIA.joints[joints]:
@@ -90,11 +90,11 @@ def test_tracking_error_is_computed_in_free_motion_only() -> None:
         motion[100:120] = 0.2  # contact that the controller detected
         motion[120:140] = 0.1  # contact that only the plant has
         motion[140:160] = 0.0  # not active
-        set_column(truth, f"q/{joint}", motion)
+        set_truth_column(truth, f"q/{joint}", motion)
     log.fields["contact"][100:120, 0] = 1.0
     force = np.zeros(200)
     force[120:140] = 0.2
-    set_column(truth, "contact_force/index/y", force)
+    set_truth_column(truth, "contact_force/index/y", force)
     log.mode[140:160] = HandMode.RELAX
     result = summarise_run(log, JAMIA, truth, 7)
     assert result["tracking_rmse_rad"] == pytest.approx(0.01)
@@ -109,10 +109,10 @@ def test_tracking_error_is_computed_in_free_motion_only() -> None:
 
 def test_tension_errors_are_computed_for_estimate_and_raw_load_cell() -> None:
     """The estimate of a tick belongs to the time of the tick. The load-cell sample was taken one period before."""
-    log, truth = quiet(), truth_of(JAMIA, 200)
+    log, truth = quiet_run(), zero_truth(JAMIA, 200)
     real = 20.0 + np.arange(200) * 0.1
     for name in JAMIA.tendon_names:
-        set_column(truth, f"tension/{name}", real)
+        set_truth_column(truth, f"tension/{name}", real)
     log.fields["tension"][:] = real[:, None] + 0.3
     log.fields["tension_raw"][1:] = (
         real[:-1, None] + np.where(np.arange(199) % 2, 0.5, -0.5)[:, None]
@@ -125,7 +125,7 @@ def test_tension_errors_are_computed_for_estimate_and_raw_load_cell() -> None:
 
 
 def test_slack_tendons_do_not_count() -> None:
-    log, truth = quiet(), truth_of(JAMIA, 200)
+    log, truth = quiet_run(), zero_truth(JAMIA, 200)
     log.fields["tension"][:] = 7.0
     assert math.isnan(summarise_run(log, JAMIA, truth, 0)["tension_rmse_n"])
 
@@ -136,7 +136,7 @@ def test_a_hold_is_judged_from_half_a_second_after_its_ramp_to_its_end() -> None
     none = hold_log()
     none.fields["contact"][:] = 0.0
     assert not np.any(hold_windows(none)), "without a hold there are no windows"
-    two = MadeUpLog(JAMIA, 400, {0: "hold", 150: "move", 200: "hold firmly"})
+    two = InventedLog(JAMIA, 400, {0: "hold", 150: "move", 200: "hold firmly"})
     two.fields["contact"][:, 0] = 1.0
     two.fields["tension_goal"][:] = 9.0
     windows = [np.flatnonzero(window).tolist() for window in hold_windows(two)]
@@ -152,22 +152,22 @@ def test_a_hold_with_a_stiffness_is_judged_although_its_goals_follow_every_angle
 
 
 def test_hold_error_is_the_worst_mean_of_a_tendon_that_holds() -> None:
-    log, truth = hold_log(), truth_of(JAMIA, 400)
+    log, truth = hold_log(), zero_truth(JAMIA, 400)
     index, middle, _, thumb = JAMIA.tendon_names
     wave = np.where(np.arange(400) % 2, 1.5, -1.5)
-    set_column(truth, f"tension/{index}", 25.0 - 0.4 + wave)
-    set_column(truth, f"tension/{thumb}", 25.0 + 0.7)
-    set_column(truth, f"tension/{middle}", 3.0)  # its goal is a feedforward without contact
+    set_truth_column(truth, f"tension/{index}", 25.0 - 0.4 + wave)
+    set_truth_column(truth, f"tension/{thumb}", 25.0 + 0.7)
+    set_truth_column(truth, f"tension/{middle}", 3.0)  # its goal is a feedforward without contact
     result = summarise_run(log, JAMIA, truth, 0)
     assert result["tension_hold_error_n"] == pytest.approx(0.7, abs=0.02)
     assert result["tension_hold_peak_error_n"] == pytest.approx(1.9, abs=0.02)
 
 
 def test_contact_forces_and_tip_forces_are_means_over_the_hold() -> None:
-    log, truth = hold_log(), truth_of(JAMIA, 400)
+    log, truth = hold_log(), zero_truth(JAMIA, 400)
     log.fields["tip_force"][:, 0] = np.where(np.arange(400) < 169, 99.0, 3.0)
-    set_column(truth, "contact_force/index/x", np.where(np.arange(400) < 169, 50.0, 3.0))
-    set_column(truth, "contact_force/index/y", np.where(np.arange(400) < 169, 50.0, 4.0))
+    set_truth_column(truth, "contact_force/index/x", np.where(np.arange(400) < 169, 50.0, 3.0))
+    set_truth_column(truth, "contact_force/index/y", np.where(np.arange(400) < 169, 50.0, 4.0))
     result = summarise_run(log, JAMIA, truth, 0)
     assert result["tip_equivalent_force_n"]["index"] == pytest.approx(3.0)
     assert result["contact_force_n"]["index"] == pytest.approx(5.0)
@@ -175,21 +175,21 @@ def test_contact_forces_and_tip_forces_are_means_over_the_hold() -> None:
 
 
 def test_object_motion_is_the_largest_distance_from_the_start_of_a_hold() -> None:
-    log, truth = hold_log(), truth_of(JAMIA, 400)
+    log, truth = hold_log(), zero_truth(JAMIA, 400)
     x = np.zeros(400)
     x[:169] = 0.050  # before the hold
     x[200], x[201] = 3e-4, -4e-4
     x[300:] = 0.080  # after the release
-    set_column(truth, "object/x", x)
-    set_column(truth, "object/z", np.where(np.arange(400) == 201, 3e-4, 0.0))
+    set_truth_column(truth, "object/x", x)
+    set_truth_column(truth, "object/z", np.where(np.arange(400) == 201, 3e-4, 0.0))
     assert summarise_run(log, JAMIA, truth, 0)["object_motion_mm"] == pytest.approx(0.5)
-    two = MadeUpLog(JAMIA, 400, {0: "hold", 150: "move", 200: "hold"})
+    two = InventedLog(JAMIA, 400, {0: "hold", 150: "move", 200: "hold"})
     two.fields["contact"][:, 0] = 1.0
     two.fields["tension_goal"][:] = 9.0
     two.fields["tip_force"][:] = 0.0
     two.fields["tension"][:] = two.fields["tension_raw"][:] = 9.0
-    set_column(truth, "object/x", np.where(np.arange(400) < 150, 0.0, 0.010))
-    set_column(truth, "object/z", 0.0)
+    set_truth_column(truth, "object/x", np.where(np.arange(400) < 150, 0.0, 0.010))
+    set_truth_column(truth, "object/z", 0.0)
     assert summarise_run(two, JAMIA, truth, 0)["object_motion_mm"] == pytest.approx(0.0), (
         "the object moved between two holds"
     )
@@ -205,14 +205,14 @@ def test_measured_load_equals_a_hand_calculation() -> None:
 
     Its 13 other bits get none.
     """
-    log = quiet()
+    log = quiet_run()
     one = (98 + 97 // 4 + 13) / 1e6
     assert measured_load(log, 1_000_000, None, [(8, False)] * 10) == pytest.approx(10 * one / 1.99)
 
 
 def test_an_empty_run_has_no_numbers_and_no_error() -> None:
-    log = MadeUpLog(JAMIA, 0, {})
-    result = summarise_run(log, JAMIA, truth_of(JAMIA, 3), 0)
+    log = InventedLog(JAMIA, 0, {})
+    result = summarise_run(log, JAMIA, zero_truth(JAMIA, 3), 0)
     assert result["ticks"] == 0
     assert math.isnan(result["late_us"]["p50"])
     assert 1e9 / result["rate_hz"] == PERIOD_NS

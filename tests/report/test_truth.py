@@ -8,24 +8,24 @@ import pytest
 
 from handctl.errors import LogError
 from handctl.report.truth import TruthRecord, read_truth
-from tests.report.made_up import JAMIA, set_column, truth_of, write_truth
+from tests.report.invented_run import JAMIA, set_truth_column, write_truth, zero_truth
 
 
 @pytest.fixture
-def small() -> TruthRecord:
+def small_truth() -> TruthRecord:
     rng = np.random.default_rng(1)
     return TruthRecord(
         {}, np.arange(6) * 1_000_000 + 2**60, rng.normal(size=(6, 3)), ("a", "b/c", "d")
     )
 
 
-def test_a_written_truth_file_is_read(small: TruthRecord, tmp_path: Path) -> None:
+def test_a_written_truth_file_is_read(small_truth: TruthRecord, tmp_path: Path) -> None:
     path = tmp_path / "t.truth"
-    write_truth(path, small)
+    write_truth(path, small_truth)
     again = read_truth(path)
-    np.testing.assert_array_equal(again.t_ns, small.t_ns)
-    np.testing.assert_array_equal(again.values, small.values)
-    assert again.columns == small.columns
+    np.testing.assert_array_equal(again.t_ns, small_truth.t_ns)
+    np.testing.assert_array_equal(again.values, small_truth.values)
+    assert again.columns == small_truth.columns
     assert again.has("b/c")
     assert not again.has("x")
 
@@ -50,10 +50,10 @@ def test_the_simulators_own_file_is_read(tmp_path: Path) -> None:
 
 
 def test_a_file_cut_at_any_byte_gives_a_prefix_or_a_one_line_error(
-    small: TruthRecord, tmp_path: Path
+    small_truth: TruthRecord, tmp_path: Path
 ) -> None:
     path = tmp_path / "t.truth"
-    write_truth(path, small)
+    write_truth(path, small_truth)
     complete = path.read_bytes()
     head = complete.index(b"\n") + 1
     for cut in range(len(complete)):
@@ -61,7 +61,7 @@ def test_a_file_cut_at_any_byte_gives_a_prefix_or_a_one_line_error(
         rows = max(0, cut - head) // 32
         if rows:
             truth = read_truth(path)
-            np.testing.assert_array_equal(truth.values, small.values[:rows])
+            np.testing.assert_array_equal(truth.values, small_truth.values[:rows])
         else:
             with pytest.raises(LogError) as caught:
                 read_truth(path)
@@ -90,8 +90,8 @@ def test_a_missing_file_and_a_folder_give_a_one_line_error(tmp_path: Path) -> No
 
 
 def test_values_are_interpolated_between_rows_and_nan_outside() -> None:
-    truth = truth_of(JAMIA, 10, offset_ns=2**61)
-    set_column(truth, "object/x", np.arange(10.0))
+    truth = zero_truth(JAMIA, 10, offset_ns=2**61)
+    set_truth_column(truth, "object/x", np.arange(10.0))
     t_ns = 2**61 + np.array([-(10**9), 0, 5_000_000, 25_000_000, 10**12])
     np.testing.assert_allclose(truth.at("object/x", t_ns), [np.nan, 0.0, 0.5, 2.5, np.nan])
     assert truth.table(["object/x", "object/y"], t_ns).shape == (5, 2)
@@ -99,7 +99,7 @@ def test_values_are_interpolated_between_rows_and_nan_outside() -> None:
 
 def test_a_column_that_is_not_there_is_named() -> None:
     with pytest.raises(LogError, match="no column 'tension/pinky'"):
-        truth_of(JAMIA, 3).at("tension/pinky", np.array([0]))
+        zero_truth(JAMIA, 3).at("tension/pinky", np.array([0]))
 
 
 def test_the_header_is_kept(tmp_path: Path) -> None:

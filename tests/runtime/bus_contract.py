@@ -16,12 +16,12 @@ from handctl.drives.frame import BRS, EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.open import open_bus
 
-WAIT_S = 20.0
-FD_SIZES = (*range(9), 12, 16, 20, 24, 32, 48, 64)
+RECEIVE_TIMEOUT_S = 20.0
+FD_PAYLOAD_SIZES = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 
 
 @dataclass
-class Medium:
+class BusUnderTest:
     """CAN bus on which several nodes can be opened.
 
     Attributes:
@@ -54,18 +54,18 @@ class Medium:
 def drain_bus(bus: Bus, count: int) -> list[Frame]:
     """Read frames until at least ``count`` have arrived or the time is over."""
     frames = list(bus.drain())
-    end = time.monotonic() + WAIT_S
+    end = time.monotonic() + RECEIVE_TIMEOUT_S
     while len(frames) < count and time.monotonic() < end:
         time.sleep(0.002)
         frames += bus.drain()
     return frames
 
 
-def contents(frames: Sequence[Frame]) -> list[tuple[int, bytes, int]]:
+def frame_contents(frames: Sequence[Frame]) -> list[tuple[int, bytes, int]]:
     return [(frame.can_id, frame.data, frame.flags & (FDF | BRS)) for frame in frames]
 
 
-def some_frames(count: int, seed: int) -> list[Frame]:
+def random_frames(count: int, seed: int) -> list[Frame]:
     """Return random frames of all kinds: classical, remote and FD, with standard and extended identifiers."""
     rng = random.Random(seed)
     frames = []
@@ -76,25 +76,27 @@ def some_frames(count: int, seed: int) -> list[Frame]:
             frames.append(Frame(can_id | REMOTE_FLAG, bytes(rng.randrange(9))))
         elif kind == 1:
             frames.append(
-                Frame(can_id, rng.randbytes(rng.choice(FD_SIZES)), FDF | rng.choice((0, BRS)))
+                Frame(
+                    can_id, rng.randbytes(rng.choice(FD_PAYLOAD_SIZES)), FDF | rng.choice((0, BRS))
+                )
             )
         else:
             frames.append(Frame(can_id, rng.randbytes(rng.randrange(9))))
     return frames
 
 
-def test_frames_of_all_kinds_arrive_complete_and_in_order(medium: Medium) -> None:
+def test_frames_of_all_kinds_arrive_complete_and_in_order(medium: BusUnderTest) -> None:
     sender = medium.open()
     receiver = medium.open(index=3)
-    batch = some_frames(500, seed=1)
+    batch = random_frames(500, seed=1)
     assert sender.send(batch[:300]) + sender.send(batch[300:]) == len(batch)
     received = drain_bus(receiver, len(batch))
-    assert contents(received) == contents(batch)
+    assert frame_contents(received) == frame_contents(batch)
     assert {frame.bus for frame in received} == {3}
     assert sender.take_events() == receiver.take_events() == []
 
 
-def test_every_node_receives_all_frames_but_its_own(medium: Medium) -> None:
+def test_every_node_receives_all_frames_but_its_own(medium: BusUnderTest) -> None:
     buses = [medium.open() for _ in range(3)]
     for number, bus in enumerate(buses):
         assert bus.send([Frame(number, b"me")]) == 1
@@ -104,7 +106,7 @@ def test_every_node_receives_all_frames_but_its_own(medium: Medium) -> None:
         assert bus.drain() == []
 
 
-def test_reading_an_empty_bus_does_not_wait(medium: Medium) -> None:
+def test_reading_an_empty_bus_does_not_wait(medium: BusUnderTest) -> None:
     bus = medium.open()
     start = time.monotonic()
     for _ in range(100):
@@ -114,7 +116,7 @@ def test_reading_an_empty_bus_does_not_wait(medium: Medium) -> None:
     assert bus.take_events() == []
 
 
-def test_stamps_are_the_runs_time_of_reception(medium: Medium) -> None:
+def test_stamps_are_the_runs_time_of_reception(medium: BusUnderTest) -> None:
     offset = 10**15
     sender = medium.open()
     receiver = medium.open(stamp=lambda t_ns: t_ns + offset)
@@ -131,17 +133,17 @@ def test_stamps_are_the_runs_time_of_reception(medium: Medium) -> None:
 
 @pytest.mark.parametrize(("size", "flags"), [(9, 0), (64, 0), (65, FDF)])
 def test_a_payload_that_does_not_fit_is_refused_and_nothing_is_sent(
-    medium: Medium, size: int, flags: int
+    medium: BusUnderTest, size: int, flags: int
 ) -> None:
     sender = medium.open()
     receiver = medium.open()
     with pytest.raises(ValueError, match=f"payload of {size} bytes"):
         sender.send([Frame(1, bytes(size), flags)])
     sender.send([Frame(2, b"last")])
-    assert contents(drain_bus(receiver, 1)) == [(2, b"last", 0)]
+    assert frame_contents(drain_bus(receiver, 1)) == [(2, b"last", 0)]
 
 
-def test_the_file_descriptor_becomes_readable_with_a_frame(medium: Medium) -> None:
+def test_the_file_descriptor_becomes_readable_with_a_frame(medium: BusUnderTest) -> None:
     sender = medium.open()
     receiver = medium.open()
     descriptor = receiver.fileno()
@@ -150,15 +152,15 @@ def test_the_file_descriptor_becomes_readable_with_a_frame(medium: Medium) -> No
         return
     assert select.select([descriptor], [], [], 0.0)[0] == []
     sender.send([Frame(1, b"")])
-    assert select.select([descriptor], [], [], WAIT_S)[0] == [descriptor]
+    assert select.select([descriptor], [], [], RECEIVE_TIMEOUT_S)[0] == [descriptor]
 
 
-def test_python_can_understands_every_frame(medium: Medium) -> None:
+def test_python_can_understands_every_frame(medium: BusUnderTest) -> None:
     ours = medium.open()
     theirs = medium.python_can()
-    for frame in some_frames(50, seed=2):
+    for frame in random_frames(50, seed=2):
         assert ours.send([frame]) == 1
-        message = theirs.recv(WAIT_S)
+        message = theirs.recv(RECEIVE_TIMEOUT_S)
         assert message is not None
         assert (
             message.arbitration_id | EXTENDED_FLAG * message.is_extended_id
@@ -173,7 +175,7 @@ def test_python_can_understands_every_frame(medium: Medium) -> None:
         assert bytes(message.data) == (b"" if message.is_remote_frame else frame.data)
 
 
-def test_every_message_of_python_can_is_understood(medium: Medium) -> None:
+def test_every_message_of_python_can_is_understood(medium: BusUnderTest) -> None:
     ours = medium.open()
     theirs = medium.python_can()
     sent = [
@@ -190,7 +192,7 @@ def test_every_message_of_python_can_is_understood(medium: Medium) -> None:
     ]
     for message in sent:
         theirs.send(message)
-    assert contents(drain_bus(ours, len(sent))) == [
+    assert frame_contents(drain_bus(ours, len(sent))) == [
         (0x7FF, b"\x00\xff", 0),
         (0x1FFFFFFF | EXTENDED_FLAG, bytes(range(8)), 0),
         (0x10 | REMOTE_FLAG, bytes(4), 0),

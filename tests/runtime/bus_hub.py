@@ -9,14 +9,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-RUN_DIR = "HANDCTL_RUN_DIR"
+RUN_DIR_VARIABLE = "HANDCTL_RUN_DIR"
 
 
 @contextmanager
-def hub(name: str, folder: Path) -> Iterator[None]:
+def hub_process(name: str, folder: Path) -> Iterator[None]:
     """Run the hub of the simulator in a process. It serves ``local:NAME`` with its socket in a folder."""
     words = [sys.executable, "-m", "firmware_sim", "bus", name]
-    environment = {**os.environ, RUN_DIR: str(folder)}
+    environment = {**os.environ, RUN_DIR_VARIABLE: str(folder)}
     process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=environment)
     try:
         assert process.stdout is not None
@@ -46,7 +46,7 @@ class ScriptedHub:
         self._listener.close()
 
 
-def record(can_id: int, data: bytes = b"", flags: int = 0, dropped: int = 0) -> bytes:
+def frame_record(can_id: int, data: bytes = b"", flags: int = 0, dropped: int = 0) -> bytes:
     """Build a record of the local bus byte by byte."""
     head = (
         can_id.to_bytes(4, "little")

@@ -5,17 +5,26 @@ import tempfile
 import pytest
 
 from handctl.hand.hand_loading import load_hand
-from tests.runtime.processes import BUS, LONG, SCALE, SHORT, end, scaled, start_hand, write_homed
+from tests.runtime.processes import (
+    LOCAL_BUS,
+    LONG_TASK,
+    SHORT_TASK,
+    TIME_SCALE,
+    end_process,
+    start_hand,
+    time_scale_options,
+    write_homed_calibration,
+)
 
 
 @pytest.fixture
-def place(tmp_path, monkeypatch):
+def work_folder(tmp_path, monkeypatch):
     """Change to an otherwise empty folder with two tasks. Sockets are in another folder with a short path."""
     with tempfile.TemporaryDirectory(prefix="h-") as short:
         monkeypatch.setenv("HANDCTL_RUN_DIR", short)
         monkeypatch.chdir(tmp_path)
-        (tmp_path / "short.toml").write_text(SHORT)
-        (tmp_path / "long.toml").write_text(LONG)
+        (tmp_path / "short.toml").write_text(SHORT_TASK)
+        (tmp_path / "long.toml").write_text(LONG_TASK)
         yield tmp_path
 
 
@@ -25,24 +34,24 @@ def processes():
     running = []
     yield running
     for process in reversed(running):
-        end(process)
+        end_process(process)
 
 
 @pytest.fixture
 def scale(request, repeat_time_scale):
-    """Return the command-line options for the time scale. A test module may set its own ``SCALE``."""
-    return scaled(getattr(request.module, "SCALE", SCALE) * repeat_time_scale)
+    """Return the command-line options for the time scale. A test module may set its own ``TIME_SCALE``."""
+    return time_scale_options(getattr(request.module, "TIME_SCALE", TIME_SCALE) * repeat_time_scale)
 
 
 @pytest.fixture
-def hand(place, processes, scale):
+def hand(work_folder, processes, scale):
     """Start a simulated hand with the time scale on the bus, and return the path of its truth file."""
-    processes.append(start_hand(place / "hand.truth", "--hand", "jamia", *scale))
-    return place / "hand.truth"
+    processes.append(start_hand(work_folder / "hand.truth", "--hand", "jamia", *scale))
+    return work_folder / "hand.truth"
 
 
 @pytest.fixture
-def calibrated(place):
+def calibrated(work_folder):
     """Write the calibration of a simulated hand, and return the command-line options for a controller of this hand."""
-    write_homed(place / "c.toml", load_hand("jamia"))
-    return ("--hand", "jamia", "--bus", BUS, "--calibration", "c.toml")
+    write_homed_calibration(work_folder / "c.toml", load_hand("jamia"))
+    return ("--hand", "jamia", "--bus", LOCAL_BUS, "--calibration", "c.toml")

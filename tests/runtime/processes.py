@@ -16,40 +16,42 @@ from handctl.programs.calibration import Calibration, TendonCalibration
 from handctl.runtime.mailbox import StatusWatcher
 from handctl.session.calibration import write_calibration
 
-READY_S = 60.0
+READY_TIMEOUT_S = 60.0
 """Longest time that a simulator may take to start [s]."""
-END_S = 200.0
+COMMAND_TIMEOUT_S = 200.0
 """Longest time that a command of handctl may run [s]."""
-BUS = "local:t"
-SCALE = 1.0
+LOCAL_BUS = "local:t"
+TIME_SCALE = 1.0
 """Speed of time in simulator and controller, 1 for real time.
 
 If the machine is too slow for it, the clock that both share pauses.
 """
-SERIAL = 0x4000
+SERIAL_BASE = 0x4000
 """Base of the simulated drives' serial numbers. Each drive adds its node number."""
-HOMED = ("--homed", "--serial", f"{SERIAL:#x}")
-"""Options of a simulated hand for which ``write_homed`` writes the right calibration."""
-GO = 'schema = 1\nname = "short"\n'
-MOVE = '[[phase]]\nkind = "move"\nname = "{name}"\nangle_deg = {angle}\nduration_s = {duration}\n'
-SHORT = (
-    GO
-    + MOVE.format(name="bend", angle=25.0, duration=0.5)
-    + MOVE.format(name="open", angle=0.0, duration=0.4)
+HOMED_OPTIONS = ("--homed", "--serial", f"{SERIAL_BASE:#x}")
+"""Options of a simulated hand for which ``write_homed_calibration`` writes the right calibration."""
+TASK_HEAD = 'schema = 1\nname = "short"\n'
+MOVE_PHASE = (
+    '[[phase]]\nkind = "move"\nname = "{name}"\nangle_deg = {angle}\nduration_s = {duration}\n'
 )
-LONG = (
-    GO
-    + MOVE.format(name="bend", angle=40.0, duration=0.5)
-    + MOVE.format(name="stay", angle=40.0, duration=60.0)
+SHORT_TASK = (
+    TASK_HEAD
+    + MOVE_PHASE.format(name="bend", angle=25.0, duration=0.5)
+    + MOVE_PHASE.format(name="open", angle=0.0, duration=0.4)
+)
+LONG_TASK = (
+    TASK_HEAD
+    + MOVE_PHASE.format(name="bend", angle=40.0, duration=0.5)
+    + MOVE_PHASE.format(name="stay", angle=40.0, duration=60.0)
 )
 
 
-def scaled(scale: float) -> tuple[str, str]:
+def time_scale_options(scale: float) -> tuple[str, str]:
     """Return the command-line options that give a simulator or a controller a time scale."""
     return "--time-scale", f"{scale:g}"
 
 
-def start_hand(truth: Path, *words: str, bus: str = BUS) -> "subprocess.Popen[str]":
+def start_hand(truth: Path, *words: str, bus: str = LOCAL_BUS) -> "subprocess.Popen[str]":
     """Start a simulated hand that serves a bus, and wait until it is ready."""
     command = [
         sys.executable,
@@ -57,7 +59,7 @@ def start_hand(truth: Path, *words: str, bus: str = BUS) -> "subprocess.Popen[st
         "firmware_sim",
         "--bus",
         bus,
-        *HOMED,
+        *HOMED_OPTIONS,
         "--truth",
         str(truth),
         *words,
@@ -66,7 +68,7 @@ def start_hand(truth: Path, *words: str, bus: str = BUS) -> "subprocess.Popen[st
         command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     )
     assert process.stdout
-    assert select.select([process.stdout], [], [], READY_S)[0], "no ready line"
+    assert select.select([process.stdout], [], [], READY_TIMEOUT_S)[0], "no ready line"
     assert process.stdout.readline().startswith("firmware_sim: ready")
     return process
 
@@ -77,13 +79,15 @@ def start_handctl(*words: str) -> "subprocess.Popen[str]":
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-def handctl(*words: str, timeout_s: float = END_S) -> "subprocess.CompletedProcess[str]":
+def run_handctl(
+    *words: str, timeout_s: float = COMMAND_TIMEOUT_S
+) -> "subprocess.CompletedProcess[str]":
     """Run a command of handctl in a process until it ends."""
     command = [sys.executable, "-m", "handctl.cli", *words]
     return subprocess.run(command, capture_output=True, text=True, timeout=timeout_s)
 
 
-def end(process: "subprocess.Popen[str]") -> None:
+def end_process(process: "subprocess.Popen[str]") -> None:
     """End a process and close its pipes. It is killed if it does not end."""
     if process.poll() is None:
         process.send_signal(signal.SIGTERM)
@@ -94,15 +98,15 @@ def end(process: "subprocess.Popen[str]") -> None:
     process.communicate()
 
 
-def result_of(
-    process: "subprocess.Popen[str]", timeout_s: float = END_S
+def process_result(
+    process: "subprocess.Popen[str]", timeout_s: float = COMMAND_TIMEOUT_S
 ) -> tuple[int, dict[str, object], str]:
     """Wait for the end of a process, and return its exit code, its JSON output and its standard error."""
     out, err = process.communicate(timeout=timeout_s)
     return process.returncode, json.loads(out) if out else {}, err
 
 
-def wait_for(
+def wait_for_phase(
     phase: str, watcher: StatusWatcher, process: "subprocess.Popen[str]", timeout_s: float = 60.0
 ) -> None:
     """Wait until a running controller is in a phase."""
@@ -115,25 +119,25 @@ def wait_for(
     raise AssertionError(f"never in phase {phase}")
 
 
-def sockets() -> list[str]:
+def socket_names() -> list[str]:
     """Return the names of all files in the folder for sockets."""
     return sorted(os.listdir(os.environ["HANDCTL_RUN_DIR"]))
 
 
-def write_homed(path: Path, description: Hand) -> None:
-    """Write the calibration of a hand that starts with the options ``HOMED``. All its tares and offsets are zero."""
+def write_homed_calibration(path: Path, description: Hand) -> None:
+    """Write the calibration of a hand that starts with ``HOMED_OPTIONS``. All its tares and offsets are zero."""
     zero = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     calibration = Calibration(
         hand=description.name,
         identity=description.identity,
         made=datetime.datetime.now(datetime.UTC).isoformat(),
         tendon=dict.fromkeys(description.tendon_names, zero),
-        drive={motor.name: f"{SERIAL + motor.node_id:#x}" for motor in description.motor},
+        drive={motor.name: f"{SERIAL_BASE + motor.node_id:#x}" for motor in description.motor},
     )
     write_calibration(path, calibration)
 
 
-def modes_of_complete(log: Path) -> list[str]:
+def modes_of_complete_log(log: Path) -> list[str]:
     """Check that a log is complete and return the texts of its mode changes."""
     with RunLog(log) as run:
         assert not run.warning

@@ -30,18 +30,18 @@ from handctl.runtime.confirm import request_action, send_with_confirmation
 from handctl.runtime.mailbox import Mailbox, StatusWatcher
 from handctl.runtime.paths import mailbox_path, run_dir
 from tests.runtime.processes import (
-    BUS,
-    end,
-    handctl,
-    modes_of_complete,
-    result_of,
+    LOCAL_BUS,
+    end_process,
+    modes_of_complete_log,
+    process_result,
+    run_handctl,
     start_handctl,
-    wait_for,
+    wait_for_phase,
 )
 
-NOBODY = 65534
+NOBODY_UID = 65534
 SECOND_USER = pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
-UNCONFIRMED = "no confirmation from the controller: switch the power off"
+UNCONFIRMED_TEXT = "no confirmation from the controller: switch the power off"
 
 
 def as_nobody(do) -> str:
@@ -52,8 +52,8 @@ def as_nobody(do) -> str:
         answer = "failed"
         try:
             os.setgroups([])
-            os.setresgid(NOBODY, NOBODY, NOBODY)
-            os.setresuid(NOBODY, NOBODY, NOBODY)
+            os.setresgid(NOBODY_UID, NOBODY_UID, NOBODY_UID)
+            os.setresuid(NOBODY_UID, NOBODY_UID, NOBODY_UID)
             answer = str(do())
         except OSError as error:
             answer = type(error).__name__
@@ -68,7 +68,7 @@ def as_nobody(do) -> str:
 
 
 @pytest.fixture
-def shared(monkeypatch):
+def shared_tmp(monkeypatch):
     """Return a folder for temporary files in which every user can write, as in /tmp.
 
     It contains the run directory.
@@ -82,11 +82,11 @@ def shared(monkeypatch):
     shutil.rmtree(folder)
 
 
-def theirs(shared: Path) -> Path:
-    return shared / f"handctl-{os.geteuid()}"
+def folder_of_nobody(shared_tmp: Path) -> Path:
+    return shared_tmp / f"handctl-{os.geteuid()}"
 
 
-def refuses(word: str) -> None:
+def check_refusals(word: str) -> None:
     """Check that the controller, the simulator and every request refuse the run directory with a given reason."""
     for refused in (
         lambda: Mailbox("local:x"),
@@ -98,7 +98,7 @@ def refuses(word: str) -> None:
             refused()
         assert "\n" not in str(caught.value)
         assert "HANDCTL_RUN_DIR" in str(caught.value)
-    with pytest.raises(UnconfirmedError, match=UNCONFIRMED):
+    with pytest.raises(UnconfirmedError, match=UNCONFIRMED_TEXT):
         request_action("local:x", "stop")
     for refused in (lambda: BusHub("x"), simulated.run_dir):
         with pytest.raises(SimulatorError, match=word) as caught:
@@ -109,8 +109,8 @@ def refuses(word: str) -> None:
 @SECOND_USER
 @pytest.mark.parametrize("mode", [0o777, 0o700])
 @pytest.mark.parametrize("deep", [False, True])
-def test_a_folder_that_another_user_made_is_refused(shared, mode, deep, capsys):
-    folder = theirs(shared)
+def test_a_folder_that_another_user_made_is_refused(shared_tmp, mode, deep, capsys):
+    folder = folder_of_nobody(shared_tmp)
 
     def make():
         folder.mkdir()
@@ -121,43 +121,43 @@ def test_a_folder_that_another_user_made_is_refused(shared, mode, deep, capsys):
         return "made"
 
     assert as_nobody(make) == "made"
-    assert folder.stat().st_uid == NOBODY
-    refuses("belongs to user nobody|belongs to another user")
+    assert folder.stat().st_uid == NOBODY_UID
+    check_refusals("belongs to user nobody|belongs to another user")
     assert main(["stop", "--bus", "local:x"]) == 71
     assert main(["run", "--bus", "local:x"]) == 1
     lines = capsys.readouterr().err.splitlines()
-    assert UNCONFIRMED in lines[0]
+    assert UNCONFIRMED_TEXT in lines[0]
     assert "belongs to user nobody" in lines[-1]
 
 
 @SECOND_USER
-def test_a_folder_above_that_another_user_owns_or_can_write_in_is_refused(shared, monkeypatch):
+def test_a_folder_above_that_another_user_owns_or_can_write_in_is_refused(shared_tmp, monkeypatch):
     """The owner of the parent folder could rename the private folder and put another folder in its place."""
-    above = shared / "above"
+    above = shared_tmp / "above"
     above.mkdir()
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(above / "run"))
     run_dir()
     above.chmod(0o777)
-    refuses(r"above: is open to others \(mode 0777\)")
+    check_refusals(r"above: is open to others \(mode 0777\)")
     above.chmod(0o755)
-    os.chown(above, NOBODY, NOBODY)
-    refuses("above: belongs to")
+    os.chown(above, NOBODY_UID, NOBODY_UID)
+    check_refusals("above: belongs to")
 
 
 @pytest.mark.parametrize("deep", [False, True])
-def test_a_folder_that_others_can_write_in_is_refused(shared, deep):
+def test_a_folder_that_others_can_write_in_is_refused(shared_tmp, deep):
     folder = run_dir() if deep else run_dir().parent
     folder.chmod(0o777)
-    refuses(r"is open to others \(mode 0777\)")
+    check_refusals(r"is open to others \(mode 0777\)")
     folder.chmod(0o770)
-    refuses(r"is open to others \(mode 0770\)")
+    check_refusals(r"is open to others \(mode 0770\)")
 
 
 @pytest.mark.parametrize("make", [run_dir, simulated.run_dir])
-def test_a_new_or_readable_folder_is_made_private(shared, make):
+def test_a_new_or_readable_folder_is_made_private(shared_tmp, make):
     """Earlier versions of handctl made the parent folder with mode 0755."""
     folder = make()
-    assert folder == theirs(shared) / "handctl"
+    assert folder == folder_of_nobody(shared_tmp) / "handctl"
     for path in (folder, folder.parent):
         assert stat.S_IMODE(path.stat().st_mode) == 0o700
         path.chmod(0o755)
@@ -166,28 +166,28 @@ def test_a_new_or_readable_folder_is_made_private(shared, make):
 
 
 @pytest.mark.parametrize("deep", [False, True])
-def test_a_link_is_refused(shared, deep):
+def test_a_link_is_refused(shared_tmp, deep):
     """A run directory that is a link is refused, whatever its target and its owner are."""
-    target = shared / "elsewhere"
+    target = shared_tmp / "elsewhere"
     target.mkdir(mode=0o700)
     if deep:
-        theirs(shared).mkdir(mode=0o700)
-    link = theirs(shared) / "handctl" if deep else theirs(shared)
+        folder_of_nobody(shared_tmp).mkdir(mode=0o700)
+    link = folder_of_nobody(shared_tmp) / "handctl" if deep else folder_of_nobody(shared_tmp)
     link.symlink_to(target)
-    refuses("is a link")
+    check_refusals("is a link")
 
 
 @SECOND_USER
-def test_a_link_of_another_user_above_is_refused(shared, monkeypatch):
-    (shared / "own").mkdir(mode=0o700)
-    assert as_nobody(lambda: (shared / "link").symlink_to(shared / "own")) == "None"
-    monkeypatch.setenv("HANDCTL_RUN_DIR", str(shared / "link" / "run"))
-    refuses("link: is a link")
+def test_a_link_of_another_user_above_is_refused(shared_tmp, monkeypatch):
+    (shared_tmp / "own").mkdir(mode=0o700)
+    assert as_nobody(lambda: (shared_tmp / "link").symlink_to(shared_tmp / "own")) == "None"
+    monkeypatch.setenv("HANDCTL_RUN_DIR", str(shared_tmp / "link" / "run"))
+    check_refusals("link: is a link")
 
 
 @SECOND_USER
 def test_a_stop_does_not_reach_another_user_s_socket_in_place_of_the_mailbox(
-    shared, short_confirmation_wait
+    shared_tmp, short_confirmation_wait
 ):
     """The attacker renames the mailbox and binds another socket to its path, to receive the requests for the hand."""
     box = Mailbox("local:x")
@@ -216,8 +216,8 @@ def test_a_stop_does_not_reach_another_user_s_socket_in_place_of_the_mailbox(
     attack = threading.Thread(target=lambda: received.append(as_nobody(take)))
     attack.start()
     os.read(started, 1)
-    assert mailbox.stat().st_uid == NOBODY, "the socket of the other user replaces the mailbox"
-    with pytest.raises(UnconfirmedError, match=UNCONFIRMED):
+    assert mailbox.stat().st_uid == NOBODY_UID, "the socket of the other user replaces the mailbox"
+    with pytest.raises(UnconfirmedError, match=UNCONFIRMED_TEXT):
         request_action("local:x", "stop")
     os.write(finish, b"x")
     attack.join()
@@ -228,7 +228,7 @@ def test_a_stop_does_not_reach_another_user_s_socket_in_place_of_the_mailbox(
 
 
 @SECOND_USER
-def test_requests_and_status_lines_of_another_user_are_ignored(shared):
+def test_requests_and_status_lines_of_another_user_are_ignored(shared_tmp):
     """They are ignored even if the folder is open to others, because the kernel names the user of each sender."""
     box = Mailbox("local:x")
     watcher = StatusWatcher("local:x")
@@ -254,7 +254,7 @@ def test_requests_and_status_lines_of_another_user_are_ignored(shared):
 
 
 @SECOND_USER
-def test_a_hub_accepts_only_its_own_user(shared):
+def test_a_hub_accepts_only_its_own_user(shared_tmp):
     hub = BusHub("x")
     folder = run_dir()
     for path in (folder / "x.bus", folder, folder.parent):
@@ -281,7 +281,7 @@ class AnsweringController:
     """A thread that serves the mailbox of a bus as a controller does, with the same texts of events."""
 
     def __init__(self, end_with: str = "DISARM -> DONE", deaf_after: str = "") -> None:
-        self.box = Mailbox(BUS)
+        self.box = Mailbox(LOCAL_BUS)
         self.taken = []
         self._on = True
         self._end = end_with
@@ -322,21 +322,21 @@ class AnsweringController:
             time.sleep(0.002)
 
 
-def test_stop_ends_when_the_controller_reports_every_drive_off(place, capsys):
+def test_stop_ends_when_the_controller_reports_every_drive_off(work_folder, capsys):
     with AnsweringController() as controller:
-        assert main(["stop", "--bus", BUS, "--json"]) == 0
+        assert main(["stop", "--bus", LOCAL_BUS, "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {
         "asked": "stop",
-        "bus": BUS,
+        "bus": LOCAL_BUS,
         "confirmed": True,
         "mode": "DONE",
     }
     assert controller.taken == ["stop"]
 
 
-def test_stop_names_a_drive_that_stays_on(place, capsys):
+def test_stop_names_a_drive_that_stays_on(work_folder, capsys):
     with AnsweringController("DISARM -> DONE: REMOVE POWER: not confirmed disabled: index_motor"):
-        assert main(["stop", "--bus", BUS]) == 71
+        assert main(["stop", "--bus", LOCAL_BUS]) == 71
     assert "REMOVE POWER: not confirmed disabled: index_motor" in capsys.readouterr().err
 
 
@@ -346,21 +346,23 @@ def short_confirmation_wait(monkeypatch):
     monkeypatch.setattr("handctl.runtime.confirm.CONFIRMATION_TIMEOUT_S", 0.4)
 
 
-def test_stop_is_unconfirmed_if_the_controller_falls_silent(place, short_confirmation_wait, capsys):
+def test_stop_is_unconfirmed_if_the_controller_falls_silent(
+    work_folder, short_confirmation_wait, capsys
+):
     with AnsweringController(deaf_after="RELAX"):
-        assert main(["stop", "--bus", BUS]) == 71
-    assert UNCONFIRMED in capsys.readouterr().err
+        assert main(["stop", "--bus", LOCAL_BUS]) == 71
+    assert UNCONFIRMED_TEXT in capsys.readouterr().err
 
 
-def test_clear_ends_when_the_controller_has_taken_it(place, capsys):
+def test_clear_ends_when_the_controller_has_taken_it(work_folder, capsys):
     with AnsweringController() as controller:
-        assert main(["clear", "--bus", BUS]) == 0
+        assert main(["clear", "--bus", LOCAL_BUS]) == 0
     assert controller.taken == ["clear"]
     assert "has cleared its faults" in capsys.readouterr().out
 
 
-def test_a_request_is_confirmed_although_all_watcher_slots_are_taken(place):
-    others = [StatusWatcher(BUS) for _ in range(6)]
+def test_a_request_is_confirmed_although_all_watcher_slots_are_taken(work_folder):
+    others = [StatusWatcher(LOCAL_BUS) for _ in range(6)]
     with AnsweringController() as controller:
         until = time.monotonic() + 1.0
 
@@ -371,7 +373,7 @@ def test_a_request_is_confirmed_although_all_watcher_slots_are_taken(place):
 
         crowding = threading.Thread(target=crowd)
         crowding.start()
-        asking = StatusWatcher(BUS)
+        asking = StatusWatcher(LOCAL_BUS)
         for _ in range(20):
             assert send_with_confirmation(asking, {"do": "arm"})[1] == []
         asking.close()
@@ -397,14 +399,14 @@ def fill_mailbox(path: Path) -> int:
 @pytest.mark.parametrize("word", ["stop", "cut", "clear"])
 @pytest.mark.parametrize("full", [False, True])
 def test_an_unread_mailbox_confirms_nothing_and_blocks_no_client(
-    place, short_confirmation_wait, word, full
+    work_folder, short_confirmation_wait, word, full
 ):
-    box = Mailbox(BUS)
+    box = Mailbox(LOCAL_BUS)
     if full:
         assert fill_mailbox(box.path)
     began = time.monotonic()
-    with pytest.raises(UnconfirmedError, match=UNCONFIRMED) as caught:
-        request_action(BUS, word)
+    with pytest.raises(UnconfirmedError, match=UNCONFIRMED_TEXT) as caught:
+        request_action(LOCAL_BUS, word)
     assert time.monotonic() - began < 2.4
     assert isinstance(caught.value, PowerError)
     assert ("its mailbox is full" if full else "the controller is silent") in str(caught.value)
@@ -413,33 +415,33 @@ def test_an_unread_mailbox_confirms_nothing_and_blocks_no_client(
 
 @pytest.mark.realtime
 def test_a_paused_controller_confirms_no_stop_and_a_flooded_one_stops(
-    place, hand, calibrated, scale
+    work_folder, hand, calibrated, scale
 ):
     process = start_handctl(
         "run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *scale
     )
     try:
-        watcher = StatusWatcher(BUS)
-        wait_for("stay", watcher, process)
+        watcher = StatusWatcher(LOCAL_BUS)
+        wait_for_phase("stay", watcher, process)
         watcher.close()
         process.send_signal(signal.SIGSTOP)
         for word in (("clear",), ("stop",)):
-            done = handctl(*word, "--bus", BUS)
+            done = run_handctl(*word, "--bus", LOCAL_BUS)
             assert (done.returncode, done.stdout) == (71, "")
-            assert UNCONFIRMED in done.stderr
-        fill_mailbox(mailbox_path(BUS))
-        assert handctl("stop", "--cut", "--bus", BUS).returncode == 71
+            assert UNCONFIRMED_TEXT in done.stderr
+        fill_mailbox(mailbox_path(LOCAL_BUS))
+        assert run_handctl("stop", "--cut", "--bus", LOCAL_BUS).returncode == 71
         process.send_signal(signal.SIGCONT)
-        assert result_of(process)[0] in (0, 1), (
+        assert process_result(process)[0] in (0, 1), (
             "the controller paused (H03), and reads the orders after the pause"
         )
     finally:
         process.send_signal(signal.SIGCONT)
-        end(process)
+        end_process(process)
 
 
 @pytest.mark.realtime
-def test_a_flooded_mailbox_still_takes_a_stop(place, hand, calibrated, scale):
+def test_a_flooded_mailbox_still_takes_a_stop(work_folder, hand, calibrated, scale):
     process = start_handctl(
         "run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *scale
     )
@@ -449,21 +451,21 @@ def test_a_flooded_mailbox_still_takes_a_stop(place, hand, calibrated, scale):
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
             while not ended.is_set():
                 try:
-                    out.sendto(b'{"do": "arm"}', str(mailbox_path(BUS)))
+                    out.sendto(b'{"do": "arm"}', str(mailbox_path(LOCAL_BUS)))
                 except OSError:
                     return
 
     flooding = threading.Thread(target=flood)
     try:
-        watcher = StatusWatcher(BUS)
-        wait_for("stay", watcher, process)
+        watcher = StatusWatcher(LOCAL_BUS)
+        wait_for_phase("stay", watcher, process)
         watcher.close()
         flooding.start()
-        done = handctl("stop", "--bus", BUS)
+        done = run_handctl("stop", "--bus", LOCAL_BUS)
         assert done.returncode == 0, done.stderr
-        assert result_of(process)[0] == 0
+        assert process_result(process)[0] == 0
     finally:
         ended.set()
-        end(process)
+        end_process(process)
         flooding.join()
-    assert modes_of_complete(place / "run.mcap")[-1] == "DISARM -> DONE"
+    assert modes_of_complete_log(work_folder / "run.mcap")[-1] == "DISARM -> DONE"

@@ -8,7 +8,7 @@ import pytest
 
 import handctl as library
 from handctl import ConfigError, DriveError
-from tests.runtime.processes import BUS, modes_of_complete
+from tests.runtime.processes import LOCAL_BUS, modes_of_complete_log
 
 REALTIME = pytest.mark.realtime
 
@@ -24,7 +24,7 @@ async def use_hand(*options):
             await asyncio.sleep(0.01)
 
     counting = asyncio.create_task(count())
-    async with library.connect_async("jamia", BUS, *options) as hand:
+    async with library.connect_async("jamia", LOCAL_BUS, *options) as hand:
         counted = 0
         await hand.move(index=30.0)
         assert counted > 30, "other tasks go on while the hand moves"
@@ -63,7 +63,7 @@ async def watch(hand):
 
 
 @REALTIME
-def test_a_program_moves_a_hand_with_asyncio(place, hand, calibrated, scale):
+def test_a_program_moves_a_hand_with_asyncio(work_folder, hand, calibrated, scale):
     options = ("--calibration", "c.toml", "--log", "live.mcap", *scale)
     result, status, ticks, swing, at = asyncio.run(use_hand(*options))
     assert result["failure"] == ""
@@ -72,25 +72,25 @@ def test_a_program_moves_a_hand_with_asyncio(place, hand, calibrated, scale):
     assert set(np.diff(ticks)) == {1}, "every tick, in order"
     assert swing > 5.0
     assert at < 60.0, "hold ended the move"
-    modes_of_complete(place / "live.mcap")
+    modes_of_complete_log(work_folder / "live.mcap")
 
 
 @REALTIME
-def test_an_exception_in_the_block_stops_the_hand(place, hand, calibrated, scale):
+def test_an_exception_in_the_block_stops_the_hand(work_folder, hand, calibrated, scale):
     async def fail():
         async with library.connect_async(
-            "jamia", BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale
+            "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale
         ):
             raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
         asyncio.run(fail())
-    modes_of_complete(place / "live.mcap")
+    modes_of_complete_log(work_folder / "live.mcap")
 
 
-def test_a_controller_that_cannot_start_is_one_error(place):
+def test_a_controller_that_cannot_start_is_one_error(work_folder):
     async def connect():
-        async with library.connect_async("no-such-hand", BUS):
+        async with library.connect_async("no-such-hand", LOCAL_BUS):
             pass
 
     with pytest.raises(DriveError, match="no-such-hand"):

@@ -7,42 +7,46 @@ import os
 
 import pytest
 
-from benchmarks.streaming import CLIENTS, Homed, measure_clients
+from benchmarks.streaming import CLIENT_BEHAVIOURS, CommissionedHand, measure_clients
 from handctl.hand.hand_loading import load_hand
-from tests.runtime.processes import BUS, HOMED, write_homed
+from tests.runtime.processes import HOMED_OPTIONS, LOCAL_BUS, write_homed_calibration
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
-SCALE = 0.6
-SAMPLE = list(CLIENTS) if NIGHTLY else ["flooding", "killed"]
-HELD = "I11a"
+TIME_SCALE = 0.6
+TESTED_CLIENTS = list(CLIENT_BEHAVIOURS) if NIGHTLY else ["flooding", "killed"]
+HOLD_FAULT = "I11a"
 """Fault of a stream that sends no target for 100 ms. Its action is that the hand holds."""
-RELAXED = "I11b"
+RELAX_FAULT = "I11b"
 """Fault of a stream that sends no target for a second. Its action is that the hand relaxes."""
-FAULTS = {
-    "paused-500": {HELD}, "nan": {HELD}, "1e308": {HELD}, "late-150": {HELD},
-    "killed": {HELD, RELAXED}, "killed-owner": set(),
+FAULTS_BY_CLIENT = {
+    "paused-500": {HOLD_FAULT}, "nan": {HOLD_FAULT}, "1e308": {HOLD_FAULT}, "late-150": {HOLD_FAULT},
+    "killed": {HOLD_FAULT, RELAX_FAULT}, "killed-owner": set(),
 }  # fmt: skip
 """Faults of streams that each client must cause. A client without an entry must cause none."""
 
 
 @pytest.fixture
-def homed(place) -> Homed:
+def commissioned_hand(work_folder) -> CommissionedHand:
     """Return the calibration and the simulator options of a commissioned hand."""
-    write_homed(place / "c.toml", load_hand("jamia"))
-    return place / "c.toml", HOMED
+    write_homed_calibration(work_folder / "c.toml", load_hand("jamia"))
+    return work_folder / "c.toml", HOMED_OPTIONS
 
 
 @pytest.mark.realtime
-def test_invalid_clients_do_not_disturb_a_run(homed, repeat_time_scale):
-    rows = measure_clients(SAMPLE, BUS, SCALE * repeat_time_scale, homed)
+def test_invalid_clients_do_not_disturb_a_run(commissioned_hand, repeat_time_scale):
+    rows = measure_clients(
+        TESTED_CLIENTS, LOCAL_BUS, TIME_SCALE * repeat_time_scale, commissioned_hand
+    )
     hand = load_hand("jamia")
-    assert list(rows) == SAMPLE
+    assert list(rows) == TESTED_CLIENTS
     for name, row in rows.items():
         assert row["tension_N"] < min(tendon.tension_trip_N for tendon in hand.tendon), name
         if name != "straining":
             assert row["tension_N"] < min(tendon.tension_max_N for tendon in hand.tendon), name
         faults = {text.split()[0] for text in row["faults"]}
-        assert {fault for fault in faults if fault.startswith("I11")} == FAULTS.get(name, set()), (
+        assert {fault for fault in faults if fault.startswith("I11")} == FAULTS_BY_CLIENT.get(
+            name, set()
+        ), (
             name,
             row,
         )

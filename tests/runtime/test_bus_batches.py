@@ -20,48 +20,48 @@ from handctl.runtime.buses import canfd
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.buses.socketcan import MAX_FRAMES_PER_CALL, SocketCanBus
-from tests.runtime.bus_hub import RUN_DIR, ScriptedHub, record
-from tests.runtime.datagrams import datagram_bus
+from tests.runtime.bus_hub import RUN_DIR_VARIABLE, ScriptedHub, frame_record
+from tests.runtime.datagram_bus import datagram_bus
 
-CLASSICAL, FD = struct.Struct("=IB3x8s"), struct.Struct("=IBB2x64s")
+CLASSICAL_FRAME_STRUCT, FD_FRAME_STRUCT = struct.Struct("=IB3x8s"), struct.Struct("=IBB2x64s")
 """Layouts of classical and FD frames in the kernel. Source: Linux ``can.h``."""
-SIZES = (0, 1, 7, 8)
-LONG_SIZES = (0, 8, 12, 64)
-INDEX = 3
+CLASSICAL_SIZES = (0, 1, 7, 8)
+FD_SIZES = (0, 8, 12, 64)
+BUS_INDEX = 3
 
 
-def mixed(count: int, seed: int) -> list[Frame]:
+def mixed_frames(count: int, seed: int) -> list[Frame]:
     """Return classical and FD frames of various lengths in random order."""
     rng = random.Random(seed)
     frames = []
     for number in range(count):
         can_id = rng.choice((number & 0x7FF, number | EXTENDED_FLAG))
         fd = rng.random() < 0.5
-        size = rng.choice(LONG_SIZES if fd else SIZES)
+        size = rng.choice(FD_SIZES if fd else CLASSICAL_SIZES)
         frames.append(
-            Frame(can_id, rng.randbytes(size), (FDF | rng.choice((0, BRS))) if fd else 0, INDEX)
+            Frame(can_id, rng.randbytes(size), (FDF | rng.choice((0, BRS))) if fd else 0, BUS_INDEX)
         )
     return frames
 
 
-def of_one_kind(size: int, flags: int) -> list[Frame]:
-    return [Frame(number, bytes([number + 1] * size), flags, INDEX) for number in range(11)]
+def equal_frames(size: int, flags: int) -> list[Frame]:
+    return [Frame(number, bytes([number + 1] * size), flags, BUS_INDEX) for number in range(11)]
 
 
-BATCHES = {
-    **{f"classical of {size}": of_one_kind(size, 0) for size in SIZES},
-    **{f"FD of {size}": of_one_kind(size, FDF) for size in LONG_SIZES},
-    "one frame": of_one_kind(8, 0)[:1],
-    "mixed": mixed(40, 1),
-    "mixed, more than a buffer": mixed(2 * MAX_FRAMES_PER_CALL + 44, 2),
+BATCH_BY_NAME = {
+    **{f"classical of {size}": equal_frames(size, 0) for size in CLASSICAL_SIZES},
+    **{f"FD of {size}": equal_frames(size, FDF) for size in FD_SIZES},
+    "one frame": equal_frames(8, 0)[:1],
+    "mixed": mixed_frames(40, 1),
+    "mixed, more than a buffer": mixed_frames(2 * MAX_FRAMES_PER_CALL + 44, 2),
 }
 
 
-def contents(frames: Frames) -> list[tuple[int, bytes, int, int]]:
+def frame_contents(frames: Frames) -> list[tuple[int, bytes, int, int]]:
     return [frame[:4] for frame in frames]
 
 
-def zero_behind_payloads(frames: Frames) -> bool:
+def has_zeros_behind_payloads(frames: Frames) -> bool:
     """Return True if frame records have zeros behind each payload. Check that the records have their full width."""
     assert frames.rows.shape == (len(frames), WORDS_PER_RECORD)
     behind = np.arange(64) >= frames.records["length"][:, np.newaxis]
@@ -69,10 +69,12 @@ def zero_behind_payloads(frames: Frames) -> bool:
 
 
 @pytest.fixture
-def local(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Bus, socket.socket]]:
-    monkeypatch.setenv(RUN_DIR, str(tmp_path))
+def local_bus(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[tuple[Bus, socket.socket]]:
+    monkeypatch.setenv(RUN_DIR_VARIABLE, str(tmp_path))
     served = ScriptedHub(tmp_path, "x")
-    bus = open_bus("local:x", INDEX, 1_000_000)
+    bus = open_bus("local:x", BUS_INDEX, 1_000_000)
     link = served.accept()
     yield bus, link
     bus.close()
@@ -81,12 +83,12 @@ def local(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Bus
 
 
 @pytest.fixture
-def udp() -> Iterator[tuple[SocketCanBus, socket.socket]]:
-    with datagram_bus(INDEX) as pair:
+def udp_bus() -> Iterator[tuple[SocketCanBus, socket.socket]]:
+    with datagram_bus(BUS_INDEX) as pair:
         yield pair
 
 
-def drained(bus: Bus, count: int) -> Frames:
+def drain_frames(bus: Bus, count: int) -> Frames:
     parts = [bus.drain()]
     end = time.monotonic() + 20.0
     while sum(map(len, parts)) < count and time.monotonic() < end:
@@ -95,58 +97,58 @@ def drained(bus: Bus, count: int) -> Frames:
     return join_frames(parts)
 
 
-def datagram(frame: Frame, garbage: bytes = b"") -> bytes:
+def kernel_datagram(frame: Frame, garbage: bytes = b"") -> bytes:
     """Return a frame in the form in which the kernel delivers it. A driver may leave any bytes behind a payload."""
     can_id, data, flags, *_ = frame
     if flags & FDF:
-        return FD.pack(can_id, len(data), flags, data + garbage[: 64 - len(data)])
-    return CLASSICAL.pack(can_id, len(data), data + garbage[: 8 - len(data)])
+        return FD_FRAME_STRUCT.pack(can_id, len(data), flags, data + garbage[: 64 - len(data)])
+    return CLASSICAL_FRAME_STRUCT.pack(can_id, len(data), data + garbage[: 8 - len(data)])
 
 
-@pytest.mark.parametrize("name", BATCHES)
+@pytest.mark.parametrize("name", BATCH_BY_NAME)
 def test_local_bus_carries_every_batch_both_ways(
-    local: tuple[Bus, socket.socket], name: str
+    local_bus: tuple[Bus, socket.socket], name: str
 ) -> None:
-    bus, link = local
-    batch = BATCHES[name]
-    whole = b"".join(record(frame.can_id, frame.data, frame.flags) for frame in batch)
+    bus, link = local_bus
+    batch = BATCH_BY_NAME[name]
+    whole = b"".join(frame_record(frame.can_id, frame.data, frame.flags) for frame in batch)
     assert bus.send(frames_as_records(batch)) == len(batch)
     sent = b""
     while len(sent) < len(whole):
         sent += link.recv(1 << 20)
     assert sent == whole
     link.sendall(whole)
-    got = drained(bus, len(batch))
-    assert contents(got) == [frame[:4] for frame in batch]
-    assert zero_behind_payloads(got)
+    got = drain_frames(bus, len(batch))
+    assert frame_contents(got) == [frame[:4] for frame in batch]
+    assert has_zeros_behind_payloads(got)
     assert bus.take_events() == []
 
 
-@pytest.mark.parametrize("name", BATCHES)
+@pytest.mark.parametrize("name", BATCH_BY_NAME)
 def test_can_socket_carries_every_batch_both_ways(
-    udp: tuple[SocketCanBus, socket.socket], name: str
+    udp_bus: tuple[SocketCanBus, socket.socket], name: str
 ) -> None:
-    bus, far = udp
-    batch = BATCHES[name]
+    bus, far = udp_bus
+    batch = BATCH_BY_NAME[name]
     assert bus.send(frames_as_records(batch)) == len(batch)
-    assert [far.recv(100) for _ in batch] == [datagram(frame) for frame in batch]
+    assert [far.recv(100) for _ in batch] == [kernel_datagram(frame) for frame in batch]
     for frame in batch:
-        far.send(datagram(frame))
-    got = drained(bus, len(batch))
-    assert contents(got) == [frame[:4] for frame in batch]
-    assert zero_behind_payloads(got)
+        far.send(kernel_datagram(frame))
+    got = drain_frames(bus, len(batch))
+    assert frame_contents(got) == [frame[:4] for frame in batch]
+    assert has_zeros_behind_payloads(got)
 
 
 def test_batches_of_all_kinds_in_turn_leave_no_bytes_of_one_another(
-    local: tuple[Bus, socket.socket], udp: tuple[SocketCanBus, socket.socket]
+    local_bus: tuple[Bus, socket.socket], udp_bus: tuple[SocketCanBus, socket.socket]
 ) -> None:
-    for batch in [*BATCHES.values(), *reversed(BATCHES.values())]:
+    for batch in [*BATCH_BY_NAME.values(), *reversed(BATCH_BY_NAME.values())]:
         test_batch = batch[:MAX_FRAMES_PER_CALL]
-        for bus, link in (local, udp):
+        for bus, link in (local_bus, udp_bus):
             assert bus.send(frames_as_records(test_batch)) == len(test_batch)
-            if bus is local[0]:
+            if bus is local_bus[0]:
                 whole = b"".join(
-                    record(frame.can_id, frame.data, frame.flags) for frame in test_batch
+                    frame_record(frame.can_id, frame.data, frame.flags) for frame in test_batch
                 )
                 sent = b""
                 while len(sent) < len(whole):
@@ -155,58 +157,59 @@ def test_batches_of_all_kinds_in_turn_leave_no_bytes_of_one_another(
                 link.sendall(whole)
             else:
                 assert [link.recv(100) for _ in test_batch] == [
-                    datagram(frame) for frame in test_batch
+                    kernel_datagram(frame) for frame in test_batch
                 ]
                 for frame in test_batch:
-                    link.send(datagram(frame))
-            got = drained(bus, len(test_batch))
-            assert contents(got) == [frame[:4] for frame in test_batch]
-            assert zero_behind_payloads(got)
+                    link.send(kernel_datagram(frame))
+            got = drain_frames(bus, len(test_batch))
+            assert frame_contents(got) == [frame[:4] for frame in test_batch]
+            assert has_zeros_behind_payloads(got)
 
 
 def test_bytes_behind_a_payload_are_ignored(
-    local: tuple[Bus, socket.socket], udp: tuple[SocketCanBus, socket.socket]
+    local_bus: tuple[Bus, socket.socket], udp_bus: tuple[SocketCanBus, socket.socket]
 ) -> None:
     garbage = b"\xff" * 64
-    batch = [*of_one_kind(3, 0), *of_one_kind(12, FDF), *of_one_kind(0, 0)]
-    bus, link = local
+    batch = [*equal_frames(3, 0), *equal_frames(12, FDF), *equal_frames(0, 0)]
+    bus, link = local_bus
     for frame in batch:
-        whole = record(frame.can_id, frame.data, frame.flags)
+        whole = frame_record(frame.can_id, frame.data, frame.flags)
         link.sendall(whole[: 8 + len(frame.data)] + garbage[: 64 - len(frame.data)])
-    got = drained(bus, len(batch))
-    assert contents(got) == [frame[:4] for frame in batch]
-    assert zero_behind_payloads(got)
-    can, far = udp
+    got = drain_frames(bus, len(batch))
+    assert frame_contents(got) == [frame[:4] for frame in batch]
+    assert has_zeros_behind_payloads(got)
+    can, far = udp_bus
     for part in (batch[:11], batch[11:22], batch):
         for frame in part:
-            far.send(datagram(frame, garbage))
-        got = drained(can, len(part))
-        assert contents(got) == [frame[:4] for frame in part]
-        assert zero_behind_payloads(got)
+            far.send(kernel_datagram(frame, garbage))
+        got = drain_frames(can, len(part))
+        assert frame_contents(got) == [frame[:4] for frame in part]
+        assert has_zeros_behind_payloads(got)
 
 
 def test_error_frames_between_others_become_events_and_keep_the_order(
-    local: tuple[Bus, socket.socket], udp: tuple[SocketCanBus, socket.socket]
+    local_bus: tuple[Bus, socket.socket], udp_bus: tuple[SocketCanBus, socket.socket]
 ) -> None:
-    batch = mixed(20, 3)
+    batch = mixed_frames(20, 3)
     bus_off = Frame(ERROR_FLAG | 0x40, bytes(8))
-    bus, link = local
+    bus, link = local_bus
     link.sendall(
         b"".join(
-            record(f.can_id, f.data, f.flags) + record(bus_off.can_id, bus_off.data) for f in batch
+            frame_record(f.can_id, f.data, f.flags) + frame_record(bus_off.can_id, bus_off.data)
+            for f in batch
         )
     )
-    assert contents(drained(bus, len(batch))) == [frame[:4] for frame in batch]
+    assert frame_contents(drain_frames(bus, len(batch))) == [frame[:4] for frame in batch]
     assert bus.take_events() == [("error_frame", "local:x bus off", 20), ("bus_off", "local:x", 1)]
-    can, far = udp
+    can, far = udp_bus
     for frame in batch:
-        far.send(datagram(frame))
-        far.send(datagram(bus_off))
-    assert contents(drained(can, len(batch))) == [frame[:4] for frame in batch]
+        far.send(kernel_datagram(frame))
+        far.send(kernel_datagram(bus_off))
+    assert frame_contents(drain_frames(can, len(batch))) == [frame[:4] for frame in batch]
     events = [("error_frame", "socketcan:test bus off", 20), ("bus_off", "socketcan:test", 1)]
     assert can.take_events() == events
-    link.sendall(record(bus_off.can_id, bus_off.data))
-    far.send(datagram(bus_off))
+    link.sendall(frame_record(bus_off.can_id, bus_off.data))
+    far.send(kernel_datagram(bus_off))
     time.sleep(0.05)
     assert len(bus.drain()) == len(can.drain()) == 0
     assert bus.take_events()
@@ -214,11 +217,11 @@ def test_error_frames_between_others_become_events_and_keep_the_order(
 
 
 def test_a_record_split_within_an_odd_batch_is_reassembled(
-    local: tuple[Bus, socket.socket],
+    local_bus: tuple[Bus, socket.socket],
 ) -> None:
-    bus, link = local
-    batch = mixed(30, 4)
-    whole = b"".join(record(frame.can_id, frame.data, frame.flags) for frame in batch)
+    bus, link = local_bus
+    batch = mixed_frames(30, 4)
+    whole = b"".join(frame_record(frame.can_id, frame.data, frame.flags) for frame in batch)
     parts = []
     at = 0
     for cut in (1, 71, 72, 73, 100, 500, 700, len(whole)):
@@ -226,15 +229,15 @@ def test_a_record_split_within_an_odd_batch_is_reassembled(
         parts.append(bus.drain())
         at += cut
         assert sum(map(len, parts)) == min(at, len(whole)) // 72
-    assert contents(join_frames(parts)) == [frame[:4] for frame in batch]
+    assert frame_contents(join_frames(parts)) == [frame[:4] for frame in batch]
 
 
 @pytest.mark.parametrize("size", [9, 12, 64])
 def test_a_classical_frame_that_is_too_long_is_refused_as_record_too(
-    local: tuple[Bus, socket.socket], udp: tuple[SocketCanBus, socket.socket], size: int
+    local_bus: tuple[Bus, socket.socket], udp_bus: tuple[SocketCanBus, socket.socket], size: int
 ) -> None:
     good = [Frame(1, b"good")]
-    for bus, link in (local, udp):
+    for bus, link in (local_bus, udp_bus):
         for _ in range(2):
             with pytest.raises(ValueError, match=f"payload of {size} bytes in frame 0x7"):
                 bus.send(frames_as_records([*good, Frame(7, bytes(size)), *good]))
@@ -244,17 +247,17 @@ def test_a_classical_frame_that_is_too_long_is_refused_as_record_too(
 
 @pytest.mark.parametrize("scale", [1.0, 0.1, 3.0])
 def test_the_kernels_stamps_become_the_runs_time(
-    udp: tuple[SocketCanBus, socket.socket], scale: float
+    udp_bus: tuple[SocketCanBus, socket.socket], scale: float
 ) -> None:
-    bus, far = udp
+    bus, far = udp_bus
     bus._stamp = lambda t_ns: int((t_ns - 1000) * scale)
     time.sleep(0.3)  # the kernel adds time stamps after a delay
     for _ in range(3):
         before = time.monotonic_ns()
         for number in range(11):
-            far.send(CLASSICAL.pack(number, 8, bytes(8)))
+            far.send(CLASSICAL_FRAME_STRUCT.pack(number, 8, bytes(8)))
         after = time.monotonic_ns()
-        stamps = [frame.t_ns for frame in drained(bus, 11)]
+        stamps = [frame.t_ns for frame in drain_frames(bus, 11)]
         slack = 5_000_000
         assert (before - slack) * scale <= stamps[0] <= stamps[-1] <= (after + slack) * scale
         assert stamps == sorted(stamps)

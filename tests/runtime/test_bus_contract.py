@@ -9,24 +9,26 @@ import pytest
 from handctl.errors import BusError, ConfigError
 from handctl.runtime.buses.open import open_bus
 from tests.runtime.bus_contract import *  # noqa: F403 - the tests
-from tests.runtime.bus_contract import Medium
-from tests.runtime.bus_hub import RUN_DIR, hub
+from tests.runtime.bus_contract import BusUnderTest
+from tests.runtime.bus_hub import RUN_DIR_VARIABLE, hub_process
 
 
 @pytest.fixture(scope="module")
 def hub_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     folder = tmp_path_factory.mktemp("run")
-    with hub("contract", folder):
+    with hub_process("contract", folder):
         yield folder
 
 
 @pytest.fixture(params=["local", "virtual"])
-def medium(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[Medium]:
+def medium(
+    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[BusUnderTest]:
     if request.param == "local":
-        monkeypatch.setenv(RUN_DIR, str(request.getfixturevalue("hub_folder")))
-        made = Medium("local:contract")
+        monkeypatch.setenv(RUN_DIR_VARIABLE, str(request.getfixturevalue("hub_folder")))
+        made = BusUnderTest("local:contract")
     else:
-        made = Medium(f"virtual:{uuid.uuid4()}")
+        made = BusUnderTest(f"virtual:{uuid.uuid4()}")
     yield made
     made.close()
 
@@ -45,7 +47,7 @@ def medium(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> I
 def test_a_bus_that_cannot_be_opened_is_one_line_with_the_command_to_type(
     spec: str, message: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setenv(RUN_DIR, str(tmp_path))
+    monkeypatch.setenv(RUN_DIR_VARIABLE, str(tmp_path))
     with pytest.raises((BusError, ConfigError), match=message) as caught:
         open_bus(spec, 0, 1_000_000)
     assert "\n" not in str(caught.value)

@@ -8,7 +8,7 @@ from handctl.drives.frame import ERROR_FLAG
 from handctl.runtime.buses.events import BusEvents
 
 
-def kinds(events: BusEvents) -> set[str]:
+def event_kinds(events: BusEvents) -> set[str]:
     return {kind for kind, _, _ in events.take()}
 
 
@@ -34,7 +34,7 @@ def test_error_frame_gives_the_events_of_its_class(
     """The numbers are CAN_ERR_* and CAN_ERR_CRTL_* of the header ``can/error.h`` of Linux."""
     events = BusEvents("can0")
     events.error_frame(ERROR_FLAG | can_id, bytes((0, status, 0, 0, 0, 0, 0, 0)))
-    assert kinds(events) == expected
+    assert event_kinds(events) == expected
 
 
 def test_an_error_frame_names_its_classes() -> None:
@@ -47,7 +47,7 @@ def test_an_error_frame_names_its_classes() -> None:
 def test_a_short_error_frame_is_an_error_frame(data: bytes) -> None:
     events = BusEvents("can0")
     events.error_frame(ERROR_FLAG | 0x04, data)
-    assert kinds(events) == {"error_frame"}
+    assert event_kinds(events) == {"error_frame"}
 
 
 def test_passive_lasts_until_the_controller_reports_another_state() -> None:
@@ -59,7 +59,7 @@ def test_passive_lasts_until_the_controller_reports_another_state() -> None:
     events.error_frame(
         ERROR_FLAG | 0x04, bytes((0, 0x01))
     )  # an overflow leaves the CAN controller's state
-    assert "error_passive" in kinds(events)
+    assert "error_passive" in event_kinds(events)
     events.error_frame(ERROR_FLAG | 0x04, bytes((0, 0x08)))
     events.take()
     assert events.take() == []
@@ -70,7 +70,7 @@ def test_bus_off_lasts_until_a_restart(end: str) -> None:
     events = BusEvents("can0")
     events.error_frame(ERROR_FLAG | 0x44, bytes((0, 0x20)))
     events.take()
-    assert kinds(events) == {"bus_off", "error_passive"}
+    assert event_kinds(events) == {"bus_off", "error_passive"}
     if end == "restarted":
         events.error_frame(ERROR_FLAG | 0x100, bytes(8))
     else:

@@ -12,16 +12,16 @@ from hypothesis import strategies as st
 from handctl.drives.frame import ERROR_FLAG, FDF, Frame
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.open import open_bus
-from tests.runtime.bus_hub import RUN_DIR, ScriptedHub, record
+from tests.runtime.bus_hub import RUN_DIR_VARIABLE, ScriptedHub, frame_record
 
-SIZE = 72
+RECORD_BYTES = 72
 
 
 @pytest.fixture
-def scripted(
+def scripted_bus(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[tuple[Bus, socket.socket]]:
-    monkeypatch.setenv(RUN_DIR, str(tmp_path))
+    monkeypatch.setenv(RUN_DIR_VARIABLE, str(tmp_path))
     served = ScriptedHub(tmp_path, "x")
     bus = open_bus("local:x", 2, 1_000_000)
     link = served.accept()
@@ -32,10 +32,10 @@ def scripted(
 
 
 @pytest.fixture(scope="module")
-def torn(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Bus, socket.socket]]:
+def torn_bus(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Bus, socket.socket]]:
     folder = tmp_path_factory.mktemp("torn")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(RUN_DIR, str(folder))
+        patch.setenv(RUN_DIR_VARIABLE, str(folder))
         served = ScriptedHub(folder, "x")
         bus = open_bus("local:x", 2, 1_000_000)
     link = served.accept()
@@ -45,28 +45,32 @@ def torn(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Bus, socket
     served.close()
 
 
-def test_a_record_is_laid_out_as_agreed(scripted: tuple[Bus, socket.socket]) -> None:
-    bus, link = scripted
+def test_a_record_is_laid_out_as_agreed(scripted_bus: tuple[Bus, socket.socket]) -> None:
+    bus, link = scripted_bus
     assert bus.send([Frame(0x123, b"\x01\x02"), Frame(0x80000456, bytes(range(12)), FDF)]) == 2
-    assert link.recv(1000) == record(0x123, b"\x01\x02") + record(0x80000456, bytes(range(12)), FDF)
-    link.send(record(0x7FF, b"reply"))
+    assert link.recv(1000) == frame_record(0x123, b"\x01\x02") + frame_record(
+        0x80000456, bytes(range(12)), FDF
+    )
+    link.send(frame_record(0x7FF, b"reply"))
     (frame,) = bus.drain()
     assert frame[:4] == (0x7FF, b"reply", 0, 2)
 
 
 @given(cuts=st.lists(st.integers(1, 200), min_size=1, max_size=40), count=st.integers(1, 20))
 def test_records_split_anywhere_are_reassembled(
-    torn: tuple[Bus, socket.socket], cuts: list[int], count: int
+    torn_bus: tuple[Bus, socket.socket], cuts: list[int], count: int
 ) -> None:
-    bus, link = torn
-    stream = b"".join(record(number, bytes([number] * (number % 9))) for number in range(count))
+    bus, link = torn_bus
+    stream = b"".join(
+        frame_record(number, bytes([number] * (number % 9))) for number in range(count)
+    )
     frames: list[Frame] = []
     at = 0
     for cut in cuts:
         link.send(stream[at : at + cut])
         frames += bus.drain()
         at += cut
-        assert len(frames) == min(at, len(stream)) // SIZE
+        assert len(frames) == min(at, len(stream)) // RECORD_BYTES
     link.send(stream[at:])
     frames += bus.drain()
     assert [(frame.can_id, frame.data) for frame in frames] == [
@@ -75,9 +79,9 @@ def test_records_split_anywhere_are_reassembled(
 
 
 def test_a_slow_hub_costs_frames_but_no_time_and_no_alignment(
-    scripted: tuple[Bus, socket.socket],
+    scripted_bus: tuple[Bus, socket.socket],
 ) -> None:
-    bus, link = scripted
+    bus, link = scripted_bus
     start = time.monotonic()
     accepted = []
     sent = 0
@@ -91,14 +95,14 @@ def test_a_slow_hub_costs_frames_but_no_time_and_no_alignment(
     assert bus.take_events() == [("enobufs", "local:x", 5)]
     assert time.monotonic() - start < 10.0
     stream = b""
-    while len(stream) < (len(accepted) - 1) * SIZE:
+    while len(stream) < (len(accepted) - 1) * RECORD_BYTES:
         stream += link.recv(1 << 20)
     assert bus.send([Frame(2, b"after")]) == 1
-    while len(stream) < (len(accepted) + 1) * SIZE:
+    while len(stream) < (len(accepted) + 1) * RECORD_BYTES:
         stream += link.recv(1 << 20)
-    records = [stream[at : at + SIZE] for at in range(0, len(stream), SIZE)]
+    records = [stream[at : at + RECORD_BYTES] for at in range(0, len(stream), RECORD_BYTES)]
     assert [item[8:12] for item in records[:-1]] == accepted
-    assert records[-1] == record(2, b"after")
+    assert records[-1] == frame_record(2, b"after")
 
 
 @pytest.mark.parametrize(
@@ -106,21 +110,21 @@ def test_a_slow_hub_costs_frames_but_no_time_and_no_alignment(
     [([0, 0, 0], 0), ([0, 3, 3], 3), ([65_530, 4], 65_540), ([7, 7, 65_535, 1], 65_537)],
 )
 def test_frames_dropped_by_the_hub_are_reported_once(
-    scripted: tuple[Bus, socket.socket], counters: list[int], expected: int
+    scripted_bus: tuple[Bus, socket.socket], counters: list[int], expected: int
 ) -> None:
-    bus, link = scripted
+    bus, link = scripted_bus
     numbers = []
     for counter in counters:
-        link.send(record(1, b"", dropped=counter))
+        link.send(frame_record(1, b"", dropped=counter))
         assert len(bus.drain()) == 1
         numbers += bus.take_events()
     assert all(event[:2] == ("dropped", "local:x") for event in numbers)
     assert sum(event[2] for event in numbers) == expected
 
 
-def test_a_lost_hub_is_reported_at_every_call(scripted: tuple[Bus, socket.socket]) -> None:
-    bus, link = scripted
-    link.send(record(5, b"last"))
+def test_a_lost_hub_is_reported_at_every_call(scripted_bus: tuple[Bus, socket.socket]) -> None:
+    bus, link = scripted_bus
+    link.send(frame_record(5, b"last"))
     link.close()
     assert [frame.can_id for frame in bus.drain()] == [5]
     assert bus.drain() == []
@@ -130,27 +134,27 @@ def test_a_lost_hub_is_reported_at_every_call(scripted: tuple[Bus, socket.socket
         assert bus.drain() == []
 
 
-def test_sending_to_a_lost_hub_does_not_raise(scripted: tuple[Bus, socket.socket]) -> None:
-    bus, link = scripted
+def test_sending_to_a_lost_hub_does_not_raise(scripted_bus: tuple[Bus, socket.socket]) -> None:
+    bus, link = scripted_bus
     link.close()
     assert bus.send([Frame(1, b"")]) == 0
     assert bus.take_events() == [("enodev", "local:x", 1)]
 
 
-def test_error_frames_become_events(scripted: tuple[Bus, socket.socket]) -> None:
-    bus, link = scripted
-    link.send(record(ERROR_FLAG | 0x40, bytes(8)) + record(7, b"data"))
+def test_error_frames_become_events(scripted_bus: tuple[Bus, socket.socket]) -> None:
+    bus, link = scripted_bus
+    link.send(frame_record(ERROR_FLAG | 0x40, bytes(8)) + frame_record(7, b"data"))
     assert [frame.can_id for frame in bus.drain()] == [7]
     kinds = [kind for kind, _, _ in bus.take_events()]
     assert kinds == ["error_frame", "bus_off"]
 
 
-@given(stream=st.binary(min_size=SIZE, max_size=5 * SIZE))
-def test_no_bytes_from_a_hub_can_raise(torn: tuple[Bus, socket.socket], stream: bytes) -> None:
-    bus, link = torn
-    whole = stream[: len(stream) - len(stream) % SIZE]
+@given(stream=st.binary(min_size=RECORD_BYTES, max_size=5 * RECORD_BYTES))
+def test_no_bytes_from_a_hub_can_raise(torn_bus: tuple[Bus, socket.socket], stream: bytes) -> None:
+    bus, link = torn_bus
+    whole = stream[: len(stream) - len(stream) % RECORD_BYTES]
     link.send(whole)
     frames = bus.drain()
     bus.take_events()
-    assert len(frames) <= len(whole) // SIZE
+    assert len(frames) <= len(whole) // RECORD_BYTES
     assert all(len(frame.data) <= 64 for frame in frames)

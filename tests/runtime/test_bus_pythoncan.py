@@ -17,10 +17,10 @@ from handctl.drives.frame import Frame
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.buses.pythoncan import PythonCanBus
-from tests.runtime.bus_hub import RUN_DIR, ScriptedHub, hub, record
+from tests.runtime.bus_hub import RUN_DIR_VARIABLE, ScriptedHub, frame_record, hub_process
 
 
-class Broken(can.BusABC):
+class BrokenCanBus(can.BusABC):
     """A python-can interface whose calls fail with a given error, always or a number of times."""
 
     def __init__(self, error: Exception, times: int = 1_000_000) -> None:
@@ -42,23 +42,23 @@ class Broken(can.BusABC):
 
 
 @pytest.fixture
-def bus() -> Iterator[PythonCanBus]:
+def virtual_bus() -> Iterator[PythonCanBus]:
     opened = PythonCanBus("virtual", "broken", 0, 1_000_000, None, int)
     yield opened
     opened.close()
 
 
-def test_frames_that_an_adapter_echoes_are_not_received(bus: PythonCanBus) -> None:
+def test_frames_that_an_adapter_echoes_are_not_received(virtual_bus: PythonCanBus) -> None:
     """A gs_usb adapter returns every sent frame as a received frame.
 
     If handctl received such a frame, it would look like that of a second controller.
     """
-    bus._bus.shutdown()
-    bus._bus = can.Bus("broken", interface="virtual", receive_own_messages=True)
+    virtual_bus._bus.shutdown()
+    virtual_bus._bus = can.Bus("broken", interface="virtual", receive_own_messages=True)
     with can.Bus("broken", interface="virtual") as other:
-        bus.send([Frame(1, b"mine")])
+        virtual_bus.send([Frame(1, b"mine")])
         other.send(can.Message(arbitration_id=0x11, data=b"yours", is_extended_id=False))
-        assert [(frame.can_id, frame.data) for frame in bus.drain()] == [(0x11, b"yours")]
+        assert [(frame.can_id, frame.data) for frame in virtual_bus.drain()] == [(0x11, b"yours")]
 
 
 @pytest.mark.parametrize(
@@ -77,60 +77,62 @@ def test_frames_that_an_adapter_echoes_are_not_received(bus: PythonCanBus) -> No
     ],
 )
 def test_errors_are_events_of_the_fault_table(
-    bus: PythonCanBus, error: Exception, sending: tuple[str, int], reading: str
+    virtual_bus: PythonCanBus, error: Exception, sending: tuple[str, int], reading: str
 ) -> None:
-    bus._bus.shutdown()
-    bus._bus = Broken(error)
-    assert bus.send([Frame(1, b""), Frame(2, b""), Frame(3, b"")]) == 0
+    virtual_bus._bus.shutdown()
+    virtual_bus._bus = BrokenCanBus(error)
+    assert virtual_bus.send([Frame(1, b""), Frame(2, b""), Frame(3, b"")]) == 0
     kind, number = sending
-    assert bus.take_events() == [(kind, "virtual:broken", number)]
+    assert virtual_bus.take_events() == [(kind, "virtual:broken", number)]
     for _ in range(2):
-        assert bus.drain() == []
-        assert bus.take_events() == [(reading, "virtual:broken", 1)]
+        assert virtual_bus.drain() == []
+        assert virtual_bus.take_events() == [(reading, "virtual:broken", 1)]
 
 
-def test_an_error_without_a_number_is_classified_by_its_cause(bus: PythonCanBus) -> None:
-    bus._bus.shutdown()
+def test_an_error_without_a_number_is_classified_by_its_cause(virtual_bus: PythonCanBus) -> None:
+    virtual_bus._bus.shutdown()
     error = can.CanOperationError("full")
     error.__cause__ = OSError(errno.ENOBUFS, "full")
-    bus._bus = Broken(error)
-    assert bus.send([Frame(1, b"")]) == 0
-    assert bus.take_events() == [("enobufs", "virtual:broken", 1)]
+    virtual_bus._bus = BrokenCanBus(error)
+    assert virtual_bus.send([Frame(1, b"")]) == 0
+    assert virtual_bus.take_events() == [("enobufs", "virtual:broken", 1)]
 
 
-def test_garbage_of_a_serial_adapter_is_counted_and_skipped(bus: PythonCanBus) -> None:
-    bus._bus.shutdown()
-    bus._bus = Broken(ValueError("invalid literal for int() with base 16: 'xx'"), times=3)
-    assert bus.drain() == []
-    assert bus.take_events() == [("error_frame", "virtual:broken garbled", 3)]
+def test_garbage_of_a_serial_adapter_is_counted_and_skipped(virtual_bus: PythonCanBus) -> None:
+    virtual_bus._bus.shutdown()
+    virtual_bus._bus = BrokenCanBus(
+        ValueError("invalid literal for int() with base 16: 'xx'"), times=3
+    )
+    assert virtual_bus.drain() == []
+    assert virtual_bus.take_events() == [("error_frame", "virtual:broken garbled", 3)]
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     made = tmp_path_factory.mktemp("tools")
-    with hub("tools", made):
+    with hub_process("tools", made):
         yield made
 
 
 @pytest.fixture
-def ours(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bus]:
-    monkeypatch.setenv(RUN_DIR, str(folder))
+def handctl_bus(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bus]:
+    monkeypatch.setenv(RUN_DIR_VARIABLE, str(folder))
     opened = open_bus("local:tools", 0, 1_000_000)
     yield opened
     opened.close()
 
 
-def test_filters_are_applied(ours: Bus) -> None:
+def test_filters_are_applied(handctl_bus: Bus) -> None:
     filters: list[can.typechecking.CanFilter] = [
         {"can_id": 0x10, "can_mask": 0x7F0, "extended": False}
     ]
     with can.Bus("tools", interface="local", can_filters=filters, ignore_config=True) as theirs:
-        ours.send([Frame(number, b"") for number in range(0x40)])
+        handctl_bus.send([Frame(number, b"") for number in range(0x40)])
         received = [message.arbitration_id for message in iter(lambda: theirs.recv(0.2), None)]
     assert received == list(range(0x10, 0x20))
 
 
-def test_a_receive_timeout_is_respected(ours: Bus) -> None:
+def test_a_receive_timeout_is_respected(handctl_bus: Bus) -> None:
     with can.Bus("tools", interface="local", ignore_config=True) as theirs:
         start = time.monotonic()
         assert theirs.recv(0) is None
@@ -138,7 +140,7 @@ def test_a_receive_timeout_is_respected(ours: Bus) -> None:
         assert 0.1 <= time.monotonic() - start < 5.0
 
 
-def test_own_messages_are_received_on_request(ours: Bus) -> None:
+def test_own_messages_are_received_on_request(handctl_bus: Bus) -> None:
     with can.Bus(
         "tools", interface="local", receive_own_messages=True, ignore_config=True
     ) as theirs:
@@ -149,11 +151,11 @@ def test_own_messages_are_received_on_request(ours: Bus) -> None:
     assert back.equals(sent, timestamp_delta=None, check_channel=False, check_direction=False)
 
 
-def test_fd_can_be_disabled(ours: Bus) -> None:
+def test_fd_can_be_disabled(handctl_bus: Bus) -> None:
     with can.Bus("tools", interface="local", fd=False, ignore_config=True) as theirs:
         with pytest.raises(can.CanOperationError, match="without fd"):
             theirs.send(can.Message(arbitration_id=1, is_fd=True, data=bytes(12)))
-        ours.send([Frame(0x6F1, bytes(12), 4), Frame(0x6F2, b"old")])
+        handctl_bus.send([Frame(0x6F1, bytes(12), 4), Frame(0x6F2, b"old")])
         received = theirs.recv(5.0)
         while (
             received is not None and received.arbitration_id < 0x6F1
@@ -163,26 +165,26 @@ def test_fd_can_be_disabled(ours: Bus) -> None:
     assert received.arbitration_id == 0x6F2
 
 
-def test_stamps_are_wall_clock_time(ours: Bus) -> None:
+def test_stamps_are_wall_clock_time(handctl_bus: Bus) -> None:
     with can.Bus("tools", interface="local", ignore_config=True) as theirs:
         before = time.time()
-        ours.send([Frame(1, b"")])
+        handctl_bus.send([Frame(1, b"")])
         received = theirs.recv(5.0)
     assert received is not None
     assert before - 0.02 <= received.timestamp <= time.time() + 0.02
 
 
-def test_a_notifier_receives_messages(ours: Bus) -> None:
+def test_a_notifier_receives_messages(handctl_bus: Bus) -> None:
     reader = can.BufferedReader()
     with can.Bus("tools", interface="local", ignore_config=True) as theirs:
         notifier = can.Notifier(theirs, [reader], timeout=0.05)
-        ours.send([Frame(number, b"") for number in range(20)])
+        handctl_bus.send([Frame(number, b"") for number in range(20)])
         received = [reader.get_message(5.0) for _ in range(20)]
         notifier.stop()
     assert [message.arbitration_id for message in received if message] == list(range(20))
 
 
-def test_a_notifier_in_an_event_loop_receives_a_complete_batch(ours: Bus) -> None:
+def test_a_notifier_in_an_event_loop_receives_a_complete_batch(handctl_bus: Bus) -> None:
     """python-can's notifier reads one message per event.
 
     The file descriptor must stay readable while messages wait.
@@ -192,7 +194,7 @@ def test_a_notifier_in_an_event_loop_receives_a_complete_batch(ours: Bus) -> Non
     async def listen(theirs: can.BusABC) -> None:
         notifier = can.Notifier(theirs, [lambda message: received.append(message.arbitration_id)],
                                 loop=asyncio.get_running_loop())  # fmt: skip
-        ours.send([Frame(number, b"") for number in range(20)])
+        handctl_bus.send([Frame(number, b"") for number in range(20)])
         end = time.monotonic() + 20.0
         while len(received) < 20 and time.monotonic() < end:
             await asyncio.sleep(0.005)
@@ -203,7 +205,9 @@ def test_a_notifier_in_an_event_loop_receives_a_complete_batch(ours: Bus) -> Non
     assert received == list(range(20))
 
 
-def test_python_cans_logger_writes_what_was_sent(ours: Bus, folder: Path, tmp_path: Path) -> None:
+def test_python_cans_logger_writes_what_was_sent(
+    handctl_bus: Bus, folder: Path, tmp_path: Path
+) -> None:
     file = tmp_path / "seen.log"
     words = [sys.executable, "-m", "can.logger", "-i", "local", "-c", "tools", "-f", str(file)]
     logger = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
@@ -213,7 +217,7 @@ def test_python_cans_logger_writes_what_was_sent(ours: Bus, folder: Path, tmp_pa
             assert time.monotonic() < end
             time.sleep(0.02)
         for _ in range(20):
-            ours.send([Frame(0x123, b"\xc0\xff\xee")])
+            handctl_bus.send([Frame(0x123, b"\xc0\xff\xee")])
             time.sleep(0.05)
         logger.send_signal(signal.SIGINT)
         logger.wait(20)
@@ -224,16 +228,16 @@ def test_python_cans_logger_writes_what_was_sent(ours: Bus, folder: Path, tmp_pa
 
 
 def test_a_bus_without_a_hub_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(RUN_DIR, str(tmp_path))
+    monkeypatch.setenv(RUN_DIR_VARIABLE, str(tmp_path))
     with pytest.raises(can.CanInitializationError, match="firmware_sim"):
         can.Bus("nobody", interface="local", ignore_config=True)
 
 
 @pytest.fixture
-def scripted(
+def scripted_bus(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[tuple[can.BusABC, socket.socket]]:
-    monkeypatch.setenv(RUN_DIR, str(tmp_path))
+    monkeypatch.setenv(RUN_DIR_VARIABLE, str(tmp_path))
     served = ScriptedHub(tmp_path, "x")
     with can.Bus("x", interface="local", ignore_config=True) as theirs:
         link = served.accept()
@@ -242,18 +246,18 @@ def scripted(
     served.close()
 
 
-def fill(bus: can.BusABC, message: can.Message) -> None:
+def fill_send_buffer(virtual_bus: can.BusABC, message: can.Message) -> None:
     for _ in range(1_000_000):
-        bus.send(message, timeout=0)
+        virtual_bus.send(message, timeout=0)
 
 
 def test_sending_waits_for_room_until_the_timeout(
-    scripted: tuple[can.BusABC, socket.socket],
+    scripted_bus: tuple[can.BusABC, socket.socket],
 ) -> None:
-    theirs, link = scripted
+    theirs, link = scripted_bus
     message = can.Message(arbitration_id=1, data=bytes(8), is_extended_id=False)
     with pytest.raises(can.CanOperationError, match="no more frames"):
-        fill(theirs, message)
+        fill_send_buffer(theirs, message)
     start = time.monotonic()
     with pytest.raises(can.CanOperationError, match="no more frames"):
         theirs.send(message, timeout=0.1)
@@ -262,9 +266,11 @@ def test_sending_waits_for_room_until_the_timeout(
     theirs.send(message, timeout=5.0)
 
 
-def test_a_lost_hub_ends_reading_and_sending(scripted: tuple[can.BusABC, socket.socket]) -> None:
-    theirs, link = scripted
-    link.send(record(9, b"last"))
+def test_a_lost_hub_ends_reading_and_sending(
+    scripted_bus: tuple[can.BusABC, socket.socket],
+) -> None:
+    theirs, link = scripted_bus
+    link.send(frame_record(9, b"last"))
     link.close()
     last = theirs.recv(5.0)
     assert last is not None

@@ -9,15 +9,15 @@ import pytest
 
 from handctl.drives.frame import BRS, ERROR_FLAG, EXTENDED_FLAG, FDF, Frame
 from handctl.runtime.buses.socketcan import SocketCanBus
-from tests.runtime.datagrams import datagram_bus
+from tests.runtime.datagram_bus import datagram_bus
 
-CLASSICAL = struct.Struct("=IB3x8s")
-FD = struct.Struct("=IBB2x64s")
+CLASSICAL_FRAME_STRUCT = struct.Struct("=IB3x8s")
+FD_FRAME_STRUCT = struct.Struct("=IBB2x64s")
 """Layout of an FD frame in the kernel. Source: Linux ``can.h``."""
 
 
 @pytest.fixture
-def udp() -> Iterator[tuple[SocketCanBus, socket.socket]]:
+def udp_bus() -> Iterator[tuple[SocketCanBus, socket.socket]]:
     """Yield a bus and the socket of its other end, connected over UDP.
 
     Like CAN sockets, UDP sockets have time stamps and count dropped datagrams.
@@ -26,7 +26,7 @@ def udp() -> Iterator[tuple[SocketCanBus, socket.socket]]:
         yield pair
 
 
-def waited(bus: SocketCanBus, count: int) -> list[Frame]:
+def wait_for_frames(bus: SocketCanBus, count: int) -> list[Frame]:
     frames = list(bus.drain())
     end = time.monotonic() + 20.0
     while len(frames) < count and time.monotonic() < end:
@@ -35,55 +35,55 @@ def waited(bus: SocketCanBus, count: int) -> list[Frame]:
     return frames
 
 
-def test_sent_frames_have_the_kernels_layout(udp: tuple[SocketCanBus, socket.socket]) -> None:
-    bus, far = udp
+def test_sent_frames_have_the_kernels_layout(udp_bus: tuple[SocketCanBus, socket.socket]) -> None:
+    bus, far = udp_bus
     frames = [
         Frame(0x7FF, b"\x01"),
         Frame(5 | EXTENDED_FLAG, bytes(range(64)), FDF | BRS),
         Frame(2, bytes(8)),
     ]
     assert bus.send(frames) == 3
-    assert far.recv(100) == CLASSICAL.pack(0x7FF, 1, b"\x01")
-    assert far.recv(100) == FD.pack(5 | EXTENDED_FLAG, 64, FDF | BRS, bytes(range(64)))
-    assert far.recv(100) == CLASSICAL.pack(2, 8, bytes(8))
+    assert far.recv(100) == CLASSICAL_FRAME_STRUCT.pack(0x7FF, 1, b"\x01")
+    assert far.recv(100) == FD_FRAME_STRUCT.pack(5 | EXTENDED_FLAG, 64, FDF | BRS, bytes(range(64)))
+    assert far.recv(100) == CLASSICAL_FRAME_STRUCT.pack(2, 8, bytes(8))
 
 
 @pytest.mark.parametrize("fd_mode", [False, True])
 def test_a_short_frame_after_a_long_one_has_none_of_its_bytes(
-    udp: tuple[SocketCanBus, socket.socket], fd_mode: bool
+    udp_bus: tuple[SocketCanBus, socket.socket], fd_mode: bool
 ) -> None:
-    bus, far = udp
+    bus, far = udp_bus
     bus._fd_mode = fd_mode
     for number in range(3):
-        far.send(CLASSICAL.pack(1, 8, b"\xff" * 8))
-        assert waited(bus, 1)[0].data == b"\xff" * 8
-        far.send(CLASSICAL.pack(2, number, b""))
-        (frame,) = waited(bus, 1)
+        far.send(CLASSICAL_FRAME_STRUCT.pack(1, 8, b"\xff" * 8))
+        assert wait_for_frames(bus, 1)[0].data == b"\xff" * 8
+        far.send(CLASSICAL_FRAME_STRUCT.pack(2, number, b""))
+        (frame,) = wait_for_frames(bus, 1)
         assert frame[:4] == (2, bytes(number), 0, 1)
 
 
 def test_the_size_of_a_datagram_distinguishes_fd_from_classical(
-    udp: tuple[SocketCanBus, socket.socket],
+    udp_bus: tuple[SocketCanBus, socket.socket],
 ) -> None:
-    bus, far = udp
-    far.send(FD.pack(1, 8, 0, bytes(8)))  # as kernels before 6.1, without CANFD_FDF
-    far.send(CLASSICAL.pack(1, 8, bytes(8)))
-    assert [frame.flags for frame in waited(bus, 2)] == [FDF, 0]
+    bus, far = udp_bus
+    far.send(FD_FRAME_STRUCT.pack(1, 8, 0, bytes(8)))  # as kernels before 6.1, without CANFD_FDF
+    far.send(CLASSICAL_FRAME_STRUCT.pack(1, 8, bytes(8)))
+    assert [frame.flags for frame in wait_for_frames(bus, 2)] == [FDF, 0]
 
 
 def test_batches_beyond_the_buffers_keep_their_order(
-    udp: tuple[SocketCanBus, socket.socket],
+    udp_bus: tuple[SocketCanBus, socket.socket],
 ) -> None:
-    bus, far = udp
+    bus, far = udp_bus
     count = 300
     assert (
         bus.send([Frame(number, number.to_bytes(2, "little")) for number in range(count)]) == count
     )
-    sent = [CLASSICAL.unpack(far.recv(100)) for _ in range(count)]
+    sent = [CLASSICAL_FRAME_STRUCT.unpack(far.recv(100)) for _ in range(count)]
     assert [can_id for can_id, _, _ in sent] == list(range(count))
     for number in range(count):
-        far.send(CLASSICAL.pack(number, 2, number.to_bytes(2, "little")))
-    received = waited(bus, count)
+        far.send(CLASSICAL_FRAME_STRUCT.pack(number, 2, number.to_bytes(2, "little")))
+    received = wait_for_frames(bus, count)
     assert [frame.can_id for frame in received] == list(range(count))
     assert [int.from_bytes(frame.data, "little") for frame in received] == list(range(count))
 
@@ -93,60 +93,60 @@ KERNEL_STAMPS_S = 0.3
 
 
 def test_stamps_are_times_of_arrival_not_of_reading(
-    udp: tuple[SocketCanBus, socket.socket],
+    udp_bus: tuple[SocketCanBus, socket.socket],
 ) -> None:
-    bus, far = udp
+    bus, far = udp_bus
     time.sleep(KERNEL_STAMPS_S)
     start = time.monotonic_ns()
-    far.send(CLASSICAL.pack(1, 0, b""))
+    far.send(CLASSICAL_FRAME_STRUCT.pack(1, 0, b""))
     sent = time.monotonic_ns()
     time.sleep(0.1)
-    far.send(CLASSICAL.pack(2, 0, b""))
-    first, second = waited(bus, 2)
+    far.send(CLASSICAL_FRAME_STRUCT.pack(2, 0, b""))
+    first, second = wait_for_frames(bus, 2)
     slack = 20_000_000
     assert start - slack <= first.t_ns <= sent + slack
     assert second.t_ns - first.t_ns >= 80_000_000
 
 
 def test_stamps_never_run_backwards_or_ahead(
-    udp: tuple[SocketCanBus, socket.socket], monkeypatch: pytest.MonkeyPatch
+    udp_bus: tuple[SocketCanBus, socket.socket], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """This holds even if the wall clock is set while frames wait in the socket."""
-    bus, far = udp
+    bus, far = udp_bus
     real = time.time_ns
     stamps = []
     for step in (0, 5 * 10**9, -5 * 10**9, 3600 * 10**9, 0):
         monkeypatch.setattr(time, "time_ns", lambda step=step: real() + step)
         bus._offset.renew()
-        far.send(CLASSICAL.pack(1, 0, b""))
+        far.send(CLASSICAL_FRAME_STRUCT.pack(1, 0, b""))
         before = time.monotonic_ns()
-        stamps.append(waited(bus, 1)[0].t_ns)
+        stamps.append(wait_for_frames(bus, 1)[0].t_ns)
         assert before - 10**9 <= stamps[-1] <= time.monotonic_ns()
     assert stamps == sorted(stamps)
 
 
 @pytest.mark.parametrize("step_ns", [5 * 10**9, -5 * 10**9, 50_000_000])
 def test_stamps_are_right_although_the_wall_clock_was_set(
-    udp: tuple[SocketCanBus, socket.socket], step_ns: int
+    udp_bus: tuple[SocketCanBus, socket.socket], step_ns: int
 ) -> None:
     """The offset of the clocks is measured before the wall clock is set. The kernel stamps the frame after that."""
-    bus, far = udp
+    bus, far = udp_bus
     time.sleep(KERNEL_STAMPS_S)
-    far.send(CLASSICAL.pack(1, 0, b""))
-    waited(bus, 1)
+    far.send(CLASSICAL_FRAME_STRUCT.pack(1, 0, b""))
+    wait_for_frames(bus, 1)
     bus._offset._offset_ns += step_ns
     before = time.monotonic_ns()
-    far.send(CLASSICAL.pack(2, 0, b""))
+    far.send(CLASSICAL_FRAME_STRUCT.pack(2, 0, b""))
     after = time.monotonic_ns()
     time.sleep(0.05)
     slack = 10_000_000
-    assert before - slack <= waited(bus, 1)[0].t_ns <= after + slack
+    assert before - slack <= wait_for_frames(bus, 1)[0].t_ns <= after + slack
 
 
 def test_frames_that_overflow_the_socket_are_counted(
-    udp: tuple[SocketCanBus, socket.socket],
+    udp_bus: tuple[SocketCanBus, socket.socket],
 ) -> None:
-    bus, far = udp
+    bus, far = udp_bus
     with socket.socket(fileno=bus.fileno()) as link:
         link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         link.detach()
@@ -155,10 +155,10 @@ def test_frames_that_overflow_the_socket_are_counted(
     dropped = []
     for _ in range(3):
         for number in range(2000):
-            far.send(CLASSICAL.pack(number & 0x7FF, 0, b""))
+            far.send(CLASSICAL_FRAME_STRUCT.pack(number & 0x7FF, 0, b""))
         received += len(bus.drain())
-        far.send(CLASSICAL.pack(0, 0, b""))  # carries the kernel's count of drops
-        received += len(waited(bus, 1))
+        far.send(CLASSICAL_FRAME_STRUCT.pack(0, 0, b""))  # carries the kernel's count of drops
+        received += len(wait_for_frames(bus, 1))
         sent += 2001
         dropped += [number for kind, _, number in bus.take_events() if kind == "dropped"]
         assert 0 < received < sent
@@ -175,13 +175,13 @@ def test_a_full_queue_refuses_without_waiting() -> None:
         accepted = bus.send([Frame(number, b"") for number in range(1000)])
         assert 0 < accepted < 1000
         assert bus.take_events() == [("enobufs", "socketcan:test", 1000 - accepted)]
-        arrived = [CLASSICAL.unpack(far.recv(100))[0] for _ in range(accepted)]
+        arrived = [CLASSICAL_FRAME_STRUCT.unpack(far.recv(100))[0] for _ in range(accepted)]
         assert arrived == list(range(accepted))
     bus.close()
 
 
-def test_a_broken_socket_is_an_event(udp: tuple[SocketCanBus, socket.socket]) -> None:
-    bus, far = udp
+def test_a_broken_socket_is_an_event(udp_bus: tuple[SocketCanBus, socket.socket]) -> None:
+    bus, far = udp_bus
     far.close()
     bus.send([Frame(1, b"")])  # makes the next call fail
     assert bus.drain() == []
@@ -192,9 +192,9 @@ def test_a_broken_socket_is_an_event(udp: tuple[SocketCanBus, socket.socket]) ->
     assert {kind for kind, _, _ in bus.take_events()} <= {"enodev", "enobufs"}
 
 
-def test_error_frames_become_events(udp: tuple[SocketCanBus, socket.socket]) -> None:
-    bus, far = udp
-    far.send(CLASSICAL.pack(ERROR_FLAG | 0x04, 8, bytes((0, 0x20, 0, 0, 0, 0, 0, 0))))
-    far.send(CLASSICAL.pack(3, 0, b""))
-    assert [frame.can_id for frame in waited(bus, 1)] == [3]
+def test_error_frames_become_events(udp_bus: tuple[SocketCanBus, socket.socket]) -> None:
+    bus, far = udp_bus
+    far.send(CLASSICAL_FRAME_STRUCT.pack(ERROR_FLAG | 0x04, 8, bytes((0, 0x20, 0, 0, 0, 0, 0, 0))))
+    far.send(CLASSICAL_FRAME_STRUCT.pack(3, 0, b""))
+    assert [frame.can_id for frame in wait_for_frames(bus, 1)] == [3]
     assert ("error_passive", "socketcan:test", 1) in bus.take_events()

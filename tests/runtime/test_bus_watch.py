@@ -32,7 +32,7 @@ class SimulatedBuses:
         self.motors = list(self.rig.world.plant.motors.values())
         self.t_ns = 0
         self.outgoing, self.incoming = [], []
-        self.top = 0.0
+        self.max_torque_N_m = 0.0
 
     def wait(self, k):
         """Advance time to tick k, and let the drives reply to the frames of the last tick. Return 0 missed ticks."""
@@ -41,40 +41,42 @@ class SimulatedBuses:
             Frame(*frame) for frame in self.rig.step(max(0, k - 1) * PERIOD_NS, self.outgoing)
         ]
         self.outgoing = []
-        self.top = max(self.top, *(abs(motor.servo.torque) for motor in self.motors))
+        self.max_torque_N_m = max(
+            self.max_torque_N_m, *(abs(motor.servo.torque) for motor in self.motors)
+        )
         return 0
 
     def now_ns(self):
         return self.t_ns
 
     def buses(self):
-        return [Port(self, index) for index in range(len(self.hand.bus))]
+        return [SimulatedBus(self, index) for index in range(len(self.hand.bus))]
 
 
-class Port:
+class SimulatedBus:
     """One bus of the simulated hand."""
 
-    def __init__(self, place, index):
-        self.place, self.index = place, index
+    def __init__(self, buses, index):
+        self.buses, self.index = buses, index
 
     def drain(self):
-        return [frame for frame in self.place.incoming if frame.bus == self.index]
+        return [frame for frame in self.buses.incoming if frame.bus == self.index]
 
     def send(self, frames):
-        self.place.outgoing += frames
+        self.buses.outgoing += frames
 
     def take_events(self):
         return []
 
 
-def watched(path):
+def watched_hand(path):
     place = SimulatedBuses(path)
     return place, BusWatch(make_drives(place.hand), make_sensors(place.hand), place.buses(), place)
 
 
 @pytest.mark.parametrize("protocol", PROTOCOL_TRAITS)
 def test_every_protocol_is_read_without_torque(protocol, tmp_path):
-    place, watch = watched(hand_file(tmp_path, [protocol]))
+    place, watch = watched_hand(hand_file(tmp_path, [protocol]))
     for _ in range(120):
         watch.tick()
     place.motors[0].theta = TURNED_RAD
@@ -92,16 +94,16 @@ def test_every_protocol_is_read_without_torque(protocol, tmp_path):
     tensions = [reading.at(place.t_ns) for reading in watch.tensions.values()]
     assert len(tensions) == len(place.motors)
     assert all(abs(tension) < 8.0 for tension in tensions)
-    assert place.top == 0.0, "no motor ever made torque"
+    assert place.max_torque_N_m == 0.0, "no motor ever made torque"
     watch.release()
 
 
 def test_two_buses_and_joint_encoders_are_read(tmp_path):
-    _, watch = watched(move_to_second_bus(hand_file(tmp_path, ["mit"])))
+    _, watch = watched_hand(move_to_second_bus(hand_file(tmp_path, ["mit"])))
     for _ in range(120):
         watch.tick()
     assert watch.silent() == []
-    _, watch = watched("jamia11")
+    _, watch = watched_hand("jamia11")
     for _ in range(120):
         watch.tick()
     assert watch.angles
@@ -112,7 +114,7 @@ def test_two_buses_and_joint_encoders_are_read(tmp_path):
 def test_amplifiers_are_set_up_and_read(value, tmp_path):
     path = tmp_path / "hand.toml"
     path.write_text(hand_with_amplifiers(process_value=value).to_toml())
-    place, watch = watched(path)
+    place, watch = watched_hand(path)
     for _ in range(120):
         watch.tick()
     tensions = [reading.at(place.t_ns) for reading in watch.tensions.values()]
@@ -128,7 +130,7 @@ def test_amplifiers_are_set_up_and_read(value, tmp_path):
 
 
 def test_a_drive_that_falls_silent_is_named_and_its_readings_end():
-    place, watch = watched("jamia")
+    place, watch = watched_hand("jamia")
     for _ in range(120):
         watch.tick()
     lost = watch.drives[1].node_ids
@@ -143,7 +145,7 @@ def test_a_drive_that_falls_silent_is_named_and_its_readings_end():
 
 
 def test_another_host_is_noticed():
-    _, watch = watched("jamia")
+    _, watch = watched_hand("jamia")
     assert watch.other_host(0.0, lambda bus, for_s, seen: None) == ""
     foreign = Frame(min(watch.drives[0].host_ids), bytes(8))
     assert (

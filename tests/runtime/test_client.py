@@ -14,10 +14,16 @@ import handctl as library
 from handctl import BusError, ConfigError, DriveError, PowerError
 from handctl.client import HandClient
 from handctl.runtime.mailbox import StatusWatcher, is_running
-from tests.runtime.processes import BUS, handctl, modes_of_complete, start_handctl, wait_for
+from tests.runtime.processes import (
+    LOCAL_BUS,
+    modes_of_complete_log,
+    run_handctl,
+    start_handctl,
+    wait_for_phase,
+)
 
 REALTIME = pytest.mark.realtime
-PROGRAM = """
+CLIENT_PROGRAM = """
 import handctl, time
 with handctl.connect("jamia", "local:t", *{words}):
     print("live", flush=True)
@@ -26,7 +32,7 @@ with handctl.connect("jamia", "local:t", *{words}):
 
 
 @pytest.fixture
-def alone(place):
+def unserved_client(work_folder):
     """Return a Python client of a bus that no controller serves."""
     client = HandClient("local:nobody")
     yield client
@@ -34,11 +40,11 @@ def alone(place):
 
 
 @pytest.mark.parametrize("number", [3, np.float32(3), np.float64(3), np.int64(3), Fraction(3)])
-def test_every_numeric_type_is_accepted(alone, number, monkeypatch):
+def test_every_numeric_type_is_accepted(unserved_client, number, monkeypatch):
     requests = []
-    monkeypatch.setattr(alone, "_set_goal", requests.append)
-    alone.move(index=number, duration_s=number, wait=False)
-    alone.hold(index=number, rate_N_per_s=number)
+    monkeypatch.setattr(unserved_client, "_set_goal", requests.append)
+    unserved_client.move(index=number, duration_s=number, wait=False)
+    unserved_client.hold(index=number, rate_N_per_s=number)
     assert requests[0] == {"do": "move", "angle_deg": {"index": 3.0}, "duration_s": 3.0}
     assert requests[1] == {"do": "hold", "tension_N": {"index": 3.0}, "rate_N_per_s": 3.0}
 
@@ -46,10 +52,10 @@ def test_every_numeric_type_is_accepted(alone, number, monkeypatch):
 @pytest.mark.parametrize(
     "number", [float("nan"), 10**400, "3", True, np.True_, None, np.array([3.0, 4.0]), 1e9]
 )
-def test_an_invalid_angle_is_refused_before_it_is_sent(alone, number):
+def test_an_invalid_angle_is_refused_before_it_is_sent(unserved_client, number):
     """The client refuses it, because a controller that refuses three requests within a second relaxes the hand."""
     with pytest.raises(ConfigError, match=r"move: angle_deg.index: .*; expected"):
-        alone.move(index=number)
+        unserved_client.move(index=number)
 
 
 def status_with_events(*texts):
@@ -63,11 +69,15 @@ def status_with_events(*texts):
 @pytest.mark.parametrize(
     "theirs", ["refused: no digit 'x'", "request: Invalid JSON", "move index 3"]
 )
-def test_replies_to_other_programs_are_ignored(alone, monkeypatch, theirs):
+def test_replies_to_other_programs_are_ignored(unserved_client, monkeypatch, theirs):
     """Regression: of two programs that used one hand, one reported refusals of requests of the other."""
     sent = []
-    monkeypatch.setattr(alone._watcher, "send", lambda data, timeout: sent.append(json.loads(data)))
-    monkeypatch.setattr(alone, "_wait_until_following", lambda timeout: status_with_events())
+    monkeypatch.setattr(
+        unserved_client._watcher, "send", lambda data, timeout: sent.append(json.loads(data))
+    )
+    monkeypatch.setattr(
+        unserved_client, "_wait_until_following", lambda timeout: status_with_events()
+    )
 
     def heard(timeout):
         yield status_with_events("asked: move by somebody", theirs)
@@ -75,38 +85,38 @@ def test_replies_to_other_programs_are_ignored(alone, monkeypatch, theirs):
             theirs, f"asked: move by {sent[-1]['by']}", reply, "asked: move by somebody", theirs
         )
 
-    monkeypatch.setattr(alone._watcher, "lines", heard)
+    monkeypatch.setattr(unserved_client._watcher, "lines", heard)
     reply = "move index 3"
-    alone.move(index=3, wait=False)
+    unserved_client.move(index=3, wait=False)
     reply = "refused: the hand is not ready yet"
     with pytest.raises(ConfigError, match="the hand is not ready yet"):
-        alone.move(index=3, wait=False)
+        unserved_client.move(index=3, wait=False)
     assert len({one["by"] for one in sent}) == 2
-    alone._commands = False
+    unserved_client._commands = False
 
 
-def test_a_goal_without_a_digit_is_refused(alone):
+def test_a_goal_without_a_digit_is_refused(unserved_client):
     with pytest.raises(ConfigError, match="move: no digit; expected"):
-        alone.move()
+        unserved_client.move()
 
 
-def test_a_hold_without_a_tension_brings_the_hand_to_rest(alone, monkeypatch):
+def test_a_hold_without_a_tension_brings_the_hand_to_rest(unserved_client, monkeypatch):
     requests = []
-    monkeypatch.setattr(alone, "_set_goal", requests.append)
-    alone.hold()
-    alone.hold({})
+    monkeypatch.setattr(unserved_client, "_set_goal", requests.append)
+    unserved_client.hold()
+    unserved_client.hold({})
     assert requests == [{"do": "stay"}] * 2
 
 
-def test_digits_may_come_as_a_mapping(alone, monkeypatch):
+def test_digits_may_come_as_a_mapping(unserved_client, monkeypatch):
     """Regression: a mapping as first argument was taken as the duration. The error was then "no digit"."""
     requests = []
-    monkeypatch.setattr(alone, "_set_goal", requests.append)
-    alone.move({"index": 10}, thumb=5, wait=False)
-    alone.hold({"index": 10})
+    monkeypatch.setattr(unserved_client, "_set_goal", requests.append)
+    unserved_client.move({"index": 10}, thumb=5, wait=False)
+    unserved_client.hold({"index": 10})
     goals = [one.get("angle_deg", one.get("tension_N")) for one in requests]
     assert goals == [{"index": 10.0, "thumb": 5.0}, {"index": 10.0}]
-    for do in (alone.move, alone.hold):
+    for do in (unserved_client.move, unserved_client.hold):
         with pytest.raises(
             ConfigError, match=r"(move|hold): 2.0; expected digits by name, as in index=30"
         ):
@@ -116,20 +126,24 @@ def test_digits_may_come_as_a_mapping(alone, monkeypatch):
         ):
             do({"index": 1}, index=2)
     with pytest.raises(ConfigError, match="no digit; expected one at least"):
-        alone.move({})
+        unserved_client.move({})
 
 
-def test_a_silent_controller_is_one_line(alone):
+def test_a_silent_controller_is_one_line(unserved_client):
     with pytest.raises(BusError, match="the controller is silent"):
-        alone.state(-1.0)
-    alone.close()
-    for ask in (alone.state, lambda: alone.move(index=3), lambda: alone.wait("live", 1.0)):
+        unserved_client.state(-1.0)
+    unserved_client.close()
+    for ask in (
+        unserved_client.state,
+        lambda: unserved_client.move(index=3),
+        lambda: unserved_client.wait("live", 1.0),
+    ):
         with pytest.raises(BusError, match="this client is closed"):
             ask()
 
 
 @pytest.mark.parametrize("bus", ["bogus", [], ""])
-def test_an_invalid_bus_starts_no_controller(place, bus):
+def test_an_invalid_bus_starts_no_controller(work_folder, bus):
     with pytest.raises(ConfigError, match="bus"):
         library.connect("jamia", bus)
 
@@ -137,7 +151,7 @@ def test_an_invalid_bus_starts_no_controller(place, bus):
 def test_a_path_too_long_for_a_socket_is_one_line(tmp_path, monkeypatch):
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path / ("x" * 120)))
     with pytest.raises(BusError, match="HANDCTL_RUN_DIR"):
-        library.connect("jamia", BUS)
+        library.connect("jamia", LOCAL_BUS)
 
 
 def test_dir_lists_the_public_names():
@@ -146,15 +160,15 @@ def test_dir_lists_the_public_names():
         library.conect  # noqa: B018
 
 
-def wait_until(true, timeout_s=60.0):
+def wait_until(condition, timeout_s=60.0):
     end = time.monotonic() + timeout_s
-    while not true() and time.monotonic() < end:
+    while not condition() and time.monotonic() < end:
         time.sleep(0.02)
-    assert true()
+    assert condition()
 
 
 @REALTIME
-def test_connect_reports_why_the_controller_ends(place, capfd):
+def test_connect_reports_why_the_controller_ends(work_folder, capfd):
     with pytest.raises(
         DriveError, match="the controller ended: local:nobody: no simulator serves this bus"
     ):
@@ -163,9 +177,9 @@ def test_connect_reports_why_the_controller_ends(place, capfd):
 
 
 @REALTIME
-def test_a_program_moves_holds_and_reads_the_state(place, hand, calibrated, scale):
+def test_a_program_moves_holds_and_reads_the_state(work_folder, hand, calibrated, scale):
     with library.connect(
-        "jamia", f"main={BUS}", "--calibration", "c.toml", "--log", "live.mcap", *scale
+        "jamia", f"main={LOCAL_BUS}", "--calibration", "c.toml", "--log", "live.mcap", *scale
     ) as client:
         client.move(duration_s=0.4, wait=False, index=30.0)
         client.wait("live", 5.0)
@@ -186,7 +200,7 @@ def test_a_program_moves_holds_and_reads_the_state(place, hand, calibrated, scal
         assert client.state()["t_s"] >= before_s + 0.5, (
             "the duration is in the slower time of the hand"
         )
-        with library.connect("jamia", BUS) as other:
+        with library.connect("jamia", LOCAL_BUS) as other:
             assert other.state()["phase"] == "live"
         assert client.state()["mode"] == "ACTIVE", "a client without requests does not end the run"
         client.hold(thumb=12.0)
@@ -198,14 +212,21 @@ def test_a_program_moves_holds_and_reads_the_state(place, hand, calibrated, scal
         assert state["mode"] == "ACTIVE"
     assert client.child.returncode == 0
     assert client.result["log"] == "live.mcap"
-    modes_of_complete(place / "live.mcap")
+    modes_of_complete_log(work_folder / "live.mcap")
 
 
 @REALTIME
-def test_a_fault_is_reported_by_name(place, hand, calibrated, scale):
-    client = library.connect("jamia", BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale)
+def test_a_fault_is_reported_by_name(work_folder, hand, calibrated, scale):
+    client = library.connect(
+        "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale
+    )
     with client:
-        assert handctl("fault", "inject", "--bus", BUS, "snap tendon=index_tendon").returncode == 0
+        assert (
+            run_handctl(
+                "fault", "inject", "--bus", LOCAL_BUS, "snap tendon=index_tendon"
+            ).returncode
+            == 0
+        )
         with pytest.raises(DriveError, match="the controller ended: fault "):
             client.move(index=60.0, duration_s=5.0)
         with pytest.raises(DriveError, match="the controller ended: fault "):
@@ -214,11 +235,15 @@ def test_a_fault_is_reported_by_name(place, hand, calibrated, scale):
 
 
 @REALTIME
-def test_a_fault_between_two_calls_is_reported_at_the_end(place, hand, calibrated, scale):
-    client = library.connect("jamia", BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale)
+def test_a_fault_between_two_calls_is_reported_at_the_end(work_folder, hand, calibrated, scale):
+    client = library.connect(
+        "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale
+    )
     client.wait("live", 60.0)
-    assert handctl("fault", "inject", "--bus", BUS, "off node=index_motor").returncode == 0
-    wait_until(lambda: not is_running(BUS))
+    assert (
+        run_handctl("fault", "inject", "--bus", LOCAL_BUS, "off node=index_motor").returncode == 0
+    )
+    wait_until(lambda: not is_running(LOCAL_BUS))
     with pytest.raises(
         PowerError, match=r"fault .*; REMOVE POWER: not confirmed disabled: index_motor"
     ):
@@ -226,28 +251,30 @@ def test_a_fault_between_two_calls_is_reported_at_the_end(place, hand, calibrate
 
 
 @REALTIME
-def test_a_task_of_another_program_goes_on(place, hand, calibrated, processes, monkeypatch, scale):
+def test_a_task_of_another_program_goes_on(
+    work_folder, hand, calibrated, processes, monkeypatch, scale
+):
     monkeypatch.setattr("handctl.client.hand.ATTACH_TIMEOUT_S", 1.0)
     process = start_handctl(
         "run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *scale
     )
     processes.append(process)
-    watcher = StatusWatcher(BUS)
-    wait_for("stay", watcher, process)
+    watcher = StatusWatcher(LOCAL_BUS)
+    wait_for_phase("stay", watcher, process)
     watcher.close()
     with (
         pytest.raises(DriveError, match=r"not in phase 'live' after 1 s: phase 'stay'"),
-        library.connect("jamia", BUS),
+        library.connect("jamia", LOCAL_BUS),
     ):
         pass
     time.sleep(1.0)
     assert process.poll() is None
-    assert is_running(BUS)
+    assert is_running(LOCAL_BUS)
 
 
 def start_program(processes, *words):
     """Start a program that connects to the hand and holds it for a minute."""
-    code = PROGRAM.format(words=words)
+    code = CLIENT_PROGRAM.format(words=words)
     program = subprocess.Popen(
         [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
@@ -256,25 +283,27 @@ def start_program(processes, *words):
 
 
 @REALTIME
-def test_ctrl_c_while_it_starts_leaves_no_controller(place, hand, processes, scale):
+def test_ctrl_c_while_it_starts_leaves_no_controller(work_folder, hand, processes, scale):
     program = start_program(processes, "--log", "live.mcap", *scale)
-    wait_until(lambda: is_running(BUS))
+    wait_until(lambda: is_running(LOCAL_BUS))
     program.send_signal(signal.SIGINT)
     _, err = program.communicate(timeout=60.0)
     assert "KeyboardInterrupt" in err
-    assert not is_running(BUS)
+    assert not is_running(LOCAL_BUS)
     time.sleep(2.0)
-    assert not is_running(BUS), "the controller does not continue after commissioning"
+    assert not is_running(LOCAL_BUS), "the controller does not continue after commissioning"
 
 
 @REALTIME
-def test_a_program_that_is_killed_leaves_no_armed_hand(place, hand, calibrated, processes, scale):
+def test_a_program_that_is_killed_leaves_no_armed_hand(
+    work_folder, hand, calibrated, processes, scale
+):
     program = start_program(processes, "--calibration", "c.toml", "--log", "live.mcap", *scale)
     assert program.stdout.readline() == "live\n"
     program.kill()
     program.wait()
-    wait_until(lambda: not is_running(BUS), 20.0)
-    assert modes_of_complete(place / "live.mcap")[-3:] == [
+    wait_until(lambda: not is_running(LOCAL_BUS), 20.0)
+    assert modes_of_complete_log(work_folder / "live.mcap")[-3:] == [
         "ACTIVE -> RELAX",
         "RELAX -> DISARM",
         "DISARM -> DONE",

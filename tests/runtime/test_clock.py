@@ -12,26 +12,26 @@ from handctl.runtime.clocks.lockstep import LockstepBus, LockstepClock, load_pee
 from handctl.runtime.clocks.priority import GrantedPriority
 from handctl.runtime.clocks.real import RealClock
 
-PERIOD = 2_000_000
+PERIOD_NS = 2_000_000
 
 
-class Wall:
+class FakeMonotonicClock:
     """A simulated CLOCK_MONOTONIC. A sleep advances it by the duration of the sleep and an overshoot."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, overshoot: int = 0) -> None:
-        self.now = 5_000_000_000
-        self.overshoot = overshoot
-        self.slept = list[float]()
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, overshoot_ns: int = 0) -> None:
+        self.now_ns = 5_000_000_000
+        self.overshoot_ns = overshoot_ns
+        self.sleeps_s = list[float]()
         monkeypatch.setattr(time, "monotonic_ns", self.read)
         monkeypatch.setattr(time, "sleep", self.sleep)
 
     def read(self) -> int:
-        self.now += 100
-        return self.now
+        self.now_ns += 100
+        return self.now_ns
 
     def sleep(self, seconds: float) -> None:
-        self.slept.append(seconds)
-        self.now += round(seconds * 1e9) + self.overshoot
+        self.sleeps_s.append(seconds)
+        self.now_ns += round(seconds * 1e9) + self.overshoot_ns
 
 
 @pytest.mark.parametrize("scale", [1.0, 0.1, 10.0, 0.37])
@@ -39,16 +39,16 @@ class Wall:
 def test_deadlines_are_absolute_and_scaled(
     monkeypatch: pytest.MonkeyPatch, scale: float, spin: bool
 ) -> None:
-    wall = Wall(monkeypatch, overshoot=20_000)
-    clock = RealClock(PERIOD, scale, spin)
+    wall = FakeMonotonicClock(monkeypatch, overshoot_ns=20_000)
+    clock = RealClock(PERIOD_NS, scale, spin)
     clock.start()
     start = clock.start_ns
     for k in range(50):
         late = clock.wait(k)
-        assert wall.now >= start + int(k * PERIOD / scale), "never early"
+        assert wall.now_ns >= start + int(k * PERIOD_NS / scale), "never early"
         assert 0 <= late <= 30_000 * scale + 200 * scale + 1
-        assert abs(clock.now_ns() - (k * PERIOD + late)) <= 1000 * scale + 1
-    assert start - 5_000_000_000 == pytest.approx(PERIOD / scale, rel=0.01), (
+        assert abs(clock.now_ns() - (k * PERIOD_NS + late)) <= 1000 * scale + 1
+    assert start - 5_000_000_000 == pytest.approx(PERIOD_NS / scale, rel=0.01), (
         "tick 0 is one period after the start"
     )
 
@@ -56,48 +56,48 @@ def test_deadlines_are_absolute_and_scaled(
 def test_lateness_is_in_the_runs_time_and_shifts_no_later_deadline(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    wall = Wall(monkeypatch)
-    clock = RealClock(PERIOD, 0.1)
+    wall = FakeMonotonicClock(monkeypatch)
+    clock = RealClock(PERIOD_NS, 0.1)
     clock.start()
     clock.wait(0)
-    wall.now = (
-        clock.start_ns + 25 * PERIOD
+    wall.now_ns = (
+        clock.start_ns + 25 * PERIOD_NS
     )  # due: tick 1 after 10 periods of wall time, tick 2 after 20
-    assert clock.wait(1) == pytest.approx(1.5 * PERIOD, abs=1000)
-    assert clock.wait(2) == pytest.approx(0.5 * PERIOD, abs=1000)
+    assert clock.wait(1) == pytest.approx(1.5 * PERIOD_NS, abs=1000)
+    assert clock.wait(2) == pytest.approx(0.5 * PERIOD_NS, abs=1000)
     assert clock.wait(3) < 1000
 
 
 def test_the_clock_busy_waits_only_before_the_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
     for spin, left in ((True, 60_000), (False, 0)):
-        wall = Wall(monkeypatch)
-        clock = RealClock(PERIOD, 1.0, spin)
+        wall = FakeMonotonicClock(monkeypatch)
+        clock = RealClock(PERIOD_NS, 1.0, spin)
         clock.start()
         clock.wait(0)
-        wall.slept.clear()
+        wall.sleeps_s.clear()
         clock.wait(1)
-        assert len(wall.slept) == 1
-        assert PERIOD - wall.slept[0] * 1e9 == pytest.approx(left, abs=5000)
+        assert len(wall.sleeps_s) == 1
+        assert PERIOD_NS - wall.sleeps_s[0] * 1e9 == pytest.approx(left, abs=5000)
 
 
 def test_stamps_before_the_beginning_are_negative(monkeypatch: pytest.MonkeyPatch) -> None:
-    wall = Wall(monkeypatch)
-    clock = RealClock(PERIOD, 0.5)
+    wall = FakeMonotonicClock(monkeypatch)
+    clock = RealClock(PERIOD_NS, 0.5)
     clock.start()
     assert clock.of(clock.start_ns) == 0
     assert clock.of(clock.start_ns + 4_000_000) == 2_000_000
-    assert clock.of(wall.now) < 0
+    assert clock.of(wall.now_ns) < 0
 
 
 @pytest.mark.realtime
 @pytest.mark.alone
 def test_the_real_clock_keeps_time() -> None:
-    clock = RealClock(PERIOD)
+    clock = RealClock(PERIOD_NS)
     clock.start()
     late = [clock.wait(k) for k in range(200)]
     assert min(late) >= 0
-    assert statistics.median(late) < PERIOD / 2
-    assert time.monotonic_ns() - clock.start_ns >= 199 * PERIOD
+    assert statistics.median(late) < PERIOD_NS / 2
+    assert time.monotonic_ns() - clock.start_ns >= 199 * PERIOD_NS
 
 
 def test_the_granted_priority_is_described() -> None:
@@ -109,7 +109,7 @@ def test_the_granted_priority_is_described() -> None:
     assert "not permitted" in str(GrantedPriority(False, False))
 
 
-class Peer:
+class RecordingPeer:
     """A lockstep peer that records its steps.
 
     It replies to each frame with a frame whose identifier is larger by 0x10.
@@ -128,30 +128,33 @@ class Peer:
 
 
 def test_lockstep_steps_the_peer_once_a_tick_with_the_frames_of_that_tick() -> None:
-    peer = Peer()
-    clock = LockstepClock(peer, PERIOD)
+    peer = RecordingPeer()
+    clock = LockstepClock(peer, PERIOD_NS)
     bus = LockstepBus(clock)
     seen = []
     for k in range(4):
         assert clock.wait(k) == 0
-        assert clock.now_ns() == k * PERIOD
+        assert clock.now_ns() == k * PERIOD_NS
         seen.append(bus.drain())
         assert bus.send([Frame(k, bytes((k,)))]) == 1
-    assert [t for t, _ in peer.steps] == [0, PERIOD, 2 * PERIOD]
+    assert [t for t, _ in peer.steps] == [0, PERIOD_NS, 2 * PERIOD_NS]
     assert [[f.can_id for f in frames] for _, frames in peer.steps] == [[0], [1], [2]]
-    assert seen == [[], *[[Frame(0x10 + k, bytes((k,)), 0, 0, k * PERIOD + 300)] for k in range(3)]]
+    assert seen == [
+        [],
+        *[[Frame(0x10 + k, bytes((k,)), 0, 0, k * PERIOD_NS + 300)] for k in range(3)],
+    ]
     assert bus.take_events() == []
 
 
 def test_a_second_run_continues_the_peers_time_from_its_own_zero() -> None:
-    peer = Peer()
-    clock = LockstepClock(peer, PERIOD)
+    peer = RecordingPeer()
+    clock = LockstepClock(peer, PERIOD_NS)
     bus = LockstepBus(clock)
     for k in range(3):
         clock.wait(k)
         bus.send([Frame(k, b"")])
     clock.restart()
-    assert clock.offset_ns == 3 * PERIOD
+    assert clock.offset_ns == 3 * PERIOD_NS
     assert [f.can_id for f in peer.steps[-1][1]] == [2], (
         "frames of the last tick arrive, because they disarm the drives"
     )
@@ -159,19 +162,21 @@ def test_a_second_run_continues_the_peers_time_from_its_own_zero() -> None:
         clock.wait(k)
         frames = bus.drain()
         assert [(f.can_id, f.t_ns) for f in frames] == (
-            [(0x17, (k - 1) * PERIOD + 300)] if k else []
+            [(0x17, (k - 1) * PERIOD_NS + 300)] if k else []
         )
         bus.send([Frame(7, b"")])
-    assert [t for t, _ in peer.steps] == [k * PERIOD for k in range(5)], "every period exactly once"
+    assert [t for t, _ in peer.steps] == [k * PERIOD_NS for k in range(5)], (
+        "every period exactly once"
+    )
     assert [[f.can_id for f in frames] for _, frames in peer.steps[3:]] == [[7], [7]], (
         "no frames of the first run"
     )
-    clock = LockstepClock(peer, PERIOD)
+    clock = LockstepClock(peer, PERIOD_NS)
     clock.restart()
     assert (clock.offset_ns, len(peer.steps)) == (0, 5), "no tick to finish before the first run"
 
 
-class RecordPeer(Peer):
+class RecordPeer(RecordingPeer):
     """A lockstep peer that takes and returns records of frames instead of objects."""
 
     def exchange(self, t_ns: int, records: RecordArray) -> RecordArray:
@@ -188,8 +193,8 @@ class RecordPeer(Peer):
 
 def test_a_peer_with_exchange_and_one_with_step_get_the_same_frames() -> None:
     runs = []
-    for peer in (Peer(), RecordPeer()):
-        clock = LockstepClock(peer, PERIOD)
+    for peer in (RecordingPeer(), RecordPeer()):
+        clock = LockstepClock(peer, PERIOD_NS)
         bus = LockstepBus(clock)
         seen = []
         for _ in range(2):
@@ -208,7 +213,7 @@ def test_a_peer_with_exchange_and_one_with_step_get_the_same_frames() -> None:
 
 
 def test_error_frames_of_a_peer_are_events_of_their_bus() -> None:
-    clock = LockstepClock(RecordPeer(), PERIOD)
+    clock = LockstepClock(RecordPeer(), PERIOD_NS)
     bus = LockstepBus(clock)
     bus.send([Frame(1, b"a"), Frame(ERROR_FLAG | 0x30, bytes(8), bus=1), Frame(2, b"b", bus=1)])
     clock.wait(1)
@@ -217,7 +222,7 @@ def test_error_frames_of_a_peer_are_events_of_their_bus() -> None:
 
 
 def test_peers_are_loaded_by_name() -> None:
-    assert isinstance(load_peer(f"{__name__}:Peer"), Peer)
+    assert isinstance(load_peer(f"{__name__}:Peer"), RecordingPeer)
     for entry in ("no.such.module:Peer", f"{__name__}:Nobody", "nonsense"):
         with pytest.raises(ConfigError, match="module:Class"):
             load_peer(entry)

@@ -19,16 +19,16 @@ from handctl.runtime.diagnostics.conformance import (
 from handctl.runtime.diagnostics.drive_rig import DriveRig
 from tests.drives.virtual_bench import VirtualBench, drive_rig_on
 
-LIMIT = 0.1
+TORQUE_LIMIT_N_M = 0.1
 
 
 def check_results(
     protocol, fault="", options=None, inertia=None, delay=0
 ) -> tuple[dict[str, ConformanceCheck], VirtualBench, DriveRig]:
     place = VirtualBench(protocol, fault, inertia, delay)
-    rig = drive_rig_on(place, protocol, LIMIT, options)
+    rig = drive_rig_on(place, protocol, TORQUE_LIMIT_N_M, options)
     return (
-        {check.name: check for check in run_checks(DeviceUnderTest(rig, LIMIT, 0.05))},
+        {check.name: check for check in run_checks(DeviceUnderTest(rig, TORQUE_LIMIT_N_M, 0.05))},
         place,
         rig,
     )
@@ -39,14 +39,14 @@ def protocol(request):
     return request.param
 
 
-def failed(found):
+def failed_checks(found):
     return [name for name, check in found.items() if check.verdict is CheckVerdict.FAILED]
 
 
 def test_a_good_drive_passes_every_conformance_check(protocol):
     failures, place, rig = check_results(protocol)
     assert [check for check in failures.values() if check.verdict is not CheckVerdict.PASSED] == []
-    assert 0.0 < place.largest_torque <= LIMIT * 1.001
+    assert 0.0 < place.largest_torque <= TORQUE_LIMIT_N_M * 1.001
     assert rig.confirm_off(0.05)
     assert place.bench.motors[0].servo.torque == 0.0
 
@@ -58,12 +58,14 @@ def test_a_good_drive_passes_three_times_running(protocol):
     """
     place = VirtualBench(protocol)
     for _ in range(3):
-        rig = drive_rig_on(place, protocol, LIMIT)
-        found = {check.name: check for check in run_checks(DeviceUnderTest(rig, LIMIT, 0.05))}
-        assert failed(found) == []
+        rig = drive_rig_on(place, protocol, TORQUE_LIMIT_N_M)
+        found = {
+            check.name: check for check in run_checks(DeviceUnderTest(rig, TORQUE_LIMIT_N_M, 0.05))
+        }
+        assert failed_checks(found) == []
         assert release_drive(rig, 0.05)
         place.pass_time(2.0)
-        late = drive_rig_on(place, protocol, LIMIT)
+        late = drive_rig_on(place, protocol, TORQUE_LIMIT_N_M)
         late.tick(DriveTarget.LISTEN)
         late.keep(DriveTarget.POLL, 0.3)
         assert late.state.error_text == "", "nothing is latched after a silence of two seconds"
@@ -74,7 +76,7 @@ def test_a_good_drive_passes_three_times_running(protocol):
 @pytest.mark.parametrize("delay", [1, 3])
 def test_a_light_shaft_and_a_slow_wire_pass_conformance(protocol, inertia, delay):
     failures, place, _ = check_results(protocol, inertia=inertia, delay=delay)
-    assert failed(failures) == []
+    assert failed_checks(failures) == []
     assert abs(place.bench.motors[0].omega) < 20.0
 
 
@@ -94,8 +96,8 @@ def test_a_broken_drive_fails_its_check(protocol, fault):
     if fault == "eager" and not SIMULATED[protocol].force_command:
         pytest.skip("its simulated drive cannot follow a torque command while disabled")
     failures, place, _ = check_results(protocol, fault)
-    assert FAILED_CHECK[fault] in failed(failures)
-    assert place.largest_torque <= LIMIT * 1.001
+    assert FAILED_CHECK[fault] in failed_checks(failures)
+    assert place.largest_torque <= TORQUE_LIMIT_N_M * 1.001
 
 
 @pytest.mark.parametrize("fault", ["deaf", "eager", "mute", "sign", "twin"])
@@ -107,17 +109,17 @@ def test_a_broken_motor_without_guards_fails_its_check(protocol, fault):
     """
     good, _, _ = check_results(protocol)
     broken, place, _ = check_results(protocol, fault)
-    assert FAILED_CHECK[fault] not in failed(good)
-    assert FAILED_CHECK[fault] in failed(broken)
-    assert place.largest_torque <= LIMIT * 1.05
+    assert FAILED_CHECK[fault] not in failed_checks(good)
+    assert FAILED_CHECK[fault] in failed_checks(broken)
+    assert place.largest_torque <= TORQUE_LIMIT_N_M * 1.05
 
 
 @pytest.mark.parametrize("fault", ["", "deaf", "twin"])
 def test_an_odrive_of_firmware_05_is_judged_without_torque_reports(fault):
     place = VirtualBench("odrive", fault, firmware="0.5", usb_watchdog_s=0.1)
-    rig = drive_rig_on(place, "odrive", LIMIT, {"firmware": "0.5"})
-    found = {check.name: check for check in run_checks(DeviceUnderTest(rig, LIMIT, 0.1))}
-    assert failed(found)[:1] == ([FAILED_CHECK[fault]] if fault else [])
+    rig = drive_rig_on(place, "odrive", TORQUE_LIMIT_N_M, {"firmware": "0.5"})
+    found = {check.name: check for check in run_checks(DeviceUnderTest(rig, TORQUE_LIMIT_N_M, 0.1))}
+    assert failed_checks(found)[:1] == ([FAILED_CHECK[fault]] if fault else [])
     assert not any("nan" in check.reason for check in found.values())
 
 
@@ -142,7 +144,7 @@ def test_a_blocked_shaft_is_no_failure(protocol):
 
 def test_an_odrive_without_watchdog_fails_that_check_only():
     failures, _, _ = check_results("odrive", options={"torque_feedback": True})
-    assert failed(failures) == [FAILED_CHECK["watchdog"]]
+    assert failed_checks(failures) == [FAILED_CHECK["watchdog"]]
     assert "CANSimple cannot read it" in failures[FAILED_CHECK["watchdog"]].reason
     for option in ("endpoint_enable_watchdog", "endpoint_watchdog_timeout"):
         assert option in failures[FAILED_CHECK["watchdog"]].reason
@@ -154,7 +156,7 @@ def test_a_motor_in_velocity_mode_is_set_to_mit_mode():
     node = place.bench.nodes[0]
     node.registers.write(10, (3).to_bytes(4, "little"))
     node._update_derived()
-    rig = drive_rig_on(place, "mit", LIMIT)
+    rig = drive_rig_on(place, "mit", TORQUE_LIMIT_N_M)
     assert rig.until(DriveTarget.POLL, lambda state: state.phase.name == "READY", 2.0)
     assert node.mode == 1
 
@@ -163,7 +165,7 @@ def test_a_motor_in_velocity_mode_is_set_to_mit_mode():
 def test_an_error_is_cleared_whether_the_clear_command_is_answered_or_not(answers):
     """Regression: a host that waited for a reply to the clear command never found the motor ready."""
     place = VirtualBench("mit", clear_answers=answers)
-    rig = drive_rig_on(place, "mit", LIMIT)
+    rig = drive_rig_on(place, "mit", TORQUE_LIMIT_N_M)
     assert rig.until(DriveTarget.POLL, lambda state: state.phase.name == "READY", 2.0)
     place.bench.faults.inject("error node=33")
     assert rig.until(DriveTarget.POLL, lambda state: state.phase.name == "FAULT", 1.0)
@@ -180,7 +182,7 @@ def test_a_disabled_motor_is_ready_whenever_its_watchdog_fires(watchdog):
     Regression: a motor whose watchdog fires while it is disabled was in fault before arming.
     """
     place = VirtualBench("mit", watchdog=watchdog)
-    rig = drive_rig_on(place, "mit", LIMIT)
+    rig = drive_rig_on(place, "mit", TORQUE_LIMIT_N_M)
     assert rig.until(DriveTarget.POLL, lambda state: state.phase.name == "READY", 2.0)
     seen = set()
 
@@ -204,8 +206,10 @@ def test_a_disabled_motor_is_ready_whenever_its_watchdog_fires(watchdog):
 def test_a_motor_whose_watchdog_also_fires_while_disabled_passes_three_times():
     place = VirtualBench("mit", watchdog="always")
     for _ in range(3):
-        rig = drive_rig_on(place, "mit", LIMIT)
+        rig = drive_rig_on(place, "mit", TORQUE_LIMIT_N_M)
         rig.clear()
-        found = {check.name: check for check in run_checks(DeviceUnderTest(rig, LIMIT, 0.05))}
-        assert failed(found) == [], {name: check.reason for name, check in found.items()}
+        found = {
+            check.name: check for check in run_checks(DeviceUnderTest(rig, TORQUE_LIMIT_N_M, 0.05))
+        }
+        assert failed_checks(found) == [], {name: check.reason for name, check in found.items()}
         assert release_drive(rig, 0.05)

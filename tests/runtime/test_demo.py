@@ -3,11 +3,11 @@
 import pytest
 
 from handctl.log.read.reader import RunLog
-from tests.runtime.processes import modes_of_complete, result_of, start_handctl
+from tests.runtime.processes import modes_of_complete_log, process_result, start_handctl
 
 pytestmark = [pytest.mark.realtime, pytest.mark.alone]
 
-FAST = (
+FAST_DEMO_OPTIONS = (
     "--task",
     "short.toml",
     "--scene",
@@ -21,24 +21,24 @@ FAST = (
 """Command-line options of a demo that runs faster than any machine can simulate."""
 
 
-def test_the_clock_of_the_demo_pauses_on_a_slow_machine(place, processes):
-    processes.append(start_handctl("demo", *FAST))
-    code, result, err = result_of(processes.pop())
+def test_the_clock_of_the_demo_pauses_on_a_slow_machine(work_folder, processes):
+    processes.append(start_handctl("demo", *FAST_DEMO_OPTIONS))
+    code, result, err = process_result(processes.pop())
     assert code == 0, err
     assert result["failure"] == ""
     assert result["time_scale"] == 16.0
     assert (result["missed"], result["frames_late"], result["frames_lost"]) == (0, 0, 0)
     assert max(result["tracking_rmse_deg"].values()) < 1.0
     assert result["clock_pauses"] > 0
-    modes_of_complete(place / "run.mcap")
-    with RunLog(place / "run.mcap") as log:
+    modes_of_complete_log(work_folder / "run.mcap")
+    with RunLog(work_folder / "run.mcap") as log:
         assert int(log.end["clock_pauses"]) == result["clock_pauses"]
         assert float(log.end["clock_paused_ms"]) == pytest.approx(
             1e3 * result["clock_paused_s"], abs=0.1
         )
 
 
-def test_a_strict_clock_does_not_pause(place, processes):
-    processes.append(start_handctl("demo", "--strict-clock", *FAST))
-    code, _, err = result_of(processes.pop())
+def test_a_strict_clock_does_not_pause(work_folder, processes):
+    processes.append(start_handctl("demo", "--strict-clock", *FAST_DEMO_OPTIONS))
+    code, _, err = process_result(processes.pop())
     assert code == 1, err

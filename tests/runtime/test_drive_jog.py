@@ -16,21 +16,23 @@ from handctl.runtime.diagnostics.drive_rig import DriveRig
 from tests.drives.protocol_bench import motor_on_bench
 from tests.drives.virtual_bench import DRIVE_NODE_ID, OPTIONS_BY_PROTOCOL, VirtualBench
 
-LIMIT = 0.2
-LIMITS = MotionLimits(3.0, 10.0)
-PROTOCOLS = ("mit", "odrive", "cia402")
-MODES = [
-    (protocol, mode) for protocol in PROTOCOLS for mode in (DriveMode.POSITION, DriveMode.VELOCITY)
+TORQUE_LIMIT_N_M = 0.2
+MOTION_LIMITS = MotionLimits(3.0, 10.0)
+JOG_PROTOCOLS = ("mit", "odrive", "cia402")
+PROTOCOL_MODES = [
+    (protocol, mode)
+    for protocol in JOG_PROTOCOLS
+    for mode in (DriveMode.POSITION, DriveMode.VELOCITY)
 ]
-MODES.append(("mit", DriveMode.FORCE_POSITION))
+PROTOCOL_MODES.append(("mit", DriveMode.FORCE_POSITION))
 
 
-def bench_of(protocol, mode, fault="", direction=1, zero=0.0, limits=LIMITS):
+def bench_of(protocol, mode, fault="", direction=1, zero=0.0, limits=MOTION_LIMITS):
     place = VirtualBench(protocol, fault)
     motor = motor_on_bench(
         protocol,
         DRIVE_NODE_ID,
-        LIMIT,
+        TORQUE_LIMIT_N_M,
         OPTIONS_BY_PROTOCOL[protocol],
         direction=direction,
         zero_rad=zero,
@@ -43,10 +45,10 @@ def bench_of(protocol, mode, fault="", direction=1, zero=0.0, limits=LIMITS):
 
 
 def goal_of(mode, target, for_s=2.0, travel=10.0):
-    return JogGoal(mode, target, for_s, LIMITS, LIMIT, travel)
+    return JogGoal(mode, target, for_s, MOTION_LIMITS, TORQUE_LIMIT_N_M, travel)
 
 
-@pytest.mark.parametrize(("protocol", "mode"), MODES)
+@pytest.mark.parametrize(("protocol", "mode"), PROTOCOL_MODES)
 @pytest.mark.parametrize(("direction", "zero", "sign"), [(1, 0.0, 1), (-1, 0.7, 1), (1, -1.3, -1)])
 def test_a_drive_moves_in_its_own_mode_and_ends_at_rest(protocol, mode, direction, zero, sign):
     place, rig, torque_drive = bench_of(protocol, mode, direction=direction, zero=zero)
@@ -58,7 +60,7 @@ def test_a_drive_moves_in_its_own_mode_and_ends_at_rest(protocol, mode, directio
         expected, rel=0.15 if mode == DriveMode.VELOCITY else 0.02
     )
     assert direction * motor.theta == pytest.approx(result.moved_rad, abs=0.05)
-    assert result.fastest < 1.1 * LIMITS.speed
+    assert result.fastest < 1.1 * MOTION_LIMITS.speed
     assert result.final_speed < 0.05
     assert release_drive(rig, 0.05, torque_drive)
     assert rig.state.phase == DrivePhase.READY
@@ -69,7 +71,8 @@ def test_a_drive_moves_in_its_own_mode_and_ends_at_rest(protocol, mode, directio
 def test_every_protocol_has_the_torque_mode(protocol):
     place, rig, torque_drive = bench_of(protocol, DriveMode.TORQUE)
     result = jog_drive(
-        rig, JogGoal(DriveMode.TORQUE, 0.05, 0.3, MotionLimits(200.0, 10.0), LIMIT, 500.0)
+        rig,
+        JogGoal(DriveMode.TORQUE, 0.05, 0.3, MotionLimits(200.0, 10.0), TORQUE_LIMIT_N_M, 500.0),
     )
     assert result.failure == ""
     assert result.moved_rad > 0.01
@@ -89,7 +92,7 @@ def test_force_position_is_a_mode_of_damiao_motors(protocol):
         bench_of(protocol, DriveMode.FORCE_POSITION)
 
 
-@pytest.mark.parametrize(("protocol", "mode"), MODES)
+@pytest.mark.parametrize(("protocol", "mode"), PROTOCOL_MODES)
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e3, -1e3])
 def test_no_command_beyond_its_range_is_encoded(protocol, mode, value):
     _, rig, _ = bench_of(protocol, mode)
@@ -100,7 +103,7 @@ def test_no_command_beyond_its_range_is_encoded(protocol, mode, value):
         rig.drive.advance(rig.state, rig.t_ns, DriveTarget.ENABLE, value)
 
 
-@pytest.mark.parametrize(("protocol", "mode"), MODES)
+@pytest.mark.parametrize(("protocol", "mode"), PROTOCOL_MODES)
 def test_a_drive_that_is_turned_away_stays_where_it_is_when_it_is_enabled(protocol, mode):
     """The drive starts 5 rad away from zero. A position command of zero would move it by this angle."""
     place, rig, torque_drive = bench_of(protocol, mode)
@@ -111,7 +114,7 @@ def test_a_drive_that_is_turned_away_stays_where_it_is_when_it_is_enabled(protoc
     assert release_drive(rig, 0.05, torque_drive)
 
 
-@pytest.mark.parametrize(("protocol", "mode"), MODES)
+@pytest.mark.parametrize(("protocol", "mode"), PROTOCOL_MODES)
 def test_travel_beyond_its_limit_stops_the_drive(protocol, mode):
     place, rig, _ = bench_of(protocol, mode)
     result = jog_drive(rig, goal_of(mode, 2.5, 4.0, 0.5))
@@ -120,7 +123,7 @@ def test_travel_beyond_its_limit_stops_the_drive(protocol, mode):
     assert place.bench.motors[0].servo.kd == 0.0
 
 
-@pytest.mark.parametrize(("protocol", "mode"), MODES)
+@pytest.mark.parametrize(("protocol", "mode"), PROTOCOL_MODES)
 def test_a_shaft_driven_too_fast_stops_the_drive(protocol, mode):
     place, rig, _ = bench_of(protocol, mode)
     wait = place.wait
@@ -137,7 +140,7 @@ def test_a_shaft_driven_too_fast_stops_the_drive(protocol, mode):
     assert rig.confirm_off(0.05)
 
 
-@pytest.mark.parametrize(("protocol", "mode"), MODES)
+@pytest.mark.parametrize(("protocol", "mode"), PROTOCOL_MODES)
 def test_the_watchdog_disables_a_drive_if_the_host_falls_silent(protocol, mode):
     place, rig, _ = bench_of(protocol, mode)
     assert jog_drive(rig, goal_of(mode, 1.0, 0.5)).failure == ""
@@ -147,7 +150,7 @@ def test_the_watchdog_disables_a_drive_if_the_host_falls_silent(protocol, mode):
     assert rig.state.phase == DrivePhase.FAULT, "the fault is latched"
 
 
-@pytest.mark.parametrize(("protocol", "mode"), MODES)
+@pytest.mark.parametrize(("protocol", "mode"), PROTOCOL_MODES)
 def test_a_drive_that_sends_nothing_is_not_enabled(protocol, mode):
     place, rig, _ = bench_of(protocol, mode, fault="mute")
     assert jog_drive(rig, goal_of(mode, 1.0)).failure

@@ -8,14 +8,14 @@ from handctl.client import Fingertips, FingertipStream
 from handctl.hand.hand_loading import load_hand
 
 HAND = load_hand("jamia11")
-START = np.radians(20.0)
+START_ANGLE_RAD = np.radians(20.0)
 
 
 def test_tips_and_angles_are_inverse_to_each_other():
     tips = Fingertips(HAND)
     assert tips.digits == HAND.digit_names
     assert tips.joints == HAND.joints
-    angles = {joint: START + 0.1 * (i % 3) for i, joint in enumerate(HAND.joints)}
+    angles = {joint: START_ANGLE_RAD + 0.1 * (i % 3) for i, joint in enumerate(HAND.joints)}
     positions = tips.tips(angles)
     found = tips.angles_deg(positions)
     reached = tips.tips({name: np.radians(angle) for name, angle in found.items()})
@@ -49,7 +49,7 @@ def test_wrong_digits_are_refused(digits):
         Fingertips(HAND, digits)
 
 
-class Owner:
+class StreamOwner:
     """Client that owns a stream. Its hand is at rest."""
 
     def observe(self):
@@ -59,10 +59,10 @@ class Owner:
     def named(self, field):
         """Return the angles of all joints by name [rad]."""
         assert field == "q_rad"
-        return dict.fromkeys(HAND.joints, START)
+        return dict.fromkeys(HAND.joints, START_ANGLE_RAD)
 
 
-class Sender:
+class StoringSender:
     """Sender of streamed targets that stores them."""
 
     def __init__(self):
@@ -76,9 +76,9 @@ class Sender:
 
 def test_a_stream_of_positions_sends_joint_angles():
     tips = Fingertips(HAND, ["index", "thumb"])
-    sender = Sender()
+    sender = StoringSender()
     goal = {"stream": "1-1", "space": "joint", "names": list(tips.joints), "rate_Hz": 50.0}
-    stream = FingertipStream(Owner(), sender, goal, tips, 0.03, 1.0)
+    stream = FingertipStream(StreamOwner(), sender, goal, tips, 0.03, 1.0)
     assert stream.names == ("index", "thumb")
     positions = Fingertips(HAND, ["index", "thumb"]).tips(
         dict.fromkeys(tips.joints, np.radians(30.0))

@@ -16,39 +16,39 @@ from handctl.log.read.reader import RunLog
 from handctl.replay.execute import execute_log
 from handctl.runtime.mailbox import StatusWatcher
 from tests.runtime.processes import (
-    BUS,
-    end,
-    handctl,
+    LOCAL_BUS,
+    end_process,
+    run_handctl,
     start_hand,
     start_handctl,
-    wait_for,
-    write_homed,
+    wait_for_phase,
+    write_homed_calibration,
 )
 
 pytestmark = [pytest.mark.realtime, pytest.mark.alone]
-ROOM = "96m"
+DISK_SIZE = "96m"
 """Size of the disk. It is larger than the free space at which the recorder ends a log."""
 
 
 @pytest.fixture
-def place(place):
-    write_homed(place / "c.toml", load_hand("jamia"))
-    return place
+def work_folder(work_folder):
+    write_homed_calibration(work_folder / "c.toml", load_hand("jamia"))
+    return work_folder
 
 
 @pytest.fixture
-def disk(place):
+def small_disk(work_folder):
     """Mount a small disk, and return its folder."""
-    made = place / "disk"
+    made = work_folder / "disk"
     made.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", f"size={ROOM}", "tmpfs", str(made)]
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={DISK_SIZE}", "tmpfs", str(made)]
     if subprocess.run(mount, capture_output=True, check=False).returncode:
         pytest.skip("cannot mount a tmpfs here")
     yield made
     subprocess.run(["umount", str(made)], check=True)
 
 
-def fill(path):
+def fill_disk(path):
     """Fill the disk completely with a file."""
     with path.open("wb", buffering=0) as file, contextlib.suppress(OSError):
         while True:
@@ -70,25 +70,25 @@ def seconds_until(process, word, timeout_s=20.0):
     raise AssertionError(output.decode())
 
 
-def test_a_full_disk_is_reported_and_the_hand_continues_to_hold(place, disk, scale):
-    simulated = start_hand(place / "hand.truth", "--hand", "jamia", *scale)
+def test_a_full_disk_is_reported_and_the_hand_continues_to_hold(work_folder, small_disk, scale):
+    simulated = start_hand(work_folder / "hand.truth", "--hand", "jamia", *scale)
     words = (
         "--hand",
         "jamia",
         "--bus",
-        BUS,
+        LOCAL_BUS,
         "--calibration",
         "c.toml",
         "--task",
         "long.toml",
         *scale,
     )
-    process = start_handctl("run", *words, "--log", str(disk / "run.mcap"))
-    watcher = StatusWatcher(BUS)
+    process = start_handctl("run", *words, "--log", str(small_disk / "run.mcap"))
+    watcher = StatusWatcher(LOCAL_BUS)
     try:
-        wait_for("stay", watcher, process)
+        wait_for_phase("stay", watcher, process)
         full_at = watcher.fresh_line(2.0)["k"]
-        fill(disk / "other")
+        fill_disk(small_disk / "other")
         assert seconds_until(process, b"H08 the disk is full") < 2.5, (
             "the recorder checks the disk every second"
         )
@@ -101,14 +101,14 @@ def test_a_full_disk_is_reported_and_the_hand_continues_to_hold(place, disk, sca
             "a warning does not stop the hand"
         )
         assert min(after["tension_N"]) > 4.0
-        assert handctl("stop", "--bus", BUS).returncode == 0
+        assert run_handctl("stop", "--bus", LOCAL_BUS).returncode == 0
         _, err = process.communicate(timeout=30.0)
     finally:
         watcher.close()
-        end(process)
-        end(simulated)
+        end_process(process)
+        end_process(simulated)
     assert process.returncode == 0, err
-    with RunLog(disk / "run.mcap") as log:
+    with RunLog(small_disk / "run.mcap") as log:
         assert not log.warning
         assert log.end["reason"] in ("disk full", "write failed: No space left on device")
         assert execute_log(log).differing == 0, (

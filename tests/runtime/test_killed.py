@@ -8,32 +8,34 @@ import os
 
 import pytest
 
-from tests.runtime.kills import batches, summary
+from tests.runtime.killed_controllers import disturb_in_batches, kill_summary
 
 pytestmark = [pytest.mark.realtime, pytest.mark.alone]
-TIMES = 500 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 8
-SCALE = 0.7
+CONTROLLER_COUNT = 500 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 8
+TIME_SCALE = 0.7
 
 
 def all_batches(times, seed, scale):
     """Disturb ``times`` controllers, and return the verdict on each."""
-    return [run for batch in batches(times, seed, scale) for run in batch]
+    return [run for batch in disturb_in_batches(times, seed, scale) for run in batch]
 
 
-@pytest.mark.timeout(300 + 15 * TIMES)
+@pytest.mark.timeout(300 + 15 * CONTROLLER_COUNT)
 def test_drives_remove_torque_and_logs_end_with_the_last_tick(repeat_time_scale):
     # A forked controller locks its memory. It is therefore forked from a small process and not from
     # this one, which has all tests.
     with multiprocessing.get_context("spawn").Pool(1) as pool:
-        runs = pool.apply(all_batches, (TIMES, 20261121, SCALE * repeat_time_scale))
-    assert [run for run in runs if not run.safe] == [], "torque is left after the drives' watchdog"
-    assert [run for run in runs if not run.complete] == [], (
+        runs = pool.apply(all_batches, (CONTROLLER_COUNT, 20261121, TIME_SCALE * repeat_time_scale))
+    assert [run for run in runs if not run.torque_ended_in_time] == [], (
+        "torque is left after the drives' watchdog"
+    )
+    assert [run for run in runs if not run.has_complete_log] == [], (
         "a log lacks the last ticks that were on the bus"
     )
-    assert max(run.tension for run in runs) < 5.0, summary(runs)
-    assert sum(run.driven for run in runs) >= TIMES // 2, (
+    assert max(run.tension_left_N for run in runs) < 5.0, kill_summary(runs)
+    assert sum(run.was_driven for run in runs) >= CONTROLLER_COUNT // 2, (
         "most runs are disturbed while a motor makes torque"
     )
-    assert sum(run.pulled for run in runs) >= TIMES // 5, (
+    assert sum(run.was_taut for run in runs) >= CONTROLLER_COUNT // 5, (
         "some runs are disturbed while a tendon is taut"
     )

@@ -15,7 +15,7 @@ from handctl.runtime.diagnostics.link_findings import (
     missing_interface_finding,
 )
 
-MEGABIT = 1_000_000
+MEGABIT_PER_S = 1_000_000
 
 
 def link_json(**changes) -> str:
@@ -24,7 +24,7 @@ def link_json(**changes) -> str:
         "state": "ERROR-ACTIVE",
         "berr_counter": {"tx": 0, "rx": 0},
         "restart_ms": 100,
-        "bittiming": {"bitrate": MEGABIT, "sample_point": "0.875"},
+        "bittiming": {"bitrate": MEGABIT_PER_S, "sample_point": "0.875"},
     } | changes.get("data", {})
     link = {
         "ifname": "can0", "flags": ["NOARP", "UP", "LOWER_UP", "ECHO"], "mtu": 16, "txqlen": 128, "link_type": "can",
@@ -34,20 +34,20 @@ def link_json(**changes) -> str:
     return json.dumps([link | changes.get("link", {})])
 
 
-def bad(text, data_bitrate=None):
+def bad_findings(text, data_bitrate=None):
     link = parse_link(text)
     assert link is not None
     return [
         finding
-        for finding in interface_findings("can0", link, MEGABIT, data_bitrate)
+        for finding in interface_findings("can0", link, MEGABIT_PER_S, data_bitrate)
         if not finding.good
     ]
 
 
 def test_a_good_interface_has_only_good_findings():
-    assert bad(link_json()) == []
-    fast = {"link": {"mtu": 72}, "data": {"data_bittiming": {"bitrate": 5 * MEGABIT}}}
-    assert bad(link_json(**fast), 5 * MEGABIT) == []
+    assert bad_findings(link_json()) == []
+    fast = {"link": {"mtu": 72}, "data": {"data_bittiming": {"bitrate": 5 * MEGABIT_PER_S}}}
+    assert bad_findings(link_json(**fast), 5 * MEGABIT_PER_S) == []
 
 
 @pytest.mark.parametrize(
@@ -73,24 +73,24 @@ def test_a_good_interface_has_only_good_findings():
     ],
 )
 def test_each_finding_names_the_command_that_corrects_it(changes, what, fix):
-    (finding,) = bad(link_json(**changes))
+    (finding,) = bad_findings(link_json(**changes))
     assert what in finding.observation
     assert fix in finding.fix
 
 
 def test_missing_fd_is_found_where_the_hand_needs_it():
-    texts = bad(link_json(), 5 * MEGABIT)
+    texts = bad_findings(link_json(), 5 * MEGABIT_PER_S)
     assert ["does not carry CAN FD" in finding.observation for finding in texts] == [True, False]
     assert "dbitrate 5000000 fd on" in texts[0].fix
 
 
 def test_lost_arbitration_alone_is_no_fault():
-    assert bad(link_json(xstats={"arbitration_lost": 7})) == []
+    assert bad_findings(link_json(xstats={"arbitration_lost": 7})) == []
 
 
 def test_a_missing_interface_comes_with_the_command():
-    assert "udev" in missing_interface_finding("can3", MEGABIT, None).fix
-    assert "type vcan" in missing_interface_finding("vcan3", MEGABIT, None).fix
+    assert "udev" in missing_interface_finding("can3", MEGABIT_PER_S, None).fix
+    assert "type vcan" in missing_interface_finding("vcan3", MEGABIT_PER_S, None).fix
 
 
 @pytest.mark.parametrize("text", ["", "[]", "Device does not exist", "{"])

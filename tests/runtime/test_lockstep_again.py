@@ -17,12 +17,12 @@ from handctl.session.plan import RunPlan, default_rate
 from handctl.session.run import make_controller, run_lockstep
 from handctl.session.simulate import SimulatorSettings
 from tests.drives.protocol_bench import hand_file
-from tests.runtime.processes import GO, MOVE
+from tests.runtime.processes import MOVE_PHASE, TASK_HEAD
 
-RUNS = 2
+RUN_COUNT = 2
 
 
-CASES = [
+PROTOCOL_CASES = [
     ("cia402", None),  # its drives still get frames after they are off
     *(
         pytest.param(name, None, marks=pytest.mark.nightly)
@@ -33,21 +33,21 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize(("protocol", "wire"), CASES)
+@pytest.mark.parametrize(("protocol", "wire"), PROTOCOL_CASES)
 def test_a_run_after_another_one_finds_drives_that_were_disarmed(
     protocol: str, wire: list[str] | None, tmp_path: Path
 ) -> None:
     path = hand_file(tmp_path, [protocol])
     task = tmp_path / "short.toml"
-    task.write_text(GO + MOVE.format(name="bend", angle=10.0, duration=0.1))
+    task.write_text(TASK_HEAD + MOVE_PHASE.format(name="bend", angle=10.0, duration=0.1))
     hand = load_hand(path)
     rate = default_rate(hand)
     plan = RunPlan(hand, Gains(), rate, (0.5,))
     failures = []
     with SimulatorSettings(path, homed=True, wire=wire).clock(plan.period_ns) as clock:
-        for number in range(RUNS):
+        for number in range(RUN_COUNT):
             controller = make_controller(plan, TaskProgram(load_task(task)), None, True)
             failures.append(
                 run_lockstep(plan, controller, tmp_path / f"{number}.mcap", clock).state.failure
             )
-    assert failures == [""] * RUNS
+    assert failures == [""] * RUN_COUNT

@@ -17,14 +17,14 @@ from handctl.runtime.hold_limit import MAX_HOLD_S
 from handctl.session.plan import RunPlan, default_rate
 from handctl.session.run import make_controller, run_lockstep
 from handctl.session.simulate import SimulatorSettings
-from tests.runtime.processes import GO, MOVE
+from tests.runtime.processes import MOVE_PHASE, TASK_HEAD
 
 
 @pytest.mark.timeout(120)
 def test_a_run_held_by_a_fault_ends_with_its_reason(tmp_path: Path) -> None:
     """While a fault holds the hand, the time of the task stops. Regression: such a run had no end."""
     task = tmp_path / "bend.toml"
-    task.write_text(GO + MOVE.format(name="bend", angle=10.0, duration=0.5))
+    task.write_text(TASK_HEAD + MOVE_PHASE.format(name="bend", angle=10.0, duration=0.5))
     hand = load_hand("jamia")
     plan = RunPlan(hand, Gains(), default_rate(hand), (0.5,))
     log = tmp_path / "held.mcap"

@@ -21,8 +21,8 @@ from handctl.errors import PowerError
 from handctl.runtime import loop
 from handctl.runtime.loop import ControlLoop
 
-PERIOD = 1_000_000
-CUT = (Frame(1, b"\xfd"), Frame(2, b"\xfd", bus=1))
+PERIOD_NS = 1_000_000
+CUT_FRAMES = (Frame(1, b"\xfd"), Frame(2, b"\xfd", bus=1))
 
 
 @dataclass
@@ -91,7 +91,7 @@ class WholeTick:
 
 
 @dataclass
-class Run:
+class RecordedLoop:
     """A control loop that runs a few ticks, with records of all its calls."""
 
     ticks: int = 5
@@ -107,7 +107,7 @@ class Run:
         self.recorded: list[tuple[TickIn, TickOut]] = []
         self.shown: list[tuple[TickIn, TickOut]] = []
         self.loop: ControlLoop[int] = ControlLoop(
-            self.clock, PERIOD, self.buses, lambda state, entry: WholeTick(self.tick, state, entry), CUT,
+            self.clock, PERIOD_NS, self.buses, lambda state, entry: WholeTick(self.tick, state, entry), CUT_FRAMES,
             lambda: self.requests.pop(0) if self.requests else (),
             lambda: self.host.pop(0) if self.host else [],
             lambda entry, out: self.recorded.append((entry, out)),
@@ -126,10 +126,10 @@ class Run:
 
 
 def test_ticks_follow_one_another_at_their_times() -> None:
-    run = Run()
+    run = RecordedLoop()
     assert run.go() == 5
     assert [entry.k for entry, _ in run.recorded] == [0, 1, 2, 3, 4]
-    assert [entry.t_ns for entry, _ in run.recorded] == [k * PERIOD for k in range(5)]
+    assert [entry.t_ns for entry, _ in run.recorded] == [k * PERIOD_NS for k in range(5)]
     assert run.clock.waits == [0, 1, 2, 3, 4]
     assert run.clock.began == 1
     assert run.shown == run.recorded
@@ -138,7 +138,7 @@ def test_ticks_follow_one_another_at_their_times() -> None:
 
 def test_the_warm_up_tick_has_no_effect() -> None:
     """The warm-up tick runs before the clock starts. It sends and records nothing, and its state is discarded."""
-    run = Run(frames=(Frame(7, b""),))
+    run = RecordedLoop(frames=(Frame(7, b""),))
     run.go()
     assert len(run.entries) == 6
     assert run.entries[0] == TickIn(0, 0)
@@ -147,17 +147,17 @@ def test_the_warm_up_tick_has_no_effect() -> None:
 
 
 def test_only_ticks_run_with_realtime_priority() -> None:
-    run = Run()
+    run = RecordedLoop()
     urgent = [False]
 
     @contextmanager
-    def urgency() -> Iterator[None]:
+    def note_urgency() -> Iterator[None]:
         urgent[0] = True
         yield
         urgent[0] = False
 
     seen: list[bool] = []
-    run.loop.urgent = urgency
+    run.loop.urgent = note_urgency
     run.fail = lambda entry: seen.append(urgent[0])
     run.go()
     assert seen + urgent == [False, True, True, True, True, True, False], (
@@ -168,20 +168,20 @@ def test_only_ticks_run_with_realtime_priority() -> None:
 @pytest.mark.parametrize(
     ("late", "ticks", "missed", "left"),
     [
-        ([0, PERIOD - 1], [0, 1, 2, 3], 0, [0, PERIOD - 1, 0, 0]),
-        ([0, PERIOD], [0, 2, 3, 4], 1, [0, 0, 0, 0]),
-        ([0, 3 * PERIOD + 5], [0, 4, 5, 6], 3, [0, 5, 0, 0]),
-        ([2 * PERIOD, PERIOD + 1, 0, 7], [2, 4, 5, 6], 3, [0, 1, 0, 7]),
+        ([0, PERIOD_NS - 1], [0, 1, 2, 3], 0, [0, PERIOD_NS - 1, 0, 0]),
+        ([0, PERIOD_NS], [0, 2, 3, 4], 1, [0, 0, 0, 0]),
+        ([0, 3 * PERIOD_NS + 5], [0, 4, 5, 6], 3, [0, 5, 0, 0]),
+        ([2 * PERIOD_NS, PERIOD_NS + 1, 0, 7], [2, 4, 5, 6], 3, [0, 1, 0, 7]),
         ([0, 10**9], [0, 1001, 1002, 1003], 1000, [0, 0, 0, 0]),
     ],
 )
 def test_missed_deadlines_are_skipped_and_counted_never_caught_up(
     late: list[int], ticks: list[int], missed: int, left: list[int]
 ) -> None:
-    run = Run(ticks=4, clock=ScriptedClock(list(late)))
+    run = RecordedLoop(ticks=4, clock=ScriptedClock(list(late)))
     run.go()
     assert [entry.k for entry, _ in run.recorded] == ticks
-    assert [entry.t_ns for entry, _ in run.recorded] == [k * PERIOD for k in ticks]
+    assert [entry.t_ns for entry, _ in run.recorded] == [k * PERIOD_NS for k in ticks]
     assert [entry.late_ns for entry, _ in run.recorded] == left
     assert run.loop.stats.missed == missed
     assert run.loop.stats.ticks == 4
@@ -198,7 +198,7 @@ def test_received_frames_enter_one_tick_in_order() -> None:
     second = Frame(2, b"2", bus=1)
     left = FakeBus(waiting=[[old], [first], []], happened=[("dropped", "a", 3)])
     right = FakeBus(1, waiting=[[], [second]])
-    run = Run(
+    run = RecordedLoop(
         3,
         buses=[left, right],
         requests=[("x", "y"), (), ("z",)],
@@ -218,20 +218,20 @@ def test_each_bus_gets_its_own_frames() -> None:
     left = FakeBus()
     right = FakeBus(1)
     frames = (Frame(1, b"a"), Frame(2, b"b", bus=1), Frame(3, b"c"))
-    Run(1, buses=[left, right], frames=frames).go()
+    RecordedLoop(1, buses=[left, right], frames=frames).go()
     assert left.sent == [(frames[0], frames[2])]
     assert right.sent == [(frames[1],)]
 
 
 def test_one_bus_object_may_serve_all_buses() -> None:
     bus, frames = FakeBus(), (Frame(1, b"a"), Frame(2, b"b", bus=1))
-    Run(1, buses=[bus], frames=frames).go()
+    RecordedLoop(1, buses=[bus], frames=frames).go()
     assert bus.sent == [frames]
 
 
 def test_frames_that_a_bus_refuses_are_counted_as_refused_not_as_sent() -> None:
     frames = tuple(Frame(i, b"") for i in range(5))
-    run = Run(3, buses=[FakeBus(capacity=2)], frames=frames)
+    run = RecordedLoop(3, buses=[FakeBus(capacity=2)], frames=frames)
     run.go()
     assert run.loop.stats.refused == 9
     assert run.loop.stats.frames_tx == 6
@@ -251,7 +251,7 @@ def raise_error(*_: object) -> None:
 def test_any_error_cuts_the_drives_and_is_raised_again(stage: str) -> None:
     left = FakeBus()
     right = FakeBus(1)
-    run = Run(5, buses=[left, right], frames=(Frame(9, b"torque"),))
+    run = RecordedLoop(5, buses=[left, right], frames=(Frame(9, b"torque"),))
     stages = {"record", "show", "requests", "host_events"}
     if stage == "tick":
         run.fail = lambda entry: raise_error() if entry.k == 2 else None
@@ -262,13 +262,13 @@ def test_any_error_cuts_the_drives_and_is_raised_again(stage: str) -> None:
         setattr(left, stage, lambda *words: raise_error() if run.recorded else whole(*words))
     with pytest.raises(PowerError if stage == "send" else StageError):  # a cut could not be sent
         run.go()
-    assert right.sent[-1] == (CUT[1],)
+    assert right.sent[-1] == (CUT_FRAMES[1],)
     if stage != "send":
-        assert left.sent[-1] == (CUT[0],)
+        assert left.sent[-1] == (CUT_FRAMES[0],)
     assert gc.isenabled()
 
 
-def poll_times(run: Run, answers: list[tuple[str, ...]]) -> list[int]:
+def poll_times(run: RecordedLoop, answers: list[tuple[str, ...]]) -> list[int]:
     """Let a loop fail in its third tick, and return the times at which it polled the drives [ns].
 
     ``answers`` are the drives that are not confirmed off after each poll.
@@ -291,13 +291,17 @@ def test_after_an_error_drives_are_polled_until_each_reports_off() -> None:
     bus = FakeBus()
     answers = [("index", "thumb"), ("thumb",), ()]
     with pytest.raises(StageError):
-        poll_times(Run(5, buses=[bus]), answers)
+        poll_times(RecordedLoop(5, buses=[bus]), answers)
     assert answers == []
-    assert [sent for sent in bus.sent if sent] == [CUT, (Frame(3, b"off"),), (Frame(3, b"off"),)]
+    assert [sent for sent in bus.sent if sent] == [
+        CUT_FRAMES,
+        (Frame(3, b"off"),),
+        (Frame(3, b"off"),),
+    ]
 
 
 def test_a_drive_that_does_not_report_off_is_named_with_the_error() -> None:
-    run = Run(5)
+    run = RecordedLoop(5)
     with pytest.raises(
         PowerError, match="REMOVE POWER: not confirmed disabled: index, thumb"
     ) as message:
@@ -307,7 +311,7 @@ def test_a_drive_that_does_not_report_off_is_named_with_the_error() -> None:
 
 
 def test_drives_that_cannot_be_polled_do_not_count_as_disabled() -> None:
-    run = Run(5)
+    run = RecordedLoop(5)
     run.fail = lambda entry: raise_error() if entry.k == 2 else None
     run.loop.let_go = raise_error  # type: ignore[assignment]
     with pytest.raises(PowerError, match="the drives are unknown"):
@@ -318,7 +322,7 @@ def test_a_cut_that_finds_a_full_queue_is_sent_until_there_is_room() -> None:
     """A cut must not be lost. No later tick repeats it, and a drive without a watchdog would keep its torque."""
     left = FakeBus()
     right = FakeBus(1)
-    run = Run(5, buses=[left, right])
+    run = RecordedLoop(5, buses=[left, right])
     run.fail = lambda entry: raise_error() if entry.k == 2 else None
     capacities = [0, 0, 1]
     whole = left.send
@@ -330,13 +334,13 @@ def test_a_cut_that_finds_a_full_queue_is_sent_until_there_is_room() -> None:
     left.send = send  # type: ignore[method-assign]
     with pytest.raises(StageError):
         run.go()
-    assert [sent for sent in left.sent if sent] == [(CUT[0],)]
+    assert [sent for sent in left.sent if sent] == [(CUT_FRAMES[0],)]
     assert capacities == []
-    assert right.sent.count((CUT[1],)) == 1
+    assert right.sent.count((CUT_FRAMES[1],)) == 1
 
 
 def test_a_bus_that_refuses_every_cut_delays_no_other() -> None:
-    run = Run(5, buses=[FakeBus(capacity=0)])
+    run = RecordedLoop(5, buses=[FakeBus(capacity=0)])
     run.fail = lambda entry: raise_error() if entry.k == 2 else None
     began = time.monotonic()
     with pytest.raises(StageError):
@@ -345,18 +349,18 @@ def test_a_bus_that_refuses_every_cut_delays_no_other() -> None:
 
 
 def test_a_failed_tick_sends_nothing_else() -> None:
-    run = Run(5, frames=(Frame(9, b"torque"),))
+    run = RecordedLoop(5, frames=(Frame(9, b"torque"),))
     run.fail = lambda entry: raise_error() if entry.k == 2 else None
     with pytest.raises(StageError):
         run.go()
-    assert run.buses[0].sent == [run.frames, run.frames, CUT]
+    assert run.buses[0].sent == [run.frames, run.frames, CUT_FRAMES]
     assert [entry.k for entry, _ in run.recorded] == [0, 1]
 
 
 @pytest.mark.parametrize("failing", [False, True])
 def test_garbage_collection_is_off_in_the_loop_only(failing: bool) -> None:
     seen = []
-    run = Run(3)
+    run = RecordedLoop(3)
     run.fail = lambda entry: (
         seen.append((gc.isenabled(), gc.get_freeze_count() > 0))
         or (raise_error() if failing and entry.k else None)
@@ -376,7 +380,7 @@ def test_garbage_collection_is_off_in_the_loop_only(failing: bool) -> None:
 def test_garbage_collection_is_restored_when_the_clock_does_not_begin(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    run = Run(3)
+    run = RecordedLoop(3)
     monkeypatch.setattr(run.clock, "start", raise_error)
     with pytest.raises(StageError):
         run.go()
@@ -390,14 +394,14 @@ def test_a_long_run_has_the_lateness_of_its_last_ticks(monkeypatch: pytest.Monke
     That of a day at 500 Hz would take 330 MiB of locked memory.
     """
     monkeypatch.setattr(loop, "LATENESS_RING_TICKS", 16)
-    run = Run(200, clock=ScriptedClock(list(range(200))))
+    run = RecordedLoop(200, clock=ScriptedClock(list(range(200))))
     run.go()
     assert sorted(run.loop.stats.late_ns) == list(range(184, 200))
     assert run.loop.stats.ticks == 200
 
 
 def test_lateness_is_recorded_for_every_tick() -> None:
-    run = Run(200, clock=ScriptedClock(list(range(200))))
+    run = RecordedLoop(200, clock=ScriptedClock(list(range(200))))
     run.go()
     assert isinstance(run.loop.stats.late_ns, array)
     np.testing.assert_array_equal(run.loop.stats.late_ns, range(200))

@@ -1,4 +1,4 @@
-"""Test a client that dies or hangs after a ``hold``.
+"""Test a client that dies or hangs after a ``start_holding_client``.
 
 The hand relaxes when the lease of the client has ended, which the truth of the simulator shows.
 """
@@ -18,14 +18,14 @@ from handctl import ConfigError, DriveError
 from handctl.client.heartbeat import Heartbeat
 from handctl.log.read.reader import RunLog
 from handctl.runtime.mailbox import Mailbox
-from tests.runtime.processes import BUS, READY_S
+from tests.runtime.processes import LOCAL_BUS, READY_TIMEOUT_S
 
 REALTIME = pytest.mark.realtime
 LEASE_S = 0.6
 HELD_N = 12.0
-PROGRAM = f"""
+CLIENT_PROGRAM = f"""
 import handctl, time
-with handctl.connect("jamia", {BUS!r}, **{{options}}) as hand:
+with handctl.connect("jamia", {LOCAL_BUS!r}, **{{options}}) as hand:
     hand.hold(index={HELD_N})
     hand.wait_for(phase="live")
     print("held", flush=True)
@@ -33,11 +33,11 @@ with handctl.connect("jamia", {BUS!r}, **{{options}}) as hand:
 """
 
 
-def hold(**options):
+def start_holding_client(**options):
     """Start another client in a process. It holds a tension and then does nothing."""
-    command = [sys.executable, "-c", PROGRAM.format(options=options)]
+    command = [sys.executable, "-c", CLIENT_PROGRAM.format(options=options)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    assert select.select([process.stdout], [], [], READY_S)[0]
+    assert select.select([process.stdout], [], [], READY_TIMEOUT_S)[0]
     assert process.stdout.readline() == "held\n"
     return process
 
@@ -58,14 +58,16 @@ def wait_for_end(client, seconds):
     "how",
     ["suspended", *[pytest.param(how, marks=pytest.mark.nightly) for how in ("killed", "hangs")]],
 )
-def test_a_lost_client_makes_the_hand_relax(place, hand, calibrated, scale, how):
+def test_a_lost_client_makes_the_hand_relax(work_folder, hand, calibrated, scale, how):
     """Regression: the hand kept the tension of a lost client without a time limit."""
     factor = float(scale[1])
     client = library.connect(
-        "jamia", BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale
+        "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale
     ).open()
     try:
-        other = hold(lease_s=LEASE_S, **({"watchdog_s": LEASE_S} if how == "hangs" else {}))
+        other = start_holding_client(
+            lease_s=LEASE_S, **({"watchdog_s": LEASE_S} if how == "hangs" else {})
+        )
         try:
             if how != "hangs":
                 time.sleep(3.0 * LEASE_S / factor)
@@ -81,7 +83,7 @@ def test_a_lost_client_makes_the_hand_relax(place, hand, calibrated, scale, how)
         client.close()
     assert re.search(r"client client-\d+-\d+ has been silent for 1\.\d+ s", said)
     assert client.result["failure"] in said
-    with RunLog(place / "live.mcap") as log:
+    with RunLog(work_folder / "live.mcap") as log:
         assert not log.warning
         assert [row.event.level for row in log.events if row.event.name == "lease"] == [
             "warn",
@@ -97,19 +99,19 @@ def test_a_lost_client_makes_the_hand_relax(place, hand, calibrated, scale, how)
 
 @REALTIME
 @pytest.mark.nightly
-def test_a_program_that_waits_keeps_its_hold(place, hand, calibrated, scale):
+def test_a_program_that_waits_keeps_its_hold(work_folder, hand, calibrated, scale):
     """A thread of the client renews its lease while the program waits.
 
     A client without a lease needs no sign of life.
     """
     factor = float(scale[1])
     options = ("--calibration", "c.toml", "--log", "live.mcap", *scale)
-    with library.connect("jamia", BUS, *options, lease_s=LEASE_S) as client:
+    with library.connect("jamia", LOCAL_BUS, *options, lease_s=LEASE_S) as client:
         client.hold(index=HELD_N)
         time.sleep(4.0 * LEASE_S / factor)
         assert client.observe(wait=True).mode == "ACTIVE"
         client.hold()
-        with library.connect("jamia", BUS, lease_s=None) as other:
+        with library.connect("jamia", LOCAL_BUS, lease_s=None) as other:
             other.take_over()
             other.hold(index=HELD_N)
             time.sleep(4.0 * LEASE_S / factor)
@@ -129,10 +131,10 @@ def test_a_program_that_waits_keeps_its_hold(place, hand, calibrated, scale):
 )
 def test_a_wrong_lease_is_one_line(options, line):
     with pytest.raises(ConfigError, match=line):
-        library.connect("jamia", BUS, **options)
+        library.connect("jamia", LOCAL_BUS, **options)
 
 
-def test_a_watchdog_stops_the_signs_of_life(place):
+def test_a_watchdog_stops_the_signs_of_life(work_folder):
     """A program without calls sends no more signs of life. Its next call resumes them."""
     box = Mailbox("local:beats")
     beats = Heartbeat("local:beats", "one", 0.01, 0.15)

@@ -30,7 +30,7 @@ from tests.drives.protocol_bench import hand_file, move_to_second_bus
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def run_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path / "run"))
     return tmp_path / "run"
 
@@ -120,7 +120,7 @@ def test_a_hand_whose_second_bus_has_a_controller_is_refused(
     assert "local:x: no simulator serves this bus" in capsys.readouterr().err
 
 
-def test_a_killed_controller_leaves_no_lock(folder: Path) -> None:
+def test_a_killed_controller_leaves_no_lock(run_folder: Path) -> None:
     """The socket file of the killed controller is still there. The next controller uses its name."""
     code = "import time; from handctl.runtime.mailbox import Mailbox as M; m = M('local:x'); print(1, flush=1)"
     code += "; time.sleep(60)"
@@ -140,7 +140,7 @@ def test_a_killed_controller_leaves_no_lock(folder: Path) -> None:
     assert not mailbox_path("local:x").exists()
 
 
-def test_only_one_of_many_controllers_started_at_once_runs(folder: Path) -> None:
+def test_only_one_of_many_controllers_started_at_once_runs(run_folder: Path) -> None:
     code = """
 import sys, time
 from handctl.errors import BusError
@@ -191,9 +191,9 @@ def test_a_folder_that_cannot_hold_sockets_is_one_line(
         assert "\n" not in str(caught.value)
 
 
-def test_only_this_user_can_access_the_folder(folder: Path) -> None:
+def test_only_this_user_can_access_the_folder(run_folder: Path) -> None:
     box = Mailbox("local:x")
-    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+    assert stat.S_IMODE(run_folder.stat().st_mode) == 0o700
     box.close()
 
 
@@ -239,7 +239,7 @@ def test_a_program_may_watch_two_controllers() -> None:
         one.close()
 
 
-def test_the_socket_of_a_killed_controller_does_not_count_as_running(folder: Path) -> None:
+def test_the_socket_of_a_killed_controller_does_not_count_as_running(run_folder: Path) -> None:
     assert not is_running("local:x")
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as left:
         left.bind(str(mailbox_path("local:x")))

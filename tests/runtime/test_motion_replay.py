@@ -14,37 +14,41 @@ import pytest
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.runtime.mailbox import StatusWatcher
-from tests.replay.repeat import mean_angle_differences, tensions_held
-from tests.replay.runs import SCENE
+from tests.replay.grasp_repetition import mean_angle_differences, tensions_held
+from tests.replay.short_runs import CYLINDER_SCENE
 from tests.runtime.processes import (
-    BUS,
-    end,
-    handctl,
-    result_of,
+    LOCAL_BUS,
+    end_process,
+    process_result,
+    run_handctl,
     start_hand,
     start_handctl,
-    wait_for,
-    write_homed,
+    wait_for_phase,
+    write_homed_calibration,
 )
 
 pytestmark = [pytest.mark.realtime, pytest.mark.alone]
-GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
+GOLDEN_LOG = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 
 
 @pytest.fixture
-def place(place):
-    (place / "scene.toml").write_text(SCENE.format(friction=0.5))
-    write_homed(place / "c.toml", load_hand("jamia"))
-    return place
+def work_folder(work_folder):
+    (work_folder / "scene.toml").write_text(CYLINDER_SCENE.format(friction=0.5))
+    write_homed_calibration(work_folder / "c.toml", load_hand("jamia"))
+    return work_folder
 
 
-def test_a_golden_grasp_repeats_on_the_local_bus(place, scale):
-    simulated = start_hand(place / "x.truth", "--hand", "jamia", "--scene", "scene.toml", *scale)
+def test_a_golden_grasp_repeats_on_the_local_bus(work_folder, scale):
+    simulated = start_hand(
+        work_folder / "x.truth", "--hand", "jamia", "--scene", "scene.toml", *scale
+    )
     try:
-        words = ("--hand", "jamia", "--bus", BUS, "--calibration", "c.toml", *scale)
-        done = handctl("replay", "drive", str(GOLDEN), *words, "--log", "again.mcap", "--json")
+        words = ("--hand", "jamia", "--bus", LOCAL_BUS, "--calibration", "c.toml", *scale)
+        done = run_handctl(
+            "replay", "drive", str(GOLDEN_LOG), *words, "--log", "again.mcap", "--json"
+        )
     finally:
-        end(simulated)
+        end_process(simulated)
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
     # At first contact one joint of a digit yields before the other. This makes 2.7 deg here, and
@@ -55,7 +59,7 @@ def test_a_golden_grasp_repeats_on_the_local_bus(place, scale):
     assert max(row["rms"] for row in result["joint_deg"].values()) < 1.0, (
         "as in lockstep, tests/replay/test_drive.py"
     )
-    with RunLog(GOLDEN) as before, RunLog(place / "again.mcap") as after:
+    with RunLog(GOLDEN_LOG) as before, RunLog(work_folder / "again.mcap") as after:
         apart = mean_angle_differences(before, after)
         assert np.percentile(apart, 99, axis=0).max() < 1.0
         assert apart.max() < 2.0, "a digit may leave the object one tick late"
@@ -63,13 +67,15 @@ def test_a_golden_grasp_repeats_on_the_local_bus(place, scale):
     np.testing.assert_allclose(new, old, rtol=0.05)
 
 
-def test_an_interrupted_replay_reports_its_progress(place, scale):
-    simulated = start_hand(place / "x.truth", "--hand", "jamia", "--scene", "scene.toml", *scale)
+def test_an_interrupted_replay_reports_its_progress(work_folder, scale):
+    simulated = start_hand(
+        work_folder / "x.truth", "--hand", "jamia", "--scene", "scene.toml", *scale
+    )
     words = (
         "--hand",
         "jamia",
         "--bus",
-        BUS,
+        LOCAL_BUS,
         "--calibration",
         "c.toml",
         *scale,
@@ -78,15 +84,15 @@ def test_an_interrupted_replay_reports_its_progress(place, scale):
         "--json",
     )
     try:
-        driving = start_handctl("replay", "drive", str(GOLDEN), *words)
-        watcher = StatusWatcher(BUS)
-        wait_for("playback", watcher, driving)
+        driving = start_handctl("replay", "drive", str(GOLDEN_LOG), *words)
+        watcher = StatusWatcher(LOCAL_BUS)
+        wait_for_phase("playback", watcher, driving)
         time.sleep(0.6)
         driving.send_signal(signal.SIGINT)
-        code, result, err = result_of(driving)
+        code, result, err = process_result(driving)
         watcher.close()
     finally:
-        end(simulated)
+        end_process(simulated)
     assert code == 1
     assert f"stopped: {result['driven_s']:.2f} of {result['seconds']:.2f} s were driven" in err
     assert result["complete"] is False

@@ -35,11 +35,11 @@ from handctl.runtime.targets import (
 )
 from handctl.safety.action import SafetyAction
 
-AXES = {"joint": 3, "tendon": 2, "motor": 2, "digit": 1}
+AXIS_LENGTHS = {"joint": 3, "tendon": 2, "motor": 2, "digit": 1}
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def run_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return a folder for the sockets and files of one test."""
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path / "h"))
     return tmp_path
@@ -49,7 +49,7 @@ def numbers_of(k: int) -> PackedTelemetry:
     """Return telemetry whose numbers all follow from the tick and from the index of the number."""
     places, first = {}, 0
     for name in TELEMETRY_FIELDS:
-        places[name] = slice(first, first + AXES[TELEMETRY_AXES[name]])
+        places[name] = slice(first, first + AXIS_LENGTHS[TELEMETRY_AXES[name]])
         first = places[name].stop
     return PackedTelemetry(1000.0 * k + np.arange(first), places)
 
@@ -65,18 +65,18 @@ def ticks_of(reader: ObservationReader) -> list[int]:
     return ticks
 
 
-def write(writer: ObservationWriter, k: int, status: StreamStatus = NO_STREAM) -> None:
+def write_observation(writer: ObservationWriter, k: int, status: StreamStatus = NO_STREAM) -> None:
     """Write the record of tick k into the ring of observations."""
     out = TickOut((), HandMode.ACTIVE, "live", SafetyAction.WARN, numbers_of(k), (), bytes(8))
     writer.publish(TickIn(k, 2_000_000 * k, 7), out, status, time.monotonic_ns())
 
 
 def test_a_record_comes_back_with_every_field() -> None:
-    writer = ObservationWriter("local:x", AXES, {"rate_Hz": 500.0})
+    writer = ObservationWriter("local:x", AXIS_LENGTHS, {"rate_Hz": 500.0})
     reader = ObservationReader("local:x")
     assert reader.latest() is None
     assert reader.description["rate_Hz"] == 500.0
-    write(writer, 41, StreamStatus(5, 0.25, 6, 7, 8, 9, 10))
+    write_observation(writer, 41, StreamStatus(5, 0.25, 6, 7, 8, 9, 10))
     record = reader.latest()
     assert record is not None
     assert (record["k"], record["t_ns"], record["late_ns"]) == (41, 82_000_000, 7)
@@ -97,13 +97,13 @@ def test_a_record_comes_back_with_every_field() -> None:
 
 
 def test_a_reader_gets_every_tick_once_and_a_late_one_misses_the_oldest() -> None:
-    writer = ObservationWriter("local:x", AXES, {})
+    writer = ObservationWriter("local:x", AXIS_LENGTHS, {})
     reader = ObservationReader("local:x")
     for k in range(10):
-        write(writer, k)
+        write_observation(writer, k)
     assert ticks_of(reader) == list(range(10))
     for k in range(10, 10 + 2 * RING_RECORDS):
-        write(writer, k)
+        write_observation(writer, k)
     late = ticks_of(reader)
     assert late == list(range(10 + 2 * RING_RECORDS - len(late), 10 + 2 * RING_RECORDS))
     assert RING_RECORDS - 4 <= len(late) < RING_RECORDS
@@ -112,7 +112,7 @@ def test_a_reader_gets_every_tick_once_and_a_late_one_misses_the_oldest() -> Non
 
 
 def test_no_reader_sees_a_torn_record() -> None:
-    writer = ObservationWriter("local:x", AXES, {})
+    writer = ObservationWriter("local:x", AXIS_LENGTHS, {})
     stop, torn, seen = threading.Event(), list[int](), list[int]()
 
     def read() -> None:
@@ -130,7 +130,7 @@ def test_no_reader_sees_a_torn_record() -> None:
     for one in readers:
         one.start()
     for k in range(20_000):
-        write(writer, k)
+        write_observation(writer, k)
     stop.set()
     for one in readers:
         one.join()
@@ -140,9 +140,9 @@ def test_no_reader_sees_a_torn_record() -> None:
 
 
 def test_a_half_written_record_is_not_returned() -> None:
-    writer = ObservationWriter("local:x", AXES, {})
+    writer = ObservationWriter("local:x", AXIS_LENGTHS, {})
     reader = ObservationReader("local:x")
-    write(writer, 1)
+    write_observation(writer, 1)
     writer._counters[0][0] = 3  # as while record 2 is written
     assert reader.read(0) is None
     assert reader.latest() is None, "a reader does not wait for a dead writer"
@@ -151,7 +151,7 @@ def test_a_half_written_record_is_not_returned() -> None:
 
 
 def test_the_file_is_private_and_is_removed_after_the_run() -> None:
-    writer = ObservationWriter("local:x", AXES, {})
+    writer = ObservationWriter("local:x", AXIS_LENGTHS, {})
     path = observations_path("local:x")
     assert path.stat().st_mode & 0o777 == 0o600
     reader = ObservationReader("local:x")
@@ -171,7 +171,7 @@ def test_a_file_that_a_killed_controller_left_is_replaced() -> None:
     path.write_bytes(b"old")
     with pytest.raises(BusError, match="of this version"):
         ObservationReader("local:x") if path.write_bytes(b"x" * 100) else None
-    writer = ObservationWriter("local:x", AXES, {})
+    writer = ObservationWriter("local:x", AXIS_LENGTHS, {})
     ObservationReader("local:x").close()
     writer.close()
 

@@ -15,7 +15,7 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-def policy() -> int:
+def scheduling_policy() -> int:
     return os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
 
 
@@ -30,14 +30,14 @@ def open_files() -> set[str]:
 
 def test_priority_is_reset_after_the_run() -> None:
     granted = take_priority()
-    assert (policy() == os.SCHED_FIFO) == granted.realtime
+    assert (scheduling_policy() == os.SCHED_FIFO) == granted.realtime
     restore_priority()
-    assert policy() == os.SCHED_OTHER
+    assert scheduling_policy() == os.SCHED_OTHER
 
 
 def test_the_doctor_tries_real_time_priority_and_resets_it() -> None:
     main(["doctor", "--json"])
-    assert policy() == os.SCHED_OTHER
+    assert scheduling_policy() == os.SCHED_OTHER
 
 
 def test_memory_is_locked_while_others_may_still_run(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -56,13 +56,13 @@ def test_only_ticks_have_realtime_priority() -> None:
     """Regression: a loop that started, or closed its log, blocked all other processes on its core."""
     granted = priority.prepare_priority()
     seen = []
-    assert policy() == os.SCHED_OTHER
+    assert scheduling_policy() == os.SCHED_OTHER
     with priority.realtime_priority() as granted_now:
-        seen.append(policy())
+        seen.append(scheduling_policy())
     restore_priority()
     assert granted_now == granted.realtime
     assert seen == [os.SCHED_FIFO if granted_now else os.SCHED_OTHER]
-    assert policy() == os.SCHED_OTHER
+    assert scheduling_policy() == os.SCHED_OTHER
 
 
 def test_processors_stay_awake_only_during_the_ticks(tmp_path, monkeypatch) -> None:

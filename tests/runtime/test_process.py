@@ -15,38 +15,38 @@ from handctl.log.read.reader import RunLog
 from handctl.report.truth import read_truth
 from handctl.runtime.mailbox import StatusWatcher
 from tests.runtime.processes import (
-    BUS,
-    end,
-    handctl,
-    modes_of_complete,
-    result_of,
-    sockets,
+    LOCAL_BUS,
+    end_process,
+    modes_of_complete_log,
+    process_result,
+    run_handctl,
+    socket_names,
     start_hand,
     start_handctl,
-    wait_for,
-    write_homed,
+    wait_for_phase,
+    write_homed_calibration,
 )
 
 pytestmark = pytest.mark.realtime
 
 
-def run_short(place, processes, scale):
+def run_short(work_folder, processes, scale):
     """Commission a new simulated hand and run a short task.
 
     Return the result of ``handctl run`` and the path of its log.
     """
-    truth = place / "hand.truth"
-    log = place / "run.mcap"
+    truth = work_folder / "hand.truth"
+    log = work_folder / "run.mcap"
     processes.append(start_hand(truth, "--hand", "jamia", *scale))
     words = ("--task", "short.toml", "--json", "--log", str(log), *scale, "--truth", str(truth))
-    processes.append(start_handctl("run", "--hand", "jamia", "--bus", BUS, *words))
-    result = result_of(processes.pop())
-    end(processes.pop())
+    processes.append(start_handctl("run", "--hand", "jamia", "--bus", LOCAL_BUS, *words))
+    result = process_result(processes.pop())
+    end_process(processes.pop())
     return result, log
 
 
-def test_a_run_commissions_moves_and_reports_its_result(place, processes, scale):
-    (code, result, err), log = run_short(place, processes, scale)
+def test_a_run_commissions_moves_and_reports_its_result(work_folder, processes, scale):
+    (code, result, err), log = run_short(work_folder, processes, scale)
     assert code == 0, err
     assert err.startswith("commissioning jamia first: there is no jamia.calibration.toml")
     assert result["failure"] == ""
@@ -55,10 +55,10 @@ def test_a_run_commissions_moves_and_reports_its_result(place, processes, scale)
     assert result["frames_lost"] < 0.01 * result["frames_rx"]
     assert set(result["late_us"]) == {"p50", "p99_9", "max"}
     assert max(result["tracking_rmse_deg"].values()) < 1.0
-    modes = modes_of_complete(log)
+    modes = modes_of_complete_log(log)
     order = ["SILENT", "INVENTORY", "READY", "ARMING", "ACTIVE", "RELAX", "DISARM", "DONE"]
     assert modes == [f"{a} -> {b}" for a, b in itertools.pairwise(order)]
-    assert not [name for name in sockets() if name.endswith(".requests")]
+    assert not [name for name in socket_names() if name.endswith(".requests")]
 
 
 def start_long(processes, calibrated, *more):
@@ -67,42 +67,44 @@ def start_long(processes, calibrated, *more):
         "run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *more
     )
     processes.append(process)
-    watcher = StatusWatcher(BUS)
+    watcher = StatusWatcher(LOCAL_BUS)
     try:
-        wait_for("stay", watcher, process)
+        wait_for_phase("stay", watcher, process)
     finally:
         watcher.close()
     return process
 
 
-def test_a_stop_from_another_process_ends_the_run(place, hand, calibrated, processes, scale):
+def test_a_stop_from_another_process_ends_the_run(work_folder, hand, calibrated, processes, scale):
     process = start_long(processes, calibrated, *scale)
-    second = handctl("run", *calibrated, "--task", "long.toml", *scale, "--log", "second.mcap")
+    second = run_handctl("run", *calibrated, "--task", "long.toml", *scale, "--log", "second.mcap")
     assert second.returncode == 1
-    assert second.stderr.startswith(f"handctl: bus {BUS}: another controller runs here")
+    assert second.stderr.startswith(f"handctl: bus {LOCAL_BUS}: another controller runs here")
     assert second.stderr.count("\n") == 1
-    stop = handctl("stop", "--bus", BUS)
+    stop = run_handctl("stop", "--bus", LOCAL_BUS)
     assert stop.returncode == 0
-    code, _, err = result_of(process)
+    code, _, err = process_result(process)
     assert code == 0, err
-    assert modes_of_complete(place / "run.mcap")[-3:] == [
+    assert modes_of_complete_log(work_folder / "run.mcap")[-3:] == [
         "ACTIVE -> RELAX",
         "RELAX -> DISARM",
         "DISARM -> DONE",
     ]
 
 
-def test_the_first_ctrl_c_relaxes_disables_and_confirms(place, hand, calibrated, processes, scale):
+def test_the_first_ctrl_c_relaxes_disables_and_confirms(
+    work_folder, hand, calibrated, processes, scale
+):
     process = start_long(processes, calibrated, *scale)
     process.send_signal(signal.SIGINT)
-    code, result, err = result_of(process)
+    code, result, err = process_result(process)
     assert (code, result["failure"]) == (0, ""), err
-    assert modes_of_complete(place / "run.mcap")[-3:] == [
+    assert modes_of_complete_log(work_folder / "run.mcap")[-3:] == [
         "ACTIVE -> RELAX",
         "RELAX -> DISARM",
         "DISARM -> DONE",
     ]
-    with RunLog(place / "run.mcap") as run:
+    with RunLog(work_folder / "run.mcap") as run:
         before = run.field("tension")[-400:].max()
         phases = run.field("drive_phase")[-1]
         assert before > 8.0
@@ -110,26 +112,26 @@ def test_the_first_ctrl_c_relaxes_disables_and_confirms(place, hand, calibrated,
         assert len(set(phases)) == 1, "all drives report the same phase, disabled"
 
 
-def test_the_second_ctrl_c_cuts(place, hand, calibrated, processes, scale):
+def test_the_second_ctrl_c_cuts(work_folder, hand, calibrated, processes, scale):
     process = start_long(processes, calibrated, *scale)
     process.send_signal(signal.SIGINT)
     process.send_signal(signal.SIGTERM)  # the kernel may merge two SIGINT signals
-    code, _, err = result_of(process)
+    code, _, err = process_result(process)
     assert code == 0, err
-    assert modes_of_complete(place / "run.mcap")[-3:] == [
+    assert modes_of_complete_log(work_folder / "run.mcap")[-3:] == [
         "RELAX -> CUT",
         "CUT -> DISARM",
         "DISARM -> DONE",
     ]
 
 
-def test_a_missing_motor_is_named(place, hand, processes, scale):
+def test_a_missing_motor_is_named(work_folder, hand, processes, scale):
     content = hand_content("jamia")
     content["motor"][2]["node_id"] = 9
-    (place / "mine.toml").write_text(toml_text(content))
-    write_homed(place / "c.toml", load_hand("mine.toml"))
-    words = ("--hand", "mine.toml", "--bus", BUS, "--calibration", "c.toml", *scale)
-    refused = handctl("run", *words, "--task", "short.toml", "--log", "run.mcap", "--json")
+    (work_folder / "mine.toml").write_text(toml_text(content))
+    write_homed_calibration(work_folder / "c.toml", load_hand("mine.toml"))
+    words = ("--hand", "mine.toml", "--bus", LOCAL_BUS, "--calibration", "c.toml", *scale)
+    refused = run_handctl("run", *words, "--task", "short.toml", "--log", "run.mcap", "--json")
     assert refused.returncode == 1
     assert refused.stderr == "handctl: no answer from ring_motor\n"
     truth = read_truth(hand)

@@ -9,44 +9,44 @@ from pathlib import Path
 
 import pytest
 
-from tests.runtime.processes import READY_S, modes_of_complete, start_handctl
+from tests.runtime.processes import READY_TIMEOUT_S, modes_of_complete_log, start_handctl
 
-README = (Path(__file__).parents[2] / "README.md").read_text()
-LOAD = "import os\nparent = os.getppid()\nwhile os.getppid() == parent: pass"
+README_TEXT = (Path(__file__).parents[2] / "README.md").read_text()
+LOAD_PROGRAM = "import os\nparent = os.getppid()\nwhile os.getppid() == parent: pass"
 
 
-def blocks(language: str, *containing: str) -> list[str]:
+def readme_blocks(language: str, *containing: str) -> list[str]:
     """Return the code blocks of the README that are in a language and contain all given texts."""
-    texts = re.findall(rf"^```{language}\n(.*?)^```$", README, re.MULTILINE | re.DOTALL)
+    texts = re.findall(rf"^```{language}\n(.*?)^```$", README_TEXT, re.MULTILINE | re.DOTALL)
     return [block for block in texts if all(text in block for text in containing)]
 
 
 @pytest.mark.realtime
 @pytest.mark.alone
 @pytest.mark.parametrize("busy", [2])
-def test_the_program_in_the_readme_runs_beside_busy_ones(place, processes, busy):
-    (program,) = blocks("python", "handctl.connect")
-    (commands,) = blocks("", "handctl sim", "--bus local:lab")
+def test_the_program_in_the_readme_runs_beside_busy_ones(work_folder, processes, busy):
+    (program,) = readme_blocks("python", "handctl.connect")
+    (commands,) = readme_blocks("", "handctl sim", "--bus local:lab")
     (line,) = [line for line in commands.splitlines() if line.startswith("handctl sim")]
     simulator = start_handctl(*shlex.split(line.split("#")[0])[1:])
     processes.append(simulator)
     processes.extend(
-        subprocess.Popen([sys.executable, "-c", LOAD], stdout=subprocess.PIPE, text=True)
+        subprocess.Popen([sys.executable, "-c", LOAD_PROGRAM], stdout=subprocess.PIPE, text=True)
         for _ in range(busy)
     )
-    (place / "example.py").write_text(program)
-    ready(simulator)
+    (work_folder / "example.py").write_text(program)
+    wait_until_ready(simulator)
     ran = subprocess.run(
         [sys.executable, "example.py"], capture_output=True, text=True, timeout=300.0
     )
     assert ran.returncode == 0, ran.stderr[-2000:]
     forces, log = ran.stdout.splitlines()
     assert len(forces.strip("[]").split(",")) == 4
-    modes_of_complete(place / log)
+    modes_of_complete_log(work_folder / log)
 
 
-def ready(simulator: "subprocess.Popen[str]") -> None:
+def wait_until_ready(simulator: "subprocess.Popen[str]") -> None:
     """Wait until a simulator serves its bus."""
     assert simulator.stdout
-    assert select.select([simulator.stdout], [], [], READY_S)[0], "no ready line"
+    assert select.select([simulator.stdout], [], [], READY_TIMEOUT_S)[0], "no ready line"
     simulator.stdout.readline()

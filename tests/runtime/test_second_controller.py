@@ -5,15 +5,22 @@ import time
 import pytest
 
 from handctl.hand.hand_loading import load_hand
-from tests.runtime.kills import Listener, read_syncs
-from tests.runtime.processes import BUS, end, handctl, start_hand, start_handctl, write_homed
+from tests.runtime.killed_controllers import SyncListener, read_syncs
+from tests.runtime.processes import (
+    LOCAL_BUS,
+    end_process,
+    run_handctl,
+    start_hand,
+    start_handctl,
+    write_homed_calibration,
+)
 
 pytestmark = pytest.mark.realtime
-WORDS = (
+RUN_OPTIONS = (
     "--hand",
     "jamia",
     "--bus",
-    BUS,
+    LOCAL_BUS,
     "--calibration",
     "c.toml",
     "--task",
@@ -22,30 +29,30 @@ WORDS = (
 )
 
 
-def test_a_second_controller_is_refused_and_the_first_goes_on(place, scale):
-    write_homed(place / "c.toml", load_hand("jamia"))
-    simulated = start_hand(place / "hand.truth", "--hand", "jamia", *scale)
-    first = start_handctl("run", *WORDS, "--log", "first.mcap", *scale)
+def test_a_second_controller_is_refused_and_the_first_goes_on(work_folder, scale):
+    write_homed_calibration(work_folder / "c.toml", load_hand("jamia"))
+    simulated = start_hand(work_folder / "hand.truth", "--hand", "jamia", *scale)
+    first = start_handctl("run", *RUN_OPTIONS, "--log", "first.mcap", *scale)
     try:
-        with Listener() as listener:
+        with SyncListener() as listener:
             until = time.monotonic() + 60.0
             while not listener.syncs:
                 assert first.poll() is None, first.communicate()
                 assert time.monotonic() < until
-                listener.wait(0.01)
-            second = handctl("run", *WORDS, "--log", "second.mcap", *scale)
+                listener.listen(0.01)
+            second = run_handctl("run", *RUN_OPTIONS, "--log", "second.mcap", *scale)
             assert second.returncode == 1
             assert "another controller runs here" in second.stderr
             assert second.stderr.count("\n") == 1
-            listener.wait(0.0)
+            listener.listen(0.0)
             before = len(listener.syncs)
-            listener.wait(0.5)
+            listener.listen(0.5)
             assert first.poll() is None
             assert len(listener.syncs) > before, "the first controller still sends"
         first.terminate()
         assert first.wait(30.0) == 0
     finally:
-        end(first)
-        end(simulated)
-    assert read_syncs(place / "first.mcap")[0] == ""
-    assert not (place / "second.mcap").exists()
+        end_process(first)
+        end_process(simulated)
+    assert read_syncs(work_folder / "first.mcap")[0] == ""
+    assert not (work_folder / "second.mcap").exists()

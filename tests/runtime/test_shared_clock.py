@@ -13,14 +13,14 @@ from firmware_sim.bus.bus_ports import is_on_this_machine
 from handctl.runtime.clocks import shared
 from handctl.runtime.clocks.shared import ClockFile, SharedClock
 from handctl.runtime.mailbox import StatusWatcher
-from tests.runtime.processes import BUS, result_of, start_handctl, wait_for
+from tests.runtime.processes import LOCAL_BUS, process_result, start_handctl, wait_for_phase
 
-PERIOD = 2_000_000
-TOLERATED_LATENESS_NS = PERIOD // 10
-MS = 1_000_000
+PERIOD_NS = 2_000_000
+TOLERATED_LATENESS_NS = PERIOD_NS // 10
+NS_PER_MS = 1_000_000
 
 
-class Machine:
+class SharedClockPair:
     """A simulator and a controller on a simulated CLOCK_MONOTONIC.
 
     Attributes:
@@ -39,7 +39,7 @@ class Machine:
         monkeypatch.setattr(time, "sleep", self.sleep)
         self.simulator = simulated.SharedClock(scale)
         self.simulator.publish(path)
-        self.controller = SharedClock(PERIOD, scale, file=ClockFile(path))
+        self.controller = SharedClock(PERIOD_NS, scale, file=ClockFile(path))
 
     def sleep(self, seconds: float) -> None:
         self.now += round(seconds * 1e9) + (self.overshoots.pop() if self.overshoots else 10_000)
@@ -52,8 +52,8 @@ class Machine:
 
 
 @pytest.fixture
-def machine(tmp_path, monkeypatch):
-    built = Machine(tmp_path / "t.clock", monkeypatch)
+def clock_pair(tmp_path, monkeypatch):
+    built = SharedClockPair(tmp_path / "t.clock", monkeypatch)
     built.between = built.answer
     return built
 
@@ -69,140 +69,142 @@ def test_both_sides_agree_on_the_file(tmp_path) -> None:
     )
 
 
-def test_a_fast_machine_needs_no_pause(machine) -> None:
-    machine.controller.start()
-    late = [machine.controller.wait(k) for k in range(200)]
+def test_a_fast_machine_needs_no_pause(clock_pair) -> None:
+    clock_pair.controller.start()
+    late = [clock_pair.controller.wait(k) for k in range(200)]
     assert max(late) <= 20_000
-    assert machine.controller.pauses == 0
-    assert machine.controller.clock_facts() == {"clock_pauses": "0", "clock_paused_ms": "0.0"}
+    assert clock_pair.controller.pauses == 0
+    assert clock_pair.controller.clock_facts() == {"clock_pauses": "0", "clock_paused_ms": "0.0"}
 
 
 @pytest.mark.parametrize("late_ms", [1, 3, 99])
-def test_the_clock_pauses_for_a_late_controller(machine, late_ms) -> None:
-    clock = machine.controller
+def test_the_clock_pauses_for_a_late_controller(clock_pair, late_ms) -> None:
+    clock = clock_pair.controller
     clock.start()
     clock.wait(0)
-    begin = machine.now
-    machine.overshoots = [late_ms * MS]
+    begin = clock_pair.now
+    clock_pair.overshoots = [late_ms * NS_PER_MS]
     assert clock.wait(1) == TOLERATED_LATENESS_NS
     assert clock.pauses == 1
-    assert clock.paused_ns == pytest.approx(late_ms * MS - TOLERATED_LATENESS_NS, abs=20_000)
+    assert clock.paused_ns == pytest.approx(late_ms * NS_PER_MS - TOLERATED_LATENESS_NS, abs=20_000)
     assert clock.wait(2) <= 20_000, "the deadlines move with the clock"
-    assert machine.now - begin == pytest.approx(2 * PERIOD + clock.paused_ns, abs=50_000)
-    assert clock.now_ns() == pytest.approx(2 * PERIOD, abs=50_000)
+    assert clock_pair.now - begin == pytest.approx(2 * PERIOD_NS + clock.paused_ns, abs=50_000)
+    assert clock.now_ns() == pytest.approx(2 * PERIOD_NS, abs=50_000)
 
 
-def test_ticks_of_a_controller_that_was_stopped_are_missed(machine) -> None:
+def test_ticks_of_a_controller_that_was_stopped_are_missed(clock_pair) -> None:
     """The clock does not pause if a user stops the controller, because the watchdogs of the drives must trip."""
-    clock = machine.controller
+    clock = clock_pair.controller
     clock.start()
     clock.wait(0)
-    machine.overshoots = [110 * MS]
-    assert clock.wait(1) == pytest.approx(110 * MS, abs=20_000)
+    clock_pair.overshoots = [110 * NS_PER_MS]
+    assert clock.wait(1) == pytest.approx(110 * NS_PER_MS, abs=20_000)
     assert clock.pauses == 0
 
 
-def test_the_clock_waits_for_the_simulator(machine) -> None:
-    clock = machine.controller
+def test_the_clock_waits_for_the_simulator(clock_pair) -> None:
+    clock = clock_pair.controller
     clock.start()
     clock.wait(0)
-    stopped_until = machine.now + 30 * MS
+    stopped_until = clock_pair.now + 30 * NS_PER_MS
     read: list[int] = []
 
     def stopped() -> None:
-        read.append(machine.simulator.now_ns())
-        if machine.now >= stopped_until:
-            machine.answer()
+        read.append(clock_pair.simulator.now_ns())
+        if clock_pair.now >= stopped_until:
+            clock_pair.answer()
 
-    machine.between = stopped
+    clock_pair.between = stopped
     assert clock.wait(1) <= TOLERATED_LATENESS_NS
-    assert machine.now >= stopped_until
+    assert clock_pair.now >= stopped_until
     assert clock.pauses == 1
-    assert clock.paused_ns == pytest.approx(30 * MS - PERIOD, abs=200_000)
-    assert max(read) <= clock.start_ns + PERIOD + TOLERATED_LATENESS_NS
+    assert clock.paused_ns == pytest.approx(30 * NS_PER_MS - PERIOD_NS, abs=200_000)
+    assert max(read) <= clock.start_ns + PERIOD_NS + TOLERATED_LATENESS_NS
     assert read == sorted(read)
 
 
-def test_a_simulator_that_stopped_is_not_waited_for_again(machine) -> None:
+def test_a_simulator_that_stopped_is_not_waited_for_again(clock_pair) -> None:
     """After the first wait the run goes on. The missing frames cause the same faults as on a real bus."""
-    clock = machine.controller
+    clock = clock_pair.controller
     clock.start()
     clock.wait(0)
-    machine.between = lambda: None
-    begin = machine.now
+    clock_pair.between = lambda: None
+    begin = clock_pair.now
     clock.wait(1)
-    assert machine.now - begin == pytest.approx(shared.SIMULATOR_LIMIT_NS, rel=0.02)
-    begin = machine.now
+    assert clock_pair.now - begin == pytest.approx(shared.SIMULATOR_LIMIT_NS, rel=0.02)
+    begin = clock_pair.now
     for k in range(2, 50):
         clock.wait(k)
-    assert machine.now - begin == pytest.approx(48 * PERIOD, abs=MS)
-    machine.between = machine.answer
+    assert clock_pair.now - begin == pytest.approx(48 * PERIOD_NS, abs=NS_PER_MS)
+    clock_pair.between = clock_pair.answer
     clock.wait(50)
-    machine.between = lambda: None
-    begin = machine.now
+    clock_pair.between = lambda: None
+    begin = clock_pair.now
     clock.wait(51)
-    assert machine.now - begin > shared.SIMULATOR_LIMIT_NS, (
+    assert clock_pair.now - begin > shared.SIMULATOR_LIMIT_NS, (
         "after an answer the controller waits for the simulator again"
     )
 
 
-def test_a_simulator_behind_its_time_is_waited_for(machine) -> None:
+def test_a_simulator_behind_its_time_is_waited_for(clock_pair) -> None:
     """The simulator has replied to all frames, but its sensors would still send frames until the present time."""
-    clock = machine.controller
+    clock = clock_pair.controller
     clock.start()
     clock.wait(0)
-    reached = machine.simulator.now_ns()
-    until = machine.now + 10 * MS
+    reached = clock_pair.simulator.now_ns()
+    until = clock_pair.now + 10 * NS_PER_MS
 
     def behind() -> None:
-        machine.simulator.note_answered(machine.simulator.ticks_sent())
-        machine.simulator.note_reached(
-            reached if machine.now < until else machine.simulator.now_ns()
+        clock_pair.simulator.note_answered(clock_pair.simulator.ticks_sent())
+        clock_pair.simulator.note_reached(
+            reached if clock_pair.now < until else clock_pair.simulator.now_ns()
         )
 
-    machine.between = behind
+    clock_pair.between = behind
     clock.wait(1)
-    assert machine.now >= until
+    assert clock_pair.now >= until
 
 
-def test_the_simulator_leaves_a_controller_that_stays_away(machine) -> None:
-    clock = machine.controller
+def test_the_simulator_leaves_a_controller_that_stays_away(clock_pair) -> None:
+    clock = clock_pair.controller
     clock.start()
     clock.wait(0)
-    gate = clock.start_ns + PERIOD + TOLERATED_LATENESS_NS
-    machine.now = gate + simulated.MAX_GATE_WAIT_NS
-    assert machine.simulator.now_ns() == gate
-    machine.now += 1
-    assert machine.simulator.now_ns() == machine.now
+    gate = clock.start_ns + PERIOD_NS + TOLERATED_LATENESS_NS
+    clock_pair.now = gate + simulated.MAX_GATE_WAIT_NS
+    assert clock_pair.simulator.now_ns() == gate
+    clock_pair.now += 1
+    assert clock_pair.simulator.now_ns() == clock_pair.now
 
 
-def test_a_closed_clock_opens_the_gate(machine, tmp_path) -> None:
-    machine.controller.start()
-    machine.controller.wait(0)
-    machine.controller.file.close()
-    machine.now += 20 * MS
-    assert machine.simulator.now_ns() == machine.now
-    machine.simulator.close()
+def test_a_closed_clock_opens_the_gate(clock_pair, tmp_path) -> None:
+    clock_pair.controller.start()
+    clock_pair.controller.wait(0)
+    clock_pair.controller.file.close()
+    clock_pair.now += 20 * NS_PER_MS
+    assert clock_pair.simulator.now_ns() == clock_pair.now
+    clock_pair.simulator.close()
     assert not (tmp_path / "t.clock").exists()
 
 
-def test_a_time_stamp_before_the_last_pause_is_converted(machine) -> None:
+def test_a_time_stamp_before_the_last_pause_is_converted(clock_pair) -> None:
     """A client stamps its targets with CLOCK_MONOTONIC, which does not pause. The stamp becomes time of the run."""
-    clock = machine.controller
+    clock = clock_pair.controller
     clock.start()
     clock.wait(0)
-    stamp, run_ns = machine.now, clock.now_ns()
-    machine.overshoots = [20 * MS]
+    stamp, run_ns = clock_pair.now, clock.now_ns()
+    clock_pair.overshoots = [20 * NS_PER_MS]
     clock.wait(1)
     assert clock.of(stamp) == pytest.approx(run_ns, abs=1)
-    assert clock.of(machine.now) == clock.now_ns()
+    assert clock.of(clock_pair.now) == clock.now_ns()
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_the_time_of_the_simulator_never_runs_backwards(tmp_path, monkeypatch, seed) -> None:
     """This holds on simulated machines that stop the controller and the simulator at random times."""
     rng = random.Random(seed)
-    machine = Machine(tmp_path / "t.clock", monkeypatch, scale := rng.choice([0.1, 1.0, 1.0, 4.0]))
+    machine = SharedClockPair(
+        tmp_path / "t.clock", monkeypatch, scale := rng.choice([0.1, 1.0, 1.0, 4.0])
+    )
     machine.controller.spin = rng.random() < 0.5
     read = [0]
 
@@ -220,12 +222,12 @@ def test_the_time_of_the_simulator_never_runs_backwards(tmp_path, monkeypatch, s
     k = 0
     for _ in range(300):
         if rng.random() < 0.1:
-            machine.overshoots = [rng.randrange(30 * MS)]
+            machine.overshoots = [rng.randrange(30 * NS_PER_MS)]
         late = machine.controller.wait(k)
         assert late <= max(TOLERATED_LATENESS_NS, 60_000 * scale), "no tick is missed"
         advance()
-        machine.now += rng.randrange(2 * MS) if rng.random() < 0.1 else 50_000
-        k += 1 + late // PERIOD
+        machine.now += rng.randrange(2 * NS_PER_MS) if rng.random() < 0.1 else 50_000
+        k += 1 + late // PERIOD_NS
     assert read == sorted(read)
     assert machine.controller.pauses > 0
 
@@ -248,15 +250,15 @@ def test_a_short_stop_of_a_process_is_no_fault(hand, calibrated, processes, vict
         start_handctl("run", *calibrated, "--task", "short.toml", "--log", "run.mcap", "--json")
     )
     simulator, controller = processes[-2:]
-    with closing(StatusWatcher(BUS)) as watcher:
-        wait_for("bend", watcher, controller)
+    with closing(StatusWatcher(LOCAL_BUS)) as watcher:
+        wait_for_phase("bend", watcher, controller)
     process = simulator if victim == "simulator" else controller
     for _ in range(5):
         process.send_signal(signal.SIGSTOP)
         time.sleep(0.02)
         process.send_signal(signal.SIGCONT)
         time.sleep(0.05)
-    code, result, err = result_of(processes.pop())
+    code, result, err = process_result(processes.pop())
     assert code == 0, err
     assert (result["missed"], result["frames_late"], result["frames_lost"]) == (0, 0, 0)
     assert result["clock_paused_s"] > 0.05

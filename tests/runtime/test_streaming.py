@@ -13,31 +13,37 @@ import pytest
 import handctl as library
 from handctl import ConfigError, DriveError
 from handctl.runtime.mailbox import MAX_WATCHERS, WATCH_REQUEST, Mailbox, StatusWatcher
-from tests.runtime.processes import BUS, READY_S, handctl, modes_of_complete, start_handctl
+from tests.runtime.processes import (
+    LOCAL_BUS,
+    READY_TIMEOUT_S,
+    modes_of_complete_log,
+    run_handctl,
+    start_handctl,
+)
 
 REALTIME = pytest.mark.realtime
-PAGE = (Path(__file__).parents[2] / "docs" / "how-to" / "python.md").read_text()
+PAGE_TEXT = (Path(__file__).parents[2] / "docs" / "how-to" / "python.md").read_text()
 
 
 @pytest.fixture
-def live(place, hand, calibrated, scale):
+def live_hand(work_folder, hand, calibrated, scale):
     """Return a client that has started the controller of a simulated hand."""
     with library.connect(
-        "jamia", f"main={BUS}", "--calibration", "c.toml", "--log", "live.mcap", *scale
+        "jamia", f"main={LOCAL_BUS}", "--calibration", "c.toml", "--log", "live.mcap", *scale
     ) as client:
         yield client
 
 
 @REALTIME
-def test_a_stream_is_followed_observed_logged_and_repeated(place, hand, calibrated, scale):
+def test_a_stream_is_followed_observed_logged_and_repeated(work_folder, hand, calibrated, scale):
     with library.connect(
-        "jamia", f"main={BUS}", "--calibration", "c.toml", "--log", "live.mcap", *scale
+        "jamia", f"main={LOCAL_BUS}", "--calibration", "c.toml", "--log", "live.mcap", *scale
     ) as client:
         client.move(index=30.0)
         seen, ready = [], threading.Event()
 
         def watch():
-            with library.connect("jamia", BUS) as other:
+            with library.connect("jamia", LOCAL_BUS) as other:
                 for one in other.observations():
                     ready.set()
                     seen.append((one.k, one.q_deg[:3].mean(), np.degrees(one.q_goal_rad[0])))
@@ -63,36 +69,36 @@ def test_a_stream_is_followed_observed_logged_and_repeated(place, hand, calibrat
         with pytest.raises(DriveError, match="this stream is closed"):
             stream.send([1.0])
     assert client.result["failure"] == ""
-    modes_of_complete(place / "live.mcap")
-    again = handctl("replay", "execute", "live.mcap")
+    modes_of_complete_log(work_folder / "live.mcap")
+    again = run_handctl("replay", "execute", "live.mcap")
     assert again.returncode == 0
     assert " 0 differ" in again.stdout
 
 
 @REALTIME
-def test_only_one_of_several_clients_commands_the_hand(live):
+def test_only_one_of_several_clients_commands_the_hand(live_hand):
     """Regression: a client that left stopped the hand of the others.
 
     Two threads of one client got no results of their moves.
     """
-    live.move(index=10.0, duration_s=0.3)
-    with library.connect("jamia", BUS) as other:
+    live_hand.move(index=10.0, duration_s=0.3)
+    with library.connect("jamia", LOCAL_BUS) as other:
         assert other.observe().mode == "ACTIVE"
         with pytest.raises(
-            ConfigError, match=f"{live.name} commands this hand, expected take_over"
+            ConfigError, match=f"{live_hand.name} commands this hand, expected take_over"
         ):
             other.move(thumb=5.0)
         other.take_over()
         other.move(thumb=5.0, duration_s=0.3)
         with pytest.raises(ConfigError, match=f"{other.name} commands this hand"):
-            live.hold(thumb=8.0)
-    live.move(thumb=0.0, duration_s=0.3)
-    assert live.observe().mode == "ACTIVE", "the hand continues without the other client"
+            live_hand.hold(thumb=8.0)
+    live_hand.move(thumb=0.0, duration_s=0.3)
+    assert live_hand.observe().mode == "ACTIVE", "the hand continues without the other client"
     errors = []
 
     def move(**angles):
         try:
-            live.move(duration_s=0.3, **angles)
+            live_hand.move(duration_s=0.3, **angles)
         except library.HandctlError as error:
             errors.append(error)
 
@@ -104,15 +110,15 @@ def test_only_one_of_several_clients_commands_the_hand(live):
     for thread in threads:
         thread.join()
     assert not errors
-    assert live.observe(wait=True).q_deg[:9] == pytest.approx(10.0, abs=3.0)
+    assert live_hand.observe(wait=True).q_deg[:9] == pytest.approx(10.0, abs=3.0)
     with pytest.raises(ConfigError, match="wait_for: no digit 'pinky'; expected one of"):
-        live.wait_for(contact="pinky")
+        live_hand.wait_for(contact="pinky")
     with pytest.raises(DriveError, match=r"condition not met after 0.1 s"):
-        live.wait_for(contact="index", timeout_s=0.1)
-    assert live.wait_for(phase="live").phase == "live"
+        live_hand.wait_for(contact="index", timeout_s=0.1)
+    assert live_hand.wait_for(phase="live").phase == "live"
 
 
-def test_every_watcher_gets_its_lines(place):
+def test_every_watcher_gets_its_lines(work_folder):
     """Each watcher gets status lines. Regression: a fifth watcher took the place of the first."""
     box = Mailbox("local:many")
     watchers = [StatusWatcher("local:many") for _ in range(MAX_WATCHERS + 3)]
@@ -131,7 +137,7 @@ def test_every_watcher_gets_its_lines(place):
         one.close()
 
 
-def test_values_are_checked_before_they_are_sent(place):
+def test_values_are_checked_before_they_are_sent(work_folder):
     from handctl.client.stream import TargetStream
 
     class Sender:
@@ -161,13 +167,13 @@ def test_values_are_checked_before_they_are_sent(place):
 @pytest.mark.realtime
 @pytest.mark.alone
 @pytest.mark.parametrize("example", range(3))
-def test_the_programs_of_the_page_run(place, processes, scale, example):
-    programs = re.findall(r"^```python[^\n]*\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+def test_the_programs_of_the_page_run(work_folder, processes, scale, example):
+    programs = re.findall(r"^```python[^\n]*\n(.*?)^```$", PAGE_TEXT, re.MULTILINE | re.DOTALL)
     assert len(programs) == 3
     simulator = start_handctl("sim", "--hand", "jamia", "--bus", "local:lab", *scale)
     processes.append(simulator)
-    assert select.select([simulator.stdout], [], [], READY_S)[0]
-    (place / "example.py").write_text(programs[example])
+    assert select.select([simulator.stdout], [], [], READY_TIMEOUT_S)[0]
+    (work_folder / "example.py").write_text(programs[example])
     ran = subprocess.run(
         [sys.executable, "example.py"], capture_output=True, text=True, timeout=300.0
     )

@@ -4,18 +4,18 @@ import pytest
 
 from handctl.errors import ConfigError
 from handctl.session.plan import RunChoice, make_plan
-from tests.runtime.processes import BUS, handctl, scaled, start_hand
+from tests.runtime.processes import LOCAL_BUS, run_handctl, start_hand, time_scale_options
 
 
 @pytest.fixture
-def slow_hand(place, processes):
+def slow_hand(work_folder, processes):
     """Start a simulated hand at 0.3 of real time."""
-    processes.append(start_hand(place / "truth", "--hand", "jamia", *scaled(0.3)))
+    processes.append(start_hand(work_folder / "truth", "--hand", "jamia", *time_scale_options(0.3)))
     return processes[-1]
 
 
 def time_scale_of(**choice):
-    return make_plan(RunChoice("jamia", bus=[BUS], **choice)).time_scale
+    return make_plan(RunChoice("jamia", bus=[LOCAL_BUS], **choice)).time_scale
 
 
 def test_a_run_has_the_time_scale_of_the_simulator_on_its_bus(slow_hand):
@@ -29,12 +29,12 @@ def test_a_run_has_the_time_scale_of_the_simulator_on_its_bus(slow_hand):
 
 def test_a_wrong_time_scale_is_refused_before_the_bus_is_opened(slow_hand):
     for verb in (("run", "--task", "short.toml"), ("bus", "watch", "--for", "1"), ("commission",)):
-        ended = handctl(*verb, "--hand", "jamia", "--bus", BUS, *scaled(1.0))
+        ended = run_handctl(*verb, "--hand", "jamia", "--bus", LOCAL_BUS, *time_scale_options(1.0))
         assert ended.returncode == 2
         assert "expected 0.3" in ended.stderr
 
 
-def test_without_a_simulator_a_run_has_real_time(place):
+def test_without_a_simulator_a_run_has_real_time(work_folder):
     assert time_scale_of() == 1.0
     assert time_scale_of(time_scale=0.5) == 0.5
     assert make_plan(RunChoice("jamia")).time_scale == 1.0

@@ -5,28 +5,30 @@ import pytest
 from handctl.hand.hand_loading import load_hand
 from handctl.runtime.mailbox import StatusWatcher
 from tests.runtime.processes import (
-    handctl,
-    modes_of_complete,
-    result_of,
+    modes_of_complete_log,
+    process_result,
+    run_handctl,
     start_hand,
     start_handctl,
-    wait_for,
-    write_homed,
+    wait_for_phase,
+    write_homed_calibration,
 )
 
 pytestmark = [pytest.mark.realtime, pytest.mark.alone, pytest.mark.nightly]
-SIDES = ("left", "right")
-RATE = ("--rate", "100")
+HAND_SIDES = ("left", "right")
+RATE_OPTION = ("--rate", "100")
 """Options for a low control rate, because four processes with deadlines share the processors."""
-SCALE = 0.5
+TIME_SCALE = 0.5
 
 
-def test_a_stop_of_one_hand_leaves_the_other_moving(place, processes, scale):
-    write_homed(place / "c.toml", load_hand("jamia"))
-    buses = [f"local:{side}" for side in SIDES]
+def test_a_stop_of_one_hand_leaves_the_other_moving(work_folder, processes, scale):
+    write_homed_calibration(work_folder / "c.toml", load_hand("jamia"))
+    buses = [f"local:{side}" for side in HAND_SIDES]
     runs = []
-    for side, bus in zip(SIDES, buses, strict=True):
-        processes.append(start_hand(place / f"{side}.truth", "--hand", "jamia", *scale, bus=bus))
+    for side, bus in zip(HAND_SIDES, buses, strict=True):
+        processes.append(
+            start_hand(work_folder / f"{side}.truth", "--hand", "jamia", *scale, bus=bus)
+        )
         words = (
             "--calibration",
             "c.toml",
@@ -35,7 +37,7 @@ def test_a_stop_of_one_hand_leaves_the_other_moving(place, processes, scale):
             "--json",
             "--log",
             f"{side}.mcap",
-            *RATE,
+            *RATE_OPTION,
             *scale,
         )
         runs.append(start_handctl("run", "--hand", "jamia", "--bus", bus, *words))
@@ -43,19 +45,19 @@ def test_a_stop_of_one_hand_leaves_the_other_moving(place, processes, scale):
     watchers = [StatusWatcher(bus) for bus in buses]
     try:
         for watcher, run in zip(watchers, runs, strict=True):
-            wait_for("stay", watcher, run)
-        stopped = handctl("stop", "--bus", buses[0])
+            wait_for_phase("stay", watcher, run)
+        stopped = run_handctl("stop", "--bus", buses[0])
         assert stopped.returncode == 0, stopped.stderr
-        code, result, err = result_of(runs[0])
+        code, result, err = process_result(runs[0])
         assert (code, result["failure"]) == (0, ""), err
         # The second hand still holds its goal until it gets a stop of its own.
         assert runs[1].poll() is None
-        wait_for("stay", watchers[1], runs[1])
+        wait_for_phase("stay", watchers[1], runs[1])
     finally:
         for watcher in watchers:
             watcher.close()
-    assert handctl("stop", "--bus", buses[1]).returncode == 0
-    code, result, err = result_of(runs[1])
+    assert run_handctl("stop", "--bus", buses[1]).returncode == 0
+    code, result, err = process_result(runs[1])
     assert (code, result["failure"]) == (0, ""), err
-    for side in SIDES:
-        assert modes_of_complete(place / f"{side}.mcap")[-1] == "DISARM -> DONE"
+    for side in HAND_SIDES:
+        assert modes_of_complete_log(work_folder / f"{side}.mcap")[-1] == "DISARM -> DONE"

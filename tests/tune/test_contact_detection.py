@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.identify import draw_gains, draw_plant, excite_and_fit, truth
+from benchmarks.identify import draw_gains, draw_plant, excite_and_fit, true_parameters
 from handctl.core.gains.gains import Gains
 from handctl.hand.hand_loading import load_hand
 from handctl.tune.identify.contact_detection import (
@@ -21,19 +21,21 @@ from handctl.tune.identify.contact_detection import (
 from handctl.tune.identify.identify import SWEEP_PARAMETERS, TendonResult
 from tests.conftest import NIGHTLY
 
-SPRING = 1.2
-ROWS = 300
-DIGITS = ("index", "middle", "ring", "thumb")
-THUMB = "mount_position_m = [0.0, -0.025, 0.0]"
+SPRING_FACTOR = 1.2
+ROW_COUNT = 300
+DIGIT_NAMES = ("index", "middle", "ring", "thumb")
+THUMB_MOUNT_LINE = "mount_position_m = [0.0, -0.025, 0.0]"
 
 
 def with_near_thumb(hand: str, thumb_mm: int, folder: Path) -> str:
     """Write the file of a packaged hand whose thumb is nearer to the middle finger, and return its path."""
     text = load_hand(hand).to_toml()
-    assert THUMB in text
+    assert THUMB_MOUNT_LINE in text
     path = folder / f"{hand}-{thumb_mm}.toml"
     path.write_text(
-        text.replace(THUMB, f"mount_position_m = [0.0, {thumb_mm / 1e3 - 0.025:.3f}, 0.0]")
+        text.replace(
+            THUMB_MOUNT_LINE, f"mount_position_m = [0.0, {thumb_mm / 1e3 - 0.025:.3f}, 0.0]"
+        )
     )
     return str(path)
 
@@ -43,20 +45,21 @@ def identify_touching_finger(
 ) -> dict[str, TendonResult]:
     """Return the identification results of a middle finger that touches the thumb in its sweeps."""
     path = with_near_thumb(hand, thumb_mm, folder)
-    found, row = excite_and_fit(path, "middle", seed, {"spring": SPRING}, Gains(), folder)
+    found, row = excite_and_fit(path, "middle", seed, {"spring": SPRING_FACTOR}, Gains(), folder)
     assert "failure" not in row
     return found
 
 
-NEAR_THUMBS = [("jamia", mm, seed) for seed in range(5) for mm in (25, 29, 33, 37, 40)]
-NEAR_THUMBS += [("jamia11", mm, seed) for seed in range(5) for mm in (29, 37)]
-SAMPLE = {("jamia", 37, 1)}
-UNDISTURBED = [(hand, seed) for seed in range(20) for hand in ("jamia", "jamia11")]
+NEAR_THUMB_CASES = [("jamia", mm, seed) for seed in range(5) for mm in (25, 29, 33, 37, 40)]
+NEAR_THUMB_CASES += [("jamia11", mm, seed) for seed in range(5) for mm in (29, 37)]
+NEAR_THUMB_SAMPLE = {("jamia", 37, 1)}
+UNDISTURBED_CASES = [(hand, seed) for seed in range(20) for hand in ("jamia", "jamia11")]
 UNDISTURBED_SAMPLE = {("jamia", 5)}
 
 
 @pytest.mark.parametrize(
-    ("hand", "thumb_mm", "seed"), [one for one in NEAR_THUMBS if NIGHTLY or one in SAMPLE]
+    ("hand", "thumb_mm", "seed"),
+    [one for one in NEAR_THUMB_CASES if NIGHTLY or one in NEAR_THUMB_SAMPLE],
 )
 def test_springs_of_fingers_that_touch_each_other_are_not_kept(
     tmp_path: Path, hand: str, thumb_mm: int, seed: int
@@ -66,7 +69,7 @@ def test_springs_of_fingers_that_touch_each_other_are_not_kept(
     for one in found.values():
         assert one.contact or one.blocked
         assert not set(one.names) & set(SWEEP_PARAMETERS)
-    real = truth(
+    real = true_parameters(
         load_hand(hand), next(iter(found)), draw_plant(0) | dict.fromkeys(draw_plant(0), 1.0)
     )
     for one in found.values():  # others stay correct
@@ -80,13 +83,15 @@ def test_springs_of_fingers_that_touch_each_other_are_not_kept(
 
 
 @pytest.mark.parametrize(
-    ("hand", "seed"), [one for one in UNDISTURBED if NIGHTLY or one in UNDISTURBED_SAMPLE]
+    ("hand", "seed"), [one for one in UNDISTURBED_CASES if NIGHTLY or one in UNDISTURBED_SAMPLE]
 )
 def test_parameters_of_a_digit_without_contact_are_kept(
     tmp_path: Path, hand: str, seed: int
 ) -> None:
     """No contact is reported for simulated hands whose parameters differ by up to 30 % from the file."""
-    found, row = excite_and_fit(hand, DIGITS[seed % 4], seed, draw_plant(seed), Gains(), tmp_path)
+    found, row = excite_and_fit(
+        hand, DIGIT_NAMES[seed % 4], seed, draw_plant(seed), Gains(), tmp_path
+    )
     assert "failure" not in row
     assert [
         (one.contact, one.blocked) for one in found.values() if one.contact or one.blocked
@@ -113,11 +118,11 @@ def unexplained_ramp_of_line(seed: int, kink: float, begin: float = 0.3) -> Resi
     The data are noise with a kink in two sweeps.
     """
     random = np.random.default_rng(seed)
-    angle = np.abs(np.linspace(-1.0, 1.0, ROWS)) * 0.6
-    seen = random.normal(size=ROWS) + kink * np.maximum(0.0, angle - begin)
-    jacobian = -np.column_stack([np.ones(ROWS), angle])
+    angle = np.abs(np.linspace(-1.0, 1.0, ROW_COUNT)) * 0.6
+    seen = random.normal(size=ROW_COUNT) + kink * np.maximum(0.0, angle - begin)
+    jacobian = -np.column_stack([np.ones(ROW_COUNT), angle])
     fitted = np.linalg.lstsq(jacobian, -seen, rcond=None)[0]
-    return steepest_ramp(jacobian, seen + jacobian @ fitted, 0, angle, (np.ones(ROWS),))
+    return steepest_ramp(jacobian, seen + jacobian @ fitted, 0, angle, (np.ones(ROW_COUNT),))
 
 
 def test_noise_without_contact_has_no_kink() -> None:

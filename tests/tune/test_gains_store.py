@@ -11,17 +11,17 @@ from handctl.errors import ConfigError
 from handctl.tune.gains_store import EDITED_BY_HAND_NOTE, GainsStore
 
 
-def force(newtons: float) -> Gains:
+def gains_with_force(newtons: float) -> Gains:
     return with_values(Gains(), {"motion.force_N": newtons}, "test")
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> GainsStore:
+def gains_store(tmp_path: Path) -> GainsStore:
     return GainsStore("jamia", "abc", tmp_path)
 
 
-def present(store: GainsStore) -> float:
-    file = store.present()
+def present_force(gains_store: GainsStore) -> float:
+    file = gains_store.present()
     return file.gains.motion.force_N if file else Gains().motion.force_N
 
 
@@ -30,90 +30,104 @@ def test_a_file_reads_back_with_its_provenance(tmp_path: Path) -> None:
         log=("a.mcap", "b.mcap"), fit="c.toml", study="s", note="käse", number=3, restores=0
     )
     path = tmp_path / "g.toml"
-    path.write_text(gains_text(force(31.0), provenance))
+    path.write_text(gains_text(gains_with_force(31.0), provenance))
     assert load_gains_file(path).provenance == provenance
-    assert load_gains(path) == force(31.0)
+    assert load_gains(path) == gains_with_force(31.0)
 
 
 def test_a_gains_file_without_provenance_is_accepted(tmp_path: Path) -> None:
     path = tmp_path / "g.toml"
     path.write_text("[motion]\nforce_N = 31.0\n")
     gains = load_gains(path)
-    assert gains == force(31.0)
+    assert gains == gains_with_force(31.0)
     assert gains.model_fields_set == {"motion"}
     assert gains.motion.model_fields_set == {"force_N"}
 
 
-def test_repeated_rollbacks_go_back_to_the_packaged_gains(store: GainsStore) -> None:
-    assert store.present() is None
+def test_repeated_rollbacks_go_back_to_the_packaged_gains(gains_store: GainsStore) -> None:
+    assert gains_store.present() is None
     for newtons in (21.0, 22.0, 23.0):
-        store.apply(force(newtons), GainsProvenance())
+        gains_store.apply(gains_with_force(newtons), GainsProvenance())
     seen = []
     for _ in range(3):
-        store.rollback()
-        seen.append(present(store))
+        gains_store.rollback()
+        seen.append(present_force(gains_store))
     assert seen == [22.0, 21.0, Gains().motion.force_N]
     with pytest.raises(ConfigError, match="no gains precede the packaged gains"):
-        store.rollback()
-    assert store.rollback(to=3).gains == force(23.0)
-    assert [entry.number for entry in store.entries()] == list(range(1, 8))
+        gains_store.rollback()
+    assert gains_store.rollback(to=3).gains == gains_with_force(23.0)
+    assert [entry.number for entry in gains_store.entries()] == list(range(1, 8))
 
 
-def test_a_rollback_after_a_rollback_and_a_change_skips_the_undone_gains(store: GainsStore) -> None:
+def test_a_rollback_after_a_rollback_and_a_change_skips_the_undone_gains(
+    gains_store: GainsStore,
+) -> None:
     for newtons in (21.0, 22.0):
-        store.apply(force(newtons), GainsProvenance())
-    store.rollback()
-    store.apply(force(24.0), GainsProvenance())
-    assert store.rollback().gains == force(21.0)
+        gains_store.apply(gains_with_force(newtons), GainsProvenance())
+    gains_store.rollback()
+    gains_store.apply(gains_with_force(24.0), GainsProvenance())
+    assert gains_store.rollback().gains == gains_with_force(21.0)
 
 
-def test_gains_edited_by_hand_are_kept(store: GainsStore) -> None:
-    store.apply(force(21.0), GainsProvenance())
-    store.path.write_text(store.path.read_text().replace("force_N = 21.0", "force_N = 77.0"))
-    store.apply(force(22.0), GainsProvenance())
-    assert [entry.file.gains.motion.force_N for entry in store.entries()] == [21.0, 77.0, 22.0]
-    assert store.entries()[1].file.provenance.note == EDITED_BY_HAND_NOTE
-    assert store.rollback().gains == force(77.0)
+def test_gains_edited_by_hand_are_kept(gains_store: GainsStore) -> None:
+    gains_store.apply(gains_with_force(21.0), GainsProvenance())
+    gains_store.path.write_text(
+        gains_store.path.read_text().replace("force_N = 21.0", "force_N = 77.0")
+    )
+    gains_store.apply(gains_with_force(22.0), GainsProvenance())
+    assert [entry.file.gains.motion.force_N for entry in gains_store.entries()] == [
+        21.0,
+        77.0,
+        22.0,
+    ]
+    assert gains_store.entries()[1].file.provenance.note == EDITED_BY_HAND_NOTE
+    assert gains_store.rollback().gains == gains_with_force(77.0)
 
 
-def test_copied_gains_follow_the_newest_entry(store: GainsStore, tmp_path: Path) -> None:
-    store.apply(force(21.0), GainsProvenance())
-    store.path.write_text(gains_text(force(55.0), GainsProvenance()))
-    assert store.rollback().gains == force(21.0)
-    assert [entry.file.gains.motion.force_N for entry in store.entries()] == [21.0, 55.0, 21.0]
-    assert store.entries()[1].file.provenance.replaces == 1
+def test_copied_gains_follow_the_newest_entry(gains_store: GainsStore, tmp_path: Path) -> None:
+    gains_store.apply(gains_with_force(21.0), GainsProvenance())
+    gains_store.path.write_text(gains_text(gains_with_force(55.0), GainsProvenance()))
+    assert gains_store.rollback().gains == gains_with_force(21.0)
+    assert [entry.file.gains.motion.force_N for entry in gains_store.entries()] == [
+        21.0,
+        55.0,
+        21.0,
+    ]
+    assert gains_store.entries()[1].file.provenance.replaces == 1
 
 
-def test_a_damaged_file_is_set_aside_and_not_lost(store: GainsStore) -> None:
-    store.apply(force(21.0), GainsProvenance())
-    assert store.set_aside() is None
+def test_a_damaged_file_is_set_aside_and_not_lost(gains_store: GainsStore) -> None:
+    gains_store.apply(gains_with_force(21.0), GainsProvenance())
+    assert gains_store.set_aside() is None
     renamed = []
     for text in ("schema = [", "nonsense = 1"):
-        store.path.write_text(text)
+        gains_store.path.write_text(text)
         with pytest.raises(ConfigError):
-            store.rollback()
-        aside = store.set_aside()
+            gains_store.rollback()
+        aside = gains_store.set_aside()
         assert aside is not None
         renamed.append((aside.name, aside.read_text()))
-        assert store.rollback(to=1).gains == force(21.0)
+        assert gains_store.rollback(to=1).gains == gains_with_force(21.0)
     assert renamed == [
         ("jamia.gains.damaged.toml", "schema = ["),
         ("jamia.gains.damaged1.toml", "nonsense = 1"),
     ]
 
 
-def test_a_history_with_a_gap_is_not_used_for_a_rollback(store: GainsStore) -> None:
+def test_a_history_with_a_gap_is_not_used_for_a_rollback(gains_store: GainsStore) -> None:
     for newtons in (21.0, 22.0, 23.0):
-        store.apply(force(newtons), GainsProvenance())
-    store.rollback()
-    (store.history / "0002.toml").unlink()
+        gains_store.apply(gains_with_force(newtons), GainsProvenance())
+    gains_store.rollback()
+    (gains_store.history / "0002.toml").unlink()
     with pytest.raises(ConfigError, match="number 2 is not in the history"):
-        store.rollback()
-    assert store.rollback(to=1).gains == force(21.0)
+        gains_store.rollback()
+    assert gains_store.rollback(to=1).gains == gains_with_force(21.0)
 
 
-def test_provenance_says_who_when_and_for_which_hand(store: GainsStore) -> None:
-    provenance = store.apply(force(21.0), GainsProvenance(study="s.db", log=("a.mcap",))).provenance
+def test_provenance_says_who_when_and_for_which_hand(gains_store: GainsStore) -> None:
+    provenance = gains_store.apply(
+        gains_with_force(21.0), GainsProvenance(study="s.db", log=("a.mcap",))
+    ).provenance
     assert (
         provenance.study,
         provenance.log,
@@ -131,28 +145,28 @@ def test_provenance_says_who_when_and_for_which_hand(store: GainsStore) -> None:
     assert provenance.version
 
 
-def test_a_rollback_without_history_is_refused(store: GainsStore) -> None:
+def test_a_rollback_without_history_is_refused(gains_store: GainsStore) -> None:
     with pytest.raises(ConfigError, match="nothing was applied"):
-        store.rollback()
+        gains_store.rollback()
     with pytest.raises(ConfigError, match="no gains number 9"):
-        store.rollback(to=9)
+        gains_store.rollback(to=9)
 
 
 @pytest.mark.parametrize("fails", ["replace", "link", "fsync"])
 def test_a_change_that_fails_leaves_the_present_gains(
-    store: GainsStore, monkeypatch: pytest.MonkeyPatch, fails: str
+    gains_store: GainsStore, monkeypatch: pytest.MonkeyPatch, fails: str
 ) -> None:
-    store.apply(force(21.0), GainsProvenance())
-    before = store.path.read_bytes()
+    gains_store.apply(gains_with_force(21.0), GainsProvenance())
+    before = gains_store.path.read_bytes()
 
     def raise_disk_full(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, fails, raise_disk_full)
     with pytest.raises(ConfigError, match="No space left"):
-        store.apply(force(22.0), GainsProvenance())
+        gains_store.apply(gains_with_force(22.0), GainsProvenance())
     monkeypatch.undo()
-    assert store.path.read_bytes() == before
-    assert present(store) == 21.0
-    store.apply(force(23.0), GainsProvenance())
-    assert present(store) == 23.0
+    assert gains_store.path.read_bytes() == before
+    assert present_force(gains_store) == 21.0
+    gains_store.apply(gains_with_force(23.0), GainsProvenance())
+    assert present_force(gains_store) == 23.0

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from benchmarks.identify import TOLERANCES, measure_digit, summary
+from benchmarks.identify import PARAMETER_TOLERANCES, measure_digit, summarise_results
 from handctl.cli.tuning.tune_files import load_tuned_hand
 from handctl.core.identified_parameters import (
     PARAMETER_UNITS,
@@ -33,10 +33,10 @@ from handctl.tune.identify.fit_motor import (
 )
 from handctl.tune.identify.identifiability import _reason_not_identified
 
-SPRUNG = TOLERANCES.keys() - {"moment_arm", "pretension"}
+SPRUNG_PARAMETERS = PARAMETER_TOLERANCES.keys() - {"moment_arm", "pretension"}
 """Parameters that are identified for digits with return springs."""
-SEEDS = 100
-COVERED = 90
+SEED_COUNT = 100
+MIN_COVERED = 90
 
 
 WEAK_MOTOR, STIFF_MOTOR = (23, "thumb"), (39, "thumb")
@@ -61,7 +61,7 @@ def test_parameters_wrong_by_thirty_percent_are_identified_with_detuned_gains(
     """
     row = measure_digit(seed, digit, tmp_path)
     assert "failure" not in row
-    assert {parameter["name"] for parameter in row["parameters"]} == SPRUNG
+    assert {parameter["name"] for parameter in row["parameters"]} == SPRUNG_PARAMETERS
     assert [parameter for parameter in row["parameters"] if not parameter["within"]] == []
     assert [
         parameter
@@ -76,7 +76,7 @@ def test_springs_behind_several_tendons_are_found_by_the_joint_encoders(tmp_path
     The intervals of these parameters show this.
     """
     row = measure_digit(3, "thumb", tmp_path, "jamia11")
-    assert {parameter["name"] for parameter in row["parameters"]} == SPRUNG
+    assert {parameter["name"] for parameter in row["parameters"]} == SPRUNG_PARAMETERS
     assert [
         parameter
         for parameter in row["parameters"]
@@ -93,18 +93,20 @@ def test_springs_behind_several_tendons_are_found_by_the_joint_encoders(tmp_path
 @pytest.mark.timeout(7200)
 def test_intervals_cover_the_parameters_of_a_hundred_hands(tmp_path: Path) -> None:
     digits = load_hand("jamia").digit_names
-    figures = summary(
-        [measure_digit(seed, digits[seed % 4], tmp_path) for seed in range(1, SEEDS + 1)]
+    figures = summarise_results(
+        [measure_digit(seed, digits[seed % 4], tmp_path) for seed in range(1, SEED_COUNT + 1)]
     )
     assert figures["failed"] == []
-    parameters = {name: figures["parameters"][name] for name in SPRUNG}
+    parameters = {name: figures["parameters"][name] for name in SPRUNG_PARAMETERS}
     assert {
-        name: found["covered"] for name, found in parameters.items() if found["covered"] < COVERED
+        name: found["covered"]
+        for name, found in parameters.items()
+        if found["covered"] < MIN_COVERED
     } == {}
     assert {
-        name: found["within"] for name, found in parameters.items() if found["within"] < COVERED
+        name: found["within"] for name, found in parameters.items() if found["within"] < MIN_COVERED
     } == {}
-    assert figures["all_covered_all_at_once"] >= COVERED
+    assert figures["all_covered_all_at_once"] >= MIN_COVERED
 
 
 def test_the_window_is_smooth_and_its_derivatives_are_its_derivatives() -> None:

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks.identify import TOLERANCES, measure_digit, summary
+from benchmarks.identify import PARAMETER_TOLERANCES, measure_digit, summarise_results
 from handctl.core.identified_parameters import IdentifiedParameters, identified_hand
 from handctl.core.tick_types import HandMode
 from handctl.errors import DriveError
@@ -26,16 +26,16 @@ from handctl.tune.identify.excitation_antagonists import (
 from handctl.tune.identify.fit_pair import stretch_of_pair, tension_of_pair
 from handctl.tune.identify.identifiability import unobservable_parameters
 
-SEEDS = range(20)
-HANDS = ("n_plus_1", "orca_like")
-COVERED = 0.9
+SEED_RANGE = range(20)
+TESTED_HANDS = ("n_plus_1", "orca_like")
+MIN_COVERED = 0.9
 """Smallest fraction of all true parameter values that lie inside their intervals. The expected fraction is 0.95."""
-COVERED_OF_EACH = 0.8
+MIN_COVERED_OF_EACH = 0.8
 """Smallest fraction of the true values of a single parameter that lie inside their intervals.
 
 A parameter has only 40 to 70 values in this test.
 """
-OF_EVERY_PAIR = {"motor_coulomb", "tendon_stiffness", "moment_arm"}
+PARAMETERS_OF_EVERY_PAIR = {"motor_coulomb", "tendon_stiffness", "moment_arm"}
 """Parameters that can be identified for every spool pair of the packaged hand."""
 
 
@@ -56,30 +56,30 @@ def test_a_digit_returned_by_its_tendons_is_identified(
     tendons = described.tendon_names[described.digit_tendons[digit]]
     assert unobservable_parameters(described, digit, tendons[0]).keys() == unseen
     identified = [one for one in row["parameters"] if one["identified"]]
-    for name in OF_EVERY_PAIR:
+    for name in PARAMETERS_OF_EVERY_PAIR:
         assert {one["tendon"] for one in identified if one["name"] == name} == set(tendons)
-    expected = TOLERANCES.keys() - {"spring_stiffness"} - unseen
+    expected = PARAMETER_TOLERANCES.keys() - {"spring_stiffness"} - unseen
     assert {one["name"] for one in row["parameters"]} == expected
     assert [one for one in identified if abs(one["error"]) > 2.0 * one["half_width"]] == []
 
 
 @pytest.mark.nightly
 @pytest.mark.timeout(7200)
-@pytest.mark.parametrize("hand", HANDS)
+@pytest.mark.parametrize("hand", TESTED_HANDS)
 def test_intervals_cover_the_parameters_of_twenty_hands(tmp_path: Path, hand: str) -> None:
     digits = load_hand(hand).digit_names
-    rows = [measure_digit(seed, digits[seed % len(digits)], tmp_path, hand) for seed in SEEDS]
-    figures = summary(rows)
+    rows = [measure_digit(seed, digits[seed % len(digits)], tmp_path, hand) for seed in SEED_RANGE]
+    figures = summarise_results(rows)
     assert figures["failed"] == []
     assert figures["refused"] == []
     found = {name: row for name, row in figures["parameters"].items() if row["identified"]}
     covered = {name: row["covered"] for name, row in found.items()}
     identified = {name: row["identified"] for name, row in found.items()}
-    assert [name for name in found if covered[name] < COVERED_OF_EACH * identified[name]] == []
-    assert sum(covered.values()) >= COVERED * sum(identified.values())
+    assert [name for name in found if covered[name] < MIN_COVERED_OF_EACH * identified[name]] == []
+    assert sum(covered.values()) >= MIN_COVERED * sum(identified.values())
 
 
-@pytest.mark.parametrize("name", HANDS)
+@pytest.mark.parametrize("name", TESTED_HANDS)
 def test_the_excitation_of_antagonists_keeps_within_the_limits(name: str) -> None:
     hand = load_hand(name)
     steps = excitation_steps(hand, hand.digit_names)

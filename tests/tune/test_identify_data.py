@@ -9,13 +9,13 @@ from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.tune.identify.data import STOP_DISTANCE_DEG, TRANSIENT_S, tendon_data
 
-GRASP = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
+GRASP_LOG = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 
 
 def test_a_digit_that_is_held_or_rests_on_a_stop_is_not_free() -> None:
     """Regression: data of digits on their stops made the identified springs and friction a third too large."""
     hand = load_hand("jamia")
-    with RunLog(GRASP) as log:
+    with RunLog(GRASP_LOG) as log:
         held = np.isnan(log.field("q_goal"))
         angles, period = np.degrees(log.field("q")), log.header.period_ns * 1e-9
         found, active = 0, (log.mode == HandMode.ACTIVE)[:-1]

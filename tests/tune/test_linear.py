@@ -20,10 +20,10 @@ from handctl.tune.loops.linear import (
 )
 from handctl.tune.loops.margins import frequency_grid, margins_of_loop, step_response
 
-KINDS = list(LoopKind)
+LOOP_KINDS = list(LoopKind)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", LOOP_KINDS)
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 def test_the_linear_controller_predicts_the_running_one(
     hand: str, kind: LoopKind, request: pytest.FixtureRequest
@@ -44,7 +44,7 @@ def test_the_linear_controller_predicts_the_running_one(
         assert np.abs((predicted - after) / scale).max() < 1e-3 * np.abs(after / scale).max()
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", LOOP_KINDS)
 def test_a_tick_acts_on_the_samples_of_the_tick_before(jamia: HandModel, kind: LoopKind) -> None:
     """The impulse response of the loop equals that of plant and controller, stepped in the order of the bus."""
     P, K, L = (
@@ -61,7 +61,7 @@ def test_a_tick_acts_on_the_samples_of_the_tick_before(jamia: HandModel, kind: L
         state = L.A @ state
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", LOOP_KINDS)
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 def test_margins_are_those_of_control(
     hand: str, kind: LoopKind, request: pytest.FixtureRequest
@@ -77,7 +77,7 @@ def test_margins_are_those_of_control(
     assert found.phase_deg == pytest.approx(phase, abs=0.05)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", LOOP_KINDS)
 def test_the_gain_margin_is_where_the_loop_becomes_unstable(
     jamia: HandModel, kind: LoopKind
 ) -> None:

@@ -7,7 +7,7 @@ import json
 
 import pytest
 
-from benchmarks.tuning import PLANT, detuned_gains
+from benchmarks.tuning import TRUE_PLANT_FACTORS, detuned_gains
 from handctl.core.gains.gains import packaged_gains
 from handctl.core.hand_model import HandModel
 from handctl.hand.hand_loading import load_hand
@@ -22,7 +22,9 @@ def test_motor_short_of_its_goal_is_no_stuck_encoder(seed: int) -> None:
     The lagging goal then moved on, and at 2.5 s this was the fault N04.
     """
     hand = load_hand("jamia")
-    score = score_exercise(hand, HandModel.from_hand(hand, detuned_gains(), 500.0), PLANT, seed)
+    score = score_exercise(
+        hand, HandModel.from_hand(hand, detuned_gains(), 500.0), TRUE_PLANT_FACTORS, seed
+    )
     assert score.failure == ""
     assert 1.0 < score.tracking_deg < 3.0, "the detuned gains track badly, without a fault"
 

@@ -27,60 +27,71 @@ from handctl.tune.search.search import (
 from handctl.tune.search.space import GAIN_RANGES, clamped_gains
 from handctl.tune.search.workers import DaskCluster, InProcessWorkers, ProcessPool, SearchWorkers
 
-TRIALS = 3
+TRIAL_COUNT = 3
 
 
 @pytest.fixture(scope="session")
-def plan() -> SearchPlan:
+def search_plan() -> SearchPlan:
     """Return the plan of a search with few trials on the nominal plant."""
     return SearchPlan(
-        load_hand("jamia").to_toml(), 500.0, Gains(), draw_ensemble(1, 0), seed=5, trials=TRIALS
+        load_hand("jamia").to_toml(),
+        500.0,
+        Gains(),
+        draw_ensemble(1, 0),
+        seed=5,
+        trials=TRIAL_COUNT,
     )
 
 
-def _nothing(found: SearchResult) -> None:
+def _ignore_result(search_result: SearchResult) -> None:
     return
 
 
 @pytest.fixture(scope="session")
-def found(plan: SearchPlan, tmp_path_factory: pytest.TempPathFactory) -> SearchResult:
+def search_result(
+    search_plan: SearchPlan, tmp_path_factory: pytest.TempPathFactory
+) -> SearchResult:
     """Return the result of a search that runs in this process."""
-    return run_search(plan, tmp_path_factory.mktemp("study") / "one", InProcessWorkers(), _nothing)
+    return run_search(
+        search_plan, tmp_path_factory.mktemp("study") / "one", InProcessWorkers(), _ignore_result
+    )
 
 
 def test_search_result_does_not_depend_on_the_processes(
-    plan: SearchPlan, found: SearchResult, tmp_path: Path
+    search_plan: SearchPlan, search_result: SearchResult, tmp_path: Path
 ) -> None:
     workers = ProcessPool(2)
     try:
-        assert run_search(plan, tmp_path / "two", workers, _nothing) == found
+        assert run_search(search_plan, tmp_path / "two", workers, _ignore_result) == search_result
     finally:
         workers.close()
-    assert len(found.trials) == TRIALS
-    assert not found.trials[0].score.failure
+    assert len(search_result.trials) == TRIAL_COUNT
+    assert not search_result.trials[0].score.failure
 
 
 def test_the_sampler_knows_which_trials_keep_their_margins(
-    plan: SearchPlan, found: SearchResult, tmp_path: Path
+    search_plan: SearchPlan, search_result: SearchResult, tmp_path: Path
 ) -> None:
     """The sampler gets the margins of random trials too as constraints. Optuna warns of nothing."""
-    run_search(plan, tmp_path / "study", RecordedWorkers(found), _nothing)
+    run_search(search_plan, tmp_path / "study", RecordedWorkers(search_result), _ignore_result)
     finished = [
-        one for one in _open_study(plan, tmp_path / "study").trials if one.state.is_finished()
+        one
+        for one in _open_study(search_plan, tmp_path / "study").trials
+        if one.state.is_finished()
     ]
     assert [one.constraints for one in finished] == [
-        {"margins": one.score.shortfall} for one in found.trials
+        {"margins": one.score.shortfall} for one in search_result.trials
     ]
     with warnings.catch_warnings():
         warnings.simplefilter("error", FutureWarning)
-        _make_sampler(plan.seed, RANDOM_BATCHES)
+        _make_sampler(search_plan.seed, RANDOM_BATCHES)
 
 
 class RecordedWorkers:
     """Workers that return the scores of an earlier search."""
 
-    def __init__(self, found: SearchResult) -> None:
-        self.found = found
+    def __init__(self, search_result: SearchResult) -> None:
+        self.found = search_result
 
     def scores(self, jobs: Sequence[dict[str, Any]]) -> Iterator[tuple[int, dict[str, Any]]]:
         for i in range(len(jobs)):
@@ -109,18 +120,23 @@ class InterruptedWorkers:
 
 @pytest.mark.nightly
 def test_interrupted_search_gives_the_same_result(
-    plan: SearchPlan, found: SearchResult, tmp_path: Path
+    search_plan: SearchPlan, search_result: SearchResult, tmp_path: Path
 ) -> None:
     workers: SearchWorkers = InterruptedWorkers(2)
     seen: list[int] = []
     with pytest.raises(KeyboardInterrupt):
-        run_search(plan, tmp_path / "study", workers, lambda now: seen.append(len(now.trials)))
+        run_search(
+            search_plan, tmp_path / "study", workers, lambda now: seen.append(len(now.trials))
+        )
     assert seen == [1, 2]
     assert (
         run_search(
-            plan, tmp_path / "study", InProcessWorkers(), lambda now: seen.append(len(now.trials))
+            search_plan,
+            tmp_path / "study",
+            InProcessWorkers(),
+            lambda now: seen.append(len(now.trials)),
         )
-        == found
+        == search_result
     )
     assert seen == [1, 2, 3]
 
@@ -144,14 +160,16 @@ class FakeWorkers:
 
 @pytest.fixture(scope="module")
 def long_search(
-    plan: SearchPlan, tmp_path_factory: pytest.TempPathFactory
+    search_plan: SearchPlan, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[SearchPlan, SearchResult, bytes]:
     """Return the plan of a search with more than random batches, its result, and the bytes of its journal."""
     longer = replace(
-        plan, trials=8 * RANDOM_BATCHES + 2, others=(Gains(motion=MotionGains(force_N=20.0)),)
+        search_plan,
+        trials=8 * RANDOM_BATCHES + 2,
+        others=(Gains(motion=MotionGains(force_N=20.0)),),
     )
     path = tmp_path_factory.mktemp("study") / "whole"
-    return longer, run_search(longer, path, FakeWorkers(), _nothing), path.read_bytes()
+    return longer, run_search(longer, path, FakeWorkers(), _ignore_result), path.read_bytes()
 
 
 @pytest.mark.parametrize("fraction", [0.01, 0.03, 0.1, 0.25, 0.45, 0.6, 0.9, 0.99])
@@ -163,8 +181,8 @@ def test_search_resumes_from_a_truncated_journal(
     path, lines = tmp_path / "study", journal.splitlines(keepends=True)
     line_count = int(fraction * len(lines))
     path.write_bytes(b"".join(lines[:line_count]) + lines[line_count][:40])
-    assert run_search(longer, path, FakeWorkers(), _nothing) == found
-    assert run_search(longer, path, FakeWorkers(), _nothing) == found
+    assert run_search(longer, path, FakeWorkers(), _ignore_result) == found
+    assert run_search(longer, path, FakeWorkers(), _ignore_result) == found
 
 
 def test_an_extended_search_equals_one_long_search(
@@ -174,12 +192,12 @@ def test_an_extended_search_equals_one_long_search(
     assert (
         len(
             run_search(
-                replace(longer, trials=10), tmp_path / "study", FakeWorkers(), _nothing
+                replace(longer, trials=10), tmp_path / "study", FakeWorkers(), _ignore_result
             ).trials
         )
         == 10
     )
-    assert run_search(longer, tmp_path / "study", FakeWorkers(), _nothing) == found
+    assert run_search(longer, tmp_path / "study", FakeWorkers(), _ignore_result) == found
 
 
 @pytest.mark.parametrize(
@@ -200,16 +218,18 @@ def test_a_damaged_journal_is_refused_and_keeps_what_it_holds(
     assert damaged != journal
     (tmp_path / "study").write_bytes(damaged)
     with pytest.raises(ConfigError, match="cannot be used"):
-        run_search(longer, tmp_path / "study", FakeWorkers(), _nothing)
+        run_search(longer, tmp_path / "study", FakeWorkers(), _ignore_result)
     assert (tmp_path / "study").read_bytes().startswith(damaged)
 
 
 @pytest.mark.nightly
-def test_a_killed_worker_loses_no_result(plan: SearchPlan, found: SearchResult) -> None:
+def test_a_killed_worker_loses_no_result(
+    search_plan: SearchPlan, search_result: SearchResult
+) -> None:
     workers = ProcessPool(1)
     try:
         os.kill(workers.pids[0], signal.SIGKILL)
-        jobs = [plan.job(i, one.values) for i, one in enumerate(found.trials)]
+        jobs = [search_plan.job(i, one.values) for i, one in enumerate(search_result.trials)]
         scores = {}
         for i, result in workers.scores(jobs):
             scores[i] = GainScore(**result)
@@ -217,12 +237,12 @@ def test_a_killed_worker_loses_no_result(plan: SearchPlan, found: SearchResult) 
                 os.kill(workers.pids[0], signal.SIGKILL)
     finally:
         workers.close()
-    assert [scores[i] for i in range(TRIALS)] == [one.score for one in found.trials]
+    assert [scores[i] for i in range(TRIAL_COUNT)] == [one.score for one in search_result.trials]
 
 
 @pytest.mark.nightly
 def test_a_dask_cluster_finds_what_one_process_finds(
-    plan: SearchPlan, found: SearchResult, tmp_path: Path
+    search_plan: SearchPlan, search_result: SearchResult, tmp_path: Path
 ) -> None:
     from distributed import LocalCluster
 
@@ -231,35 +251,48 @@ def test_a_dask_cluster_finds_what_one_process_finds(
     ) as cluster:
         workers = DaskCluster(cluster.scheduler_address)
         try:
-            assert run_search(plan, tmp_path / "dask", workers, _nothing) == found
+            assert (
+                run_search(search_plan, tmp_path / "dask", workers, _ignore_result) == search_result
+            )
         finally:
             workers.close()
 
 
-def test_two_searches_do_not_share_a_journal(plan: SearchPlan, tmp_path: Path) -> None:
+def test_two_searches_do_not_share_a_journal(search_plan: SearchPlan, tmp_path: Path) -> None:
     class Meanwhile(InProcessWorkers):
         """Workers during whose jobs another search with the same journal begins."""
 
         def scores(self, jobs: Sequence[dict[str, Any]]) -> Iterator[tuple[int, dict[str, Any]]]:
             with pytest.raises(ConfigError, match="another search uses it"):
-                run_search(plan, tmp_path / "one", InProcessWorkers(), _nothing)
+                run_search(search_plan, tmp_path / "one", InProcessWorkers(), _ignore_result)
             yield from super().scores(jobs)
 
     assert (
-        len(run_search(replace(plan, trials=1), tmp_path / "one", Meanwhile(), _nothing).trials)
+        len(
+            run_search(
+                replace(search_plan, trials=1), tmp_path / "one", Meanwhile(), _ignore_result
+            ).trials
+        )
         == 1
     )
 
 
-def test_journal_of_another_study_is_refused(plan: SearchPlan, tmp_path: Path) -> None:
-    other = SearchPlan(plan.hand, plan.rate_hz, plan.gains, plan.plants, seed=6, trials=1)
+def test_journal_of_another_study_is_refused(search_plan: SearchPlan, tmp_path: Path) -> None:
+    other = SearchPlan(
+        search_plan.hand,
+        search_plan.rate_hz,
+        search_plan.gains,
+        search_plan.plants,
+        seed=6,
+        trials=1,
+    )
     with pytest.raises(KeyboardInterrupt):
-        run_search(plan, tmp_path / "study", InterruptedWorkers(0), _nothing)
+        run_search(search_plan, tmp_path / "study", InterruptedWorkers(0), _ignore_result)
     with pytest.raises(ConfigError, match="another search"):
-        run_search(other, tmp_path / "study", InProcessWorkers(), _nothing)
+        run_search(other, tmp_path / "study", InProcessWorkers(), _ignore_result)
     (tmp_path / "text").write_text("no journal\n")
     with pytest.raises(ConfigError, match="cannot be used"):
-        run_search(plan, tmp_path / "text", InProcessWorkers(), _nothing)
+        run_search(search_plan, tmp_path / "text", InProcessWorkers(), _ignore_result)
 
 
 def test_only_good_trials_are_chosen() -> None:
@@ -290,8 +323,8 @@ def test_costs_are_those_of_the_first_good_trial_if_the_first_failed() -> None:
     assert found.best == feasible[1]
 
 
-def test_first_trial_keeps_gains_outside_the_search_space(plan: SearchPlan) -> None:
-    bold = replace(plan, gains=Gains(motion=MotionGains(speed_error_m_s=0.01)))
+def test_first_trial_keeps_gains_outside_the_search_space(search_plan: SearchPlan) -> None:
+    bold = replace(search_plan, gains=Gains(motion=MotionGains(speed_error_m_s=0.01)))
     assert bold.gains_of(0, clamped_gains(bold.gains)) == bold.gains
     assert bold.job(0, clamped_gains(bold.gains))["gains"] == bold.gains.model_dump(by_alias=True)
     assert (

@@ -28,12 +28,12 @@ from handctl.tune.loops.steps import RestTest, StepOscillation, is_loop_ringing,
 from handctl.tune.search.ensemble import draw_ensemble
 from tests.conftest import NIGHTLY
 
-HANDS = packaged_hands()
-SEEDS = range(20) if NIGHTLY else range(2)
-QUICK = tuple(name for name in HANDS if NIGHTLY or name != "orca_like")
+TESTED_HANDS = packaged_hands()
+SEED_RANGE = range(20) if NIGHTLY else range(2)
+QUICK_HANDS = tuple(name for name in TESTED_HANDS if NIGHTLY or name != "orca_like")
 """Packaged hands whose rest test is quick enough for the day. That of 17 joints takes more than five minutes."""
-RATES = {"jamia": 500.0, "n_plus_1": 250.0, "orca_like": 400.0, "t42": 500.0}
-SATURATED = {"tension": {"tension_error_N": 0.5, "speed_error_m_s": 0.1}}
+RATE_BY_HAND_HZ = {"jamia": 500.0, "n_plus_1": 250.0, "orca_like": 400.0, "t42": 500.0}
+SATURATED_GAINS = {"tension": {"tension_error_N": 0.5, "speed_error_m_s": 0.1}}
 """Tension weights.
 
 With a force weight of 390 N they command more torque than the motor has at the operating point.
@@ -44,22 +44,25 @@ def random_gains(seed: int, wide: float = 10.0) -> Gains:
     """Return gains whose weights, integral and filter are larger or smaller than usual by up to the factor ``wide``."""
     random = np.random.default_rng(seed)
 
-    def off(value: float) -> float:
+    def random_factor(value: float) -> float:
         return value * float(np.exp(random.uniform(-math.log(wide), math.log(wide))))
 
     table = {
         "motion": {
-            "position_error_m": off(6e-4),
-            "speed_error_m_s": off(0.028),
+            "position_error_m": random_factor(6e-4),
+            "speed_error_m_s": random_factor(0.028),
             "disturbance_rejection": float(random.uniform()),
-            "tension_feedback": off(0.3) / wide,
+            "tension_feedback": random_factor(0.3) / wide,
         },
         "tension": {
-            "tension_error_N": off(4.0),
-            "speed_error_m_s": off(0.03),
-            "integral_per_s": off(3.0),
+            "tension_error_N": random_factor(4.0),
+            "speed_error_m_s": random_factor(0.03),
+            "integral_per_s": random_factor(3.0),
         },
-        "filter": {"motor_disturbance_N": off(0.12), "motor_acceleration_noise_N": off(0.03)},
+        "filter": {
+            "motor_disturbance_N": random_factor(0.12),
+            "motor_acceleration_noise_N": random_factor(0.03),
+        },
     }
     return Gains.model_validate(table)
 
@@ -67,12 +70,14 @@ def random_gains(seed: int, wide: float = 10.0) -> Gains:
 @cache
 def model_of(hand: str, seed: int, wide: float = 10.0) -> HandModel:
     """Return the model of a packaged hand with random gains."""
-    return HandModel.from_hand(load_hand(hand), random_gains(seed, wide), RATES.get(hand, 200.0))
+    return HandModel.from_hand(
+        load_hand(hand), random_gains(seed, wide), RATE_BY_HAND_HZ.get(hand, 200.0)
+    )
 
 
 def with_force(force: float) -> HandModel:
-    """Return the model of jamia with the tension weights ``SATURATED`` and a force weight [N]."""
-    table = SATURATED | {"tension": SATURATED["tension"] | {"force_N": force}}
+    """Return the model of jamia with the tension weights ``SATURATED_GAINS`` and a force weight [N]."""
+    table = SATURATED_GAINS | {"tension": SATURATED_GAINS["tension"] | {"force_N": force}}
     return HandModel.from_hand(load_hand("jamia"), Gains.model_validate(table), 500.0)
 
 
@@ -147,8 +152,8 @@ def brute_force(system: LinearSystem) -> tuple[float, float]:
     return float(gain), float(phase)
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("hand", HANDS)
+@pytest.mark.parametrize("seed", SEED_RANGE)
+@pytest.mark.parametrize("hand", TESTED_HANDS)
 def test_margins_are_those_of_brute_force(hand: str, seed: int) -> None:
     """The computed margins are never too large.
 
@@ -178,7 +183,7 @@ def judged_stable(model: HandModel, found: GainDesign, seed: int) -> HandModel:
     return after
 
 
-@pytest.mark.parametrize("seed", SEEDS if NIGHTLY else SEEDS[:1])
+@pytest.mark.parametrize("seed", SEED_RANGE if NIGHTLY else SEED_RANGE[:1])
 def test_design_is_stable_by_its_eigenvalues(seed: int) -> None:
     """The design is stable by its eigenvalues alone. The rest test in simulation is left out here."""
     model = model_of("jamia", seed, 3.0)
@@ -188,7 +193,7 @@ def test_design_is_stable_by_its_eigenvalues(seed: int) -> None:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("seed", range(20))
-@pytest.mark.parametrize("hand", HANDS)
+@pytest.mark.parametrize("hand", TESTED_HANDS)
 def test_written_design_is_stable(hand: str, seed: int) -> None:
     """Eigenvalues and the rest test in simulation show stability, also with another seed than that of the design."""
     model, factors = model_of(hand, seed, 3.0), draw_ensemble(2, seed)
@@ -221,21 +226,21 @@ def rest_test_of(model: HandModel) -> RestTest:
 
 def test_closing_spool_pairs_are_not_reported_as_torn_tendons() -> None:
     """Regression: a digit without load cells that closed with 30 N ended every step test with the fault T01."""
-    model = HandModel.from_hand(load_hand("orca_like"), Gains(), RATES["orca_like"])
+    model = HandModel.from_hand(load_hand("orca_like"), Gains(), RATE_BY_HAND_HZ["orca_like"])
     swing = simulate_swing(model.hand, model, {}, 0)
     assert swing.failure == ""
     assert swing.at_rest
 
 
-@pytest.mark.parametrize("hand", QUICK)
+@pytest.mark.parametrize("hand", QUICK_HANDS)
 def test_packaged_gains_come_to_rest_on_the_plant_with_the_least_friction(hand: str) -> None:
     """An oscillation that the plant has without feedback does not count as one of the control loop."""
-    model = HandModel.from_hand(load_hand(hand), Gains(), RATES.get(hand, 200.0))
+    model = HandModel.from_hand(load_hand(hand), Gains(), RATE_BY_HAND_HZ.get(hand, 200.0))
     proof = rest_test_of(model)
     assert proof(model), proof.reason
 
 
-@pytest.mark.parametrize("hand", HANDS)
+@pytest.mark.parametrize("hand", TESTED_HANDS)
 @pytest.mark.parametrize(
     ("swing_N", "chatter_N", "accepted"),
     [(0.2, 0.0, True), (2.5, 0.0, False), (5.0, 4.0, True), (9.3, 4.0, False)],
@@ -244,7 +249,7 @@ def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
     monkeypatch: pytest.MonkeyPatch, hand: str, swing_N: float, chatter_N: float, accepted: bool
 ) -> None:
     """The gains are refused although all other plants come to rest."""
-    model = HandModel.from_hand(load_hand(hand), Gains(), RATES.get(hand, 200.0))
+    model = HandModel.from_hand(load_hand(hand), Gains(), RATE_BY_HAND_HZ.get(hand, 200.0))
 
     def fake(
         hand: object, tried: HandModel, factors: dict[str, float], seed: int
@@ -332,10 +337,10 @@ def test_gains_that_fail_at_the_least_friction_are_refused(
     assert "N14b" in proof.reason
 
 
-COUPLED = [((1.0,), (0.5,), (0.25,)), ((0.2,), (1.0,), (1.0,)), ((1.0,), (-0.4,), (0.6,))]
+COUPLED_SYSTEMS = [((1.0,), (0.5,), (0.25,)), ((0.2,), (1.0,), (1.0,)), ((1.0,), (-0.4,), (0.6,))]
 
 
-@pytest.mark.parametrize("column", COUPLED)
+@pytest.mark.parametrize("column", COUPLED_SYSTEMS)
 def test_a_coupled_digit_is_linearised_at_a_posture_that_it_can_have(
     column: tuple[tuple[float], ...],
 ) -> None:

@@ -15,18 +15,18 @@ from handctl.session.run import make_controller, run_lockstep
 from handctl.session.simulate import SimulatorSettings
 from handctl.tune.verify import VerifyObserver, scores_by_round
 
-CALM = Gains(
+CALM_GAINS = Gains(
     motion=MotionGains(force_N=12.0, disturbance_rejection=0.5), tension=TensionGains(force_N=2.7)
 )
 UNSTABLE_GAINS = Gains(motion=MotionGains(force_N=450.0), tension=TensionGains(force_N=300.0))
 
 
-def _verified(new: Gains, log: Path) -> VerifyObserver:
+def _verify_gains(new: Gains, log: Path) -> VerifyObserver:
     hand = load_hand("jamia")
     rate = default_rate(hand)
-    plan = RunPlan(hand, CALM, rate, (0.5,))
+    plan = RunPlan(hand, CALM_GAINS, rate, (0.5,))
     amplitudes = (0.2, 0.2)
-    observer = VerifyObserver(hand, CALM, new, amplitudes=amplitudes, old_rounds=1)
+    observer = VerifyObserver(hand, CALM_GAINS, new, amplitudes=amplitudes, old_rounds=1)
     with SimulatorSettings(hand, homed=True).clock(plan.period_ns) as clock:
         run_lockstep(
             plan,
@@ -40,10 +40,10 @@ def _verified(new: Gains, log: Path) -> VerifyObserver:
 
 @pytest.mark.parametrize(
     ("new", "goes_back"),
-    [pytest.param(CALM, False, marks=pytest.mark.nightly), (UNSTABLE_GAINS, True)],
+    [pytest.param(CALM_GAINS, False, marks=pytest.mark.nightly), (UNSTABLE_GAINS, True)],
 )
 def test_ringing_gains_are_rolled_back(new: Gains, goes_back: bool, tmp_path: Path) -> None:
-    observer = _verified(new, tmp_path / "run.mcap")
+    observer = _verify_gains(new, tmp_path / "run.mcap")
     assert (observer.rollback is not None) == goes_back
     with RunLog(tmp_path / "run.mcap") as log:
         requests = [event for event in log.events if event.event.text == "asked: gains"]

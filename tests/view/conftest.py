@@ -14,7 +14,7 @@ sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1] / "log
 
 os.environ.setdefault("RUST_LOG", "error")
 
-SECONDS = 3.0
+LOG_DURATION_S = 3.0
 
 
 @pytest.fixture(scope="session", params=["jamia", "jamia11"])
@@ -23,11 +23,13 @@ def log_path(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
 
     A test with it runs once per packaged hand.
     """
-    import synthetic
+    import synthetic_run
 
     path = tmp_path_factory.mktemp("view") / f"{request.param}.mcap"
-    synthetic.write(
-        path, synthetic.header(request.param, 100, offset_ns=1_760_000_000_123_456_789), SECONDS
+    synthetic_run.write_synthetic_run(
+        path,
+        synthetic_run.synthetic_header(request.param, 100, offset_ns=1_760_000_000_123_456_789),
+        LOG_DURATION_S,
     )
     return path
 
@@ -35,10 +37,12 @@ def log_path(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
 @pytest.fixture(scope="session")
 def jamia_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Write the log of a synthetic run of the hand jamia, and return its path."""
-    import synthetic
+    import synthetic_run
 
     path = tmp_path_factory.mktemp("view") / "run.mcap"
-    synthetic.write(path, synthetic.header(rate_hz=100), SECONDS)
+    synthetic_run.write_synthetic_run(
+        path, synthetic_run.synthetic_header(rate_hz=100), LOG_DURATION_S
+    )
     return path
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import psutil
 
-SIZE = "1600x900"
+WINDOW_SIZE = "1600x900"
 
 
 def main() -> None:
@@ -30,18 +30,20 @@ def main() -> None:
     path, seen = Path(sys.argv[1]), threading.Event()
     with RunLog(path, checked=False) as log:
         run, scan = RunInfo.of(log.header, path.stem), log.scan
-    threading.Thread(target=_look, args=(seen,), daemon=True).start()
-    with browse_log(path, run, ["--headless", "--window-size", SIZE], software_vulkan(), scan):
+    threading.Thread(target=_time_first_picture, args=(seen,), daemon=True).start()
+    with browse_log(
+        path, run, ["--headless", "--window-size", WINDOW_SIZE], software_vulkan(), scan
+    ):
         seen.wait()
 
 
-def _look(seen: threading.Event) -> None:
+def _time_first_picture(seen: threading.Event) -> None:
     """Wait for the viewer of this process and for its data.
 
     Then save a picture, report the times, and close the viewer.
     """
-    viewer = _viewer()
-    client = _client(viewer)
+    viewer = _find_viewer()
+    client = _connect_client(viewer)
     while not _has_data(client):
         time.sleep(0.02)
     size = len(client.take_screenshot())
@@ -61,7 +63,7 @@ def _look(seen: threading.Event) -> None:
     seen.set()
 
 
-def _viewer() -> psutil.Process:
+def _find_viewer() -> psutil.Process:
     while True:
         for child in psutil.Process().children():
             with suppress(psutil.Error):  # a process that has ended
@@ -70,7 +72,7 @@ def _viewer() -> psutil.Process:
         time.sleep(0.01)
 
 
-def _client(viewer: psutil.Process) -> "object":
+def _connect_client(viewer: psutil.Process) -> "object":
     from rerun.experimental import ViewerClient
 
     while True:

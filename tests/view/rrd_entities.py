@@ -13,7 +13,7 @@ from handctl.log.read.reader import RunLog
 from handctl.view.scene.run_info import RunInfo
 
 
-class Entity(NamedTuple):
+class RecordingEntity(NamedTuple):
     """Rows of one entity of a Rerun recording.
 
     Attributes:
@@ -31,12 +31,12 @@ class Entity(NamedTuple):
         return np.array(self.rows[component], float)
 
 
-def entities(chunks: Iterable[Chunk]) -> dict[str, Entity]:
+def read_entities(chunks: Iterable[Chunk]) -> dict[str, RecordingEntity]:
     """Return all entities in chunks of a recording, with their rows in the order of time."""
-    entities_by_path: dict[str, Entity] = {}
+    entities_by_path: dict[str, RecordingEntity] = {}
     for chunk in chunks:
         entity = entities_by_path.setdefault(
-            chunk.entity_path, Entity(np.empty(0, np.int64), {}, {})
+            chunk.entity_path, RecordingEntity(np.empty(0, np.int64), {}, {})
         )
         batch = chunk.to_record_batch()
         kinds = {field.name: (field.metadata or {}).get(b"rerun:kind") for field in batch.schema}
@@ -55,18 +55,18 @@ def entities(chunks: Iterable[Chunk]) -> dict[str, Entity]:
         entities_by_path[chunk.entity_path] = entity._replace(
             times=np.concatenate([entity.times, times])
         )
-    return {path: _sorted(entity) for path, entity in entities_by_path.items()}
+    return {path: _sorted_by_time(entity) for path, entity in entities_by_path.items()}
 
 
-def _sorted(entity: Entity) -> Entity:
+def _sorted_by_time(entity: RecordingEntity) -> RecordingEntity:
     order = np.argsort(entity.times, kind="stable")
     rows = {name: [values[i] for i in order] for name, values in entity.rows.items()}
-    return Entity(entity.times[order], rows, entity.static)
+    return RecordingEntity(entity.times[order], rows, entity.static)
 
 
-def of_file(path: Path) -> dict[str, Entity]:
+def entities_of_file(path: Path) -> dict[str, RecordingEntity]:
     """Return all entities in the file of a recording."""
-    return entities(RrdReader(path).stream())
+    return read_entities(RrdReader(path).stream())
 
 
 def run_info_of(path: Path) -> RunInfo:

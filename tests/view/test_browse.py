@@ -23,15 +23,15 @@ from handctl.view.scene.run_info import RunInfo
 from handctl.view.time_slices import time_slices
 from handctl.view.viewer import running_viewer
 
-GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
+GOLDEN_LOG = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 pytestmark = pytest.mark.timeout(120)
 
 
 def test_time_slices_add_up_to_the_whole_log(tmp_path: Path) -> None:
-    with RunLog(GOLDEN) as log:
+    with RunLog(GOLDEN_LOG) as log:
         ticks, run = len(log), RunInfo.of(log.header, "x")
     sizes, since = [], []
-    for part, since_ns in time_slices(GOLDEN, scan_path(GOLDEN), tmp_path, 1_000_000_000):
+    for part, since_ns in time_slices(GOLDEN_LOG, scan_path(GOLDEN_LOG), tmp_path, 1_000_000_000):
         with RunLog(part) as log:
             sizes.append(len(log))
             since.append(since_ns)
@@ -40,7 +40,7 @@ def test_time_slices_add_up_to_the_whole_log(tmp_path: Path) -> None:
     assert since[0] == 0
     assert 1_000_000_000 <= since[1] < 1_250_000_000
     late: list[int] = []
-    for chunk in run_chunks(GOLDEN, run, 1_000_000_000):
+    for chunk in run_chunks(GOLDEN_LOG, run, 1_000_000_000):
         if chunk.entity_path == "/loop/late" and RUN_TIME_TIMELINE in chunk.timeline_names:
             late.append(chunk.num_rows)
     assert late[0] == sizes[0]
@@ -52,9 +52,9 @@ def test_a_viewer_gets_all_of_a_log(
 ) -> None:
     for name, value in vulkan.items():
         monkeypatch.setenv(name, value)
-    with RunLog(GOLDEN) as log:
+    with RunLog(GOLDEN_LOG) as log:
         run, end_ns = RunInfo.of(log.header, "x"), int(log.t_ns[-1])
-    with browse_log(GOLDEN, run, ["--headless", "--window-size", "800x600"], vulkan) as running:
+    with browse_log(GOLDEN_LOG, run, ["--headless", "--window-size", "800x600"], vulkan) as running:
         client = connect_client(running)
         wait_loaded(client, RUN_TIME_TIMELINE, end_ns)
         state = client.get_state()
@@ -65,11 +65,11 @@ def test_a_viewer_gets_all_of_a_log(
 
 def write_ten_minute_log(path: Path) -> None:
     """Write a log of ten minutes at 500 Hz, in which the same five seconds repeat."""
-    import synthetic
+    import synthetic_run
 
-    run = synthetic.header(rate_hz=500)
+    run = synthetic_run.synthetic_header(rate_hz=500)
     writer = LogWriter(path, run, lambda *what: None, 1)
-    ticks = itertools.cycle(list(synthetic.Synthetic(run, 5.0)))
+    ticks = itertools.cycle(list(synthetic_run.SyntheticTicks(run, 5.0)))
     for k, (tick_in, out) in zip(range(300_000), ticks, strict=False):
         writer.add(
             pack_tick_record(tick_in._replace(k=k, t_ns=k * run.period_ns), out)[
@@ -100,7 +100,7 @@ def test_ten_minutes_have_a_picture_after_five_seconds_of_one_core(tmp_path: Pat
 def test_a_log_that_is_damaged_at_once_leaves_no_viewer_behind(
     tmp_path: Path, vulkan: dict[str, str]
 ) -> None:
-    data, place = bytearray(GOLDEN.read_bytes()), scan_path(GOLDEN).chunks[2]
+    data, place = bytearray(GOLDEN_LOG.read_bytes()), scan_path(GOLDEN_LOG).chunks[2]
     data[place.data + 40] ^= 0xFF
     broken = tmp_path / "broken.mcap"
     broken.write_bytes(data)
@@ -119,7 +119,7 @@ def test_a_viewer_that_is_closed_leaves_no_files_behind(
 ) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     monkeypatch.setenv("TMPDIR", str(tmp_path))
-    with running_viewer(["--headless", str(GOLDEN)], vulkan):
+    with running_viewer(["--headless", str(GOLDEN_LOG)], vulkan):
         assert any(tmp_path.rglob("rerun-data-*")), "a running viewer has temporary files"
     assert list(tmp_path.iterdir()) == []
 

@@ -11,7 +11,7 @@ from handctl.view import viewer
 from handctl.view.picture_time import picture_time
 
 
-def line(capsys: pytest.CaptureFixture[str]) -> str:
+def error_line(capsys: pytest.CaptureFixture[str]) -> str:
     """Return the only error line that a command has printed."""
     output = capsys.readouterr()
     assert output.out == ""
@@ -54,7 +54,7 @@ def test_impossible_requests_are_refused_before_the_log_is_read(
 ) -> None:
     before = jamia_path.read_bytes()
     assert main(["view", str(jamia_path), *words]) == 2
-    assert message in line(capsys)
+    assert message in error_line(capsys)
     assert jamia_path.read_bytes() == before
 
 
@@ -62,7 +62,7 @@ def test_a_time_outside_of_the_run_is_refused(
     jamia_path: Path, tmp_path: Path, vulkan: dict[str, str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["view", str(jamia_path), "--picture", str(tmp_path / "x.png"), "--at", "99"]) == 2
-    assert "0 to 2.990" in line(capsys)
+    assert "0 to 2.990" in error_line(capsys)
 
 
 def test_view_refuses_a_file_that_is_not_a_log(
@@ -72,7 +72,7 @@ def test_view_refuses_a_file_that_is_not_a_log(
     other.write_bytes(b"no log at all")
     for path in (other, tmp_path / "missing.mcap", tmp_path):
         assert main(["view", str(path), "--save", str(tmp_path / "x.rrd")]) == 2
-        assert str(path) in line(capsys)
+        assert str(path) in error_line(capsys)
     assert not (tmp_path / "x.rrd").exists()
 
 
@@ -86,7 +86,7 @@ def test_without_a_driver_the_packages_are_named(
     monkeypatch.delenv("VK_ICD_FILENAMES", raising=False)
     monkeypatch.delenv("VK_DRIVER_FILES", raising=False)
     assert main(["view", str(jamia_path), "--picture", str(tmp_path / "x.png")]) == 2
-    assert "libvulkan1 mesa-vulkan-drivers" in line(capsys)
+    assert "libvulkan1 mesa-vulkan-drivers" in error_line(capsys)
 
 
 def test_without_a_screen_no_window_is_tried(
@@ -95,7 +95,7 @@ def test_without_a_screen_no_window_is_tried(
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     assert main(["view", str(jamia_path)]) == 2
-    assert "--picture" in line(capsys)
+    assert "--picture" in error_line(capsys)
 
 
 def test_the_picture_is_taken_in_the_middle_of_the_hold_phase(jamia_path: Path) -> None:

@@ -20,12 +20,12 @@ if TYPE_CHECKING:
     from rerun.experimental import ViewerClient
 
 pytestmark = pytest.mark.timeout(120)
-WAIT_S = 40.0
+VIEWER_TIMEOUT_S = 40.0
 
 
 def url_of(follower: "subprocess.Popen[bytes]") -> str:
     """Return the address of the viewer that a follower process has started."""
-    end = time.monotonic() + WAIT_S
+    end = time.monotonic() + VIEWER_TIMEOUT_S
     while time.monotonic() < end:
         assert follower.poll() is None, f"the follower ended with {follower.returncode}"
         with suppress(psutil.NoSuchProcess, FileNotFoundError):  # a child may have ended
@@ -37,45 +37,45 @@ def url_of(follower: "subprocess.Popen[bytes]") -> str:
     raise AssertionError("no viewer")
 
 
-def shown_until(client: "ViewerClient") -> int:
+def shown_until_ns(client: "ViewerClient") -> int:
     """Return the latest run time of the data that the viewer has received [ns]."""
     return timeline_end(client.get_state(), RUN_TIME_TIMELINE)
 
 
-def wait_for(client: "ViewerClient", t_ns: int) -> int:
-    end = time.monotonic() + WAIT_S
-    while shown_until(client) < t_ns and time.monotonic() < end:
+def wait_for_time(client: "ViewerClient", t_ns: int) -> int:
+    end = time.monotonic() + VIEWER_TIMEOUT_S
+    while shown_until_ns(client) < t_ns and time.monotonic() < end:
         time.sleep(0.1)
-    return shown_until(client)
+    return shown_until_ns(client)
 
 
 def test_a_growing_log_arrives_in_the_viewer(
     tmp_path: Path, vulkan: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import synthetic
+    import synthetic_run
     from rerun.experimental import ViewerClient
 
     for name, value in vulkan.items():
         monkeypatch.setenv(name, value)
     path, run = (
         tmp_path / "run.mcap",
-        synthetic.header(rate_hz=100, deterministic=False, offset_ns=10**18),
+        synthetic_run.synthetic_header(rate_hz=100, deterministic=False, offset_ns=10**18),
     )
     follower = start_live(path, "--headless", "--window-size", "800x600")
-    recorder, ticks = Recorder.start(path, run), list(synthetic.Synthetic(run, 4.0))
+    recorder, ticks = Recorder.start(path, run), list(synthetic_run.SyntheticTicks(run, 4.0))
     viewers: list[psutil.Process] = []
     try:
         for tick_in, out in ticks[:200]:
             recorder.record(pack_tick_record(tick_in, out))
         client = ViewerClient.connect(url_of(follower))
         viewers = psutil.Process(follower.pid).children()
-        assert wait_for(client, 1_000_000_000) >= 1_000_000_000
-        assert shown_until(client) <= ticks[199][0].t_ns
+        assert wait_for_time(client, 1_000_000_000) >= 1_000_000_000
+        assert shown_until_ns(client) <= ticks[199][0].t_ns
         for tick_in, out in ticks[200:]:
             recorder.record(pack_tick_record(tick_in, out))
         recorder.close("finished")
-        assert wait_for(client, ticks[-1][0].t_ns) == ticks[-1][0].t_ns
-        assert follower.wait(WAIT_S) == 0
+        assert wait_for_time(client, ticks[-1][0].t_ns) == ticks[-1][0].t_ns
+        assert follower.wait(VIEWER_TIMEOUT_S) == 0
         assert viewers[0].is_running()
         assert [view.reports for view in client.get_state().views if view.reports] == []
     finally:
@@ -87,23 +87,23 @@ def test_a_growing_log_arrives_in_the_viewer(
 def test_live_view_ends_with_its_viewer(
     tmp_path: Path, vulkan: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import synthetic
+    import synthetic_run
     from rerun.experimental import ViewerClient
 
     for name, value in vulkan.items():
         monkeypatch.setenv(name, value)
-    path, run = tmp_path / "run.mcap", synthetic.header(rate_hz=100)
+    path, run = tmp_path / "run.mcap", synthetic_run.synthetic_header(rate_hz=100)
     recorder = Recorder.start(path, run)
     follower = start_live(path, "--headless", "--window-size", "400x300")
     try:
-        for tick_in, out in synthetic.Synthetic(run, 1.0):
+        for tick_in, out in synthetic_run.SyntheticTicks(run, 1.0):
             recorder.record(pack_tick_record(tick_in, out))
-        assert wait_for(ViewerClient.connect(url_of(follower)), 1) > 0, (
+        assert wait_for_time(ViewerClient.connect(url_of(follower)), 1) > 0, (
             "the follower is connected to its viewer"
         )
         (window,) = psutil.Process(follower.pid).children()
         window.kill()
-        assert follower.wait(WAIT_S) == 0
+        assert follower.wait(VIEWER_TIMEOUT_S) == 0
     finally:
         follower.kill()
         recorder.close("finished")
@@ -114,7 +114,7 @@ def test_sigterm_ends_the_wait_for_a_log(tmp_path: Path) -> None:
     time.sleep(2.0)
     assert follower.poll() is None
     follower.terminate()
-    assert follower.wait(WAIT_S) == 0
+    assert follower.wait(VIEWER_TIMEOUT_S) == 0
 
 
 def test_the_controllers_process_imports_nothing_of_the_viewer() -> None:

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import synthetic
-from rrd_entities import Entity, of_file, run_info_of
+import synthetic_run
+from rrd_entities import RecordingEntity, entities_of_file, run_info_of
 
 from handctl.cli.main import main
 from handctl.hand.formats.link_meshes import meshes_of_hand
@@ -34,26 +34,26 @@ def mesh_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     header = RunHeader.of_hand(
         hand.to_toml(), 10_000_000, attachments=attachments, deterministic=True
     )
-    synthetic.write(folder / "run.mcap", header, 0.5)
+    synthetic_run.write_synthetic_run(folder / "run.mcap", header, 0.5)
     for file in files.rglob("*.*"):
         file.unlink()
     return folder / "run.mcap"
 
 
 @pytest.fixture(scope="module")
-def recorded(mesh_log: Path) -> dict[str, Entity]:
+def recorded_entities(mesh_log: Path) -> dict[str, RecordingEntity]:
     out = mesh_log.with_suffix(".rrd")
     write_rrd(mesh_log, run_info_of(mesh_log), out)
-    return of_file(out)
+    return entities_of_file(out)
 
 
 def test_each_mesh_is_an_asset_in_the_frame_of_its_link(
-    recorded: dict[str, Entity], mesh_log: Path
+    recorded_entities: dict[str, RecordingEntity], mesh_log: Path
 ) -> None:
     run = run_info_of(mesh_log)
     assert run.note == ""
     for mesh in meshes_of_hand(run.hand):
-        shown = recorded[f"/hand/{mesh.link}/mesh"].static
+        shown = recorded_entities[f"/hand/{mesh.link}/mesh"].static
         assert shown["CoordinateFrame:frame"] == [mesh.link]
         assert bytes(np.array(shown["Asset3D:blob"][0], np.uint8)) == run.meshes[mesh.link].data
         assert shown["Asset3D:media_type"] == [MEDIA_TYPES[mesh.suffix]]
@@ -66,7 +66,9 @@ def test_each_mesh_is_an_asset_in_the_frame_of_its_link(
         assert shown["InstancePoses3D:scales"] == [pytest.approx(mesh.scale, rel=1e-6)]
 
 
-def test_a_link_has_a_mesh_or_capsules(recorded: dict[str, Entity], mesh_log: Path) -> None:
+def test_a_link_has_a_mesh_or_capsules(
+    recorded_entities: dict[str, RecordingEntity], mesh_log: Path
+) -> None:
     hand = run_info_of(mesh_log).hand
     meshed_links = {mesh.link for mesh in meshes_of_hand(hand)}
     links = {"palm"} | {
@@ -74,7 +76,9 @@ def test_a_link_has_a_mesh_or_capsules(recorded: dict[str, Entity], mesh_log: Pa
     }
     assert meshed_links < links
     for link in links:
-        parts = {path.split("/")[3] for path in recorded if path.startswith(f"/hand/{link}/")}
+        parts = {
+            path.split("/")[3] for path in recorded_entities if path.startswith(f"/hand/{link}/")
+        }
         assert parts == {"mesh"} if link in meshed_links else "mesh" not in parts and parts, link
 
 
@@ -101,18 +105,18 @@ def test_a_log_without_its_meshes_shows_capsules_and_says_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log, out = tmp_path / "run.mcap", tmp_path / "run.rrd"
-    synthetic.write(log, synthetic.header("t42", 100), 0.3)
+    synthetic_run.write_synthetic_run(log, synthetic_run.synthetic_header("t42", 100), 0.3)
     assert main(["view", str(log), "--save", str(out)]) == 0
     text = "capsules are drawn for palm, left_link1 and 3 more: the log does not have the meshes"
     assert f"handctl: caution: {log}: {text}\n" in capsys.readouterr().err
-    paths = of_file(out)
+    paths = entities_of_file(out)
     assert "/hand/left_link1/visual_0" in paths
     assert not [path for path in paths if path.endswith("/mesh")]
 
 
 def test_the_page_of_a_run_draws_meshes(mesh_log: Path, tmp_path: Path) -> None:
     bare = tmp_path / "bare.mcap"
-    synthetic.write(bare, synthetic.header("jamia", 100), 0.5)
+    synthetic_run.write_synthetic_run(bare, synthetic_run.synthetic_header("jamia", 100), 0.5)
     pictures = []
     for log in (mesh_log, bare):
         page = tmp_path / f"{log.stem}.html"

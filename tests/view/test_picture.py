@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.timeout(120)
 
 
-def pixels(png: bytes) -> NDArray[np.int16]:
+def pixels_of_png(png: bytes) -> NDArray[np.int16]:
     """Return the pixels of a PNG picture (height, width, 3)."""
     return np.asarray(Image.open(io.BytesIO(png)).convert("RGB"), np.int16)
 
@@ -44,7 +44,7 @@ def test_the_dashboard_shows_the_hand_its_forces_and_its_lines(
     output = json.loads(capsys.readouterr().out)
     assert output["reports"] == []
     assert output["at_s"] == pytest.approx(0.575 * 3.0, abs=0.02)
-    image = pixels(out.read_bytes())
+    image = pixels_of_png(out.read_bytes())
     assert image.shape == (900, 1600, 3)
     assert len(np.unique(image.reshape(-1, 3), axis=0)) > 2000
     hand, plots = image[70:500, :640], image[60:680, 650:]
@@ -57,7 +57,9 @@ def test_the_dashboard_shows_the_hand_its_forces_and_its_lines(
 
 
 @pytest.fixture(scope="module")
-def bare(jamia_path: Path, vulkan: dict[str, str]) -> Iterator["tuple[Viewer, ViewerClient]"]:
+def bare_viewer(
+    jamia_path: Path, vulkan: dict[str, str]
+) -> Iterator["tuple[Viewer, ViewerClient]"]:
     """Open a viewer on the log itself, as `rerun LOG` does, without the layout of handctl."""
     with running_viewer(
         ["--headless", "--window-size", "1200x800", str(jamia_path)], vulkan
@@ -67,35 +69,41 @@ def bare(jamia_path: Path, vulkan: dict[str, str]) -> Iterator["tuple[Viewer, Vi
         yield running, client
 
 
-def test_a_bare_log_opens_with_a_hand_that_moves(bare: "tuple[Viewer, ViewerClient]") -> None:
-    _, client = bare
+def test_a_bare_log_opens_with_a_hand_that_moves(
+    bare_viewer: "tuple[Viewer, ViewerClient]",
+) -> None:
+    _, client = bare_viewer
     state = client.get_state()
     (hand,) = (view for view in state.views if view.view_class == "3D")
     shots = []
     for at_s in (0.1, 1.5):
         client.set_time("message_log_time", timestamp=at_s, play_state="paused")
         time.sleep(0.7)
-        shots.append(pixels(client.take_screenshot(view_id=hand.view_id)))
+        shots.append(pixels_of_png(client.take_screenshot(view_id=hand.view_id)))
     assert view_reports(client) == []
     moved = (np.abs(shots[0] - shots[1]).max(axis=2) > 30).mean()
     assert 0.005 < moved < 0.5
     assert {"TimeSeries", "TextLog", "3D"} <= {view.view_class for view in state.views}
 
 
-def test_the_viewer_listens_on_this_machine_only(bare: "tuple[Viewer, ViewerClient]") -> None:
-    running, _ = bare
+def test_the_viewer_listens_on_this_machine_only(
+    bare_viewer: "tuple[Viewer, ViewerClient]",
+) -> None:
+    running, _ = bare_viewer
     connections = psutil.Process(running.process.pid).net_connections()
     assert any(one.status == psutil.CONN_LISTEN for one in connections)
     assert {one.laddr.ip for one in connections} == {"127.0.0.1"}
     assert {one.raddr.ip for one in connections if one.raddr} <= {"127.0.0.1"}
 
 
-def test_viewer_ignores_streams_of_other_programs(bare: "tuple[Viewer, ViewerClient]") -> None:
+def test_viewer_ignores_streams_of_other_programs(
+    bare_viewer: "tuple[Viewer, ViewerClient]",
+) -> None:
     """A viewer does not show data that a program still sends to an earlier viewer.
 
     Regression: data of such a program replaced the views of the next viewer.
     """
-    running, client = bare
+    running, client = bare_viewer
     assert not running.url.endswith(":9876/proxy"), (
         "the viewer does not use the default port of Rerun"
     )

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rerun.chunk import Chunk
-from rrd_entities import entities, run_info_of
+from rrd_entities import read_entities, run_info_of
 
 from handctl.errors import LogError
 from handctl.view.feed import log_chunks
@@ -39,8 +39,8 @@ def test_the_parts_of_a_growing_log_add_up_to_the_whole_log(
     assert tail.write_new(part) is None
     assert times > 4
     shown, expected = (
-        entities(chunks),
-        entities(log_chunks(jamia_path, TopicConverters(run), "whole")),
+        read_entities(chunks),
+        read_entities(log_chunks(jamia_path, TopicConverters(run), "whole")),
     )
     assert shown.keys() == expected.keys()
     for name in shown.keys() - {"/tension/limit"}:

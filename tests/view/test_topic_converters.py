@@ -7,7 +7,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 from rerun.chunk import RrdReader
-from rrd_entities import Entity, entities, of_file, run_info_of
+from rrd_entities import RecordingEntity, entities_of_file, read_entities, run_info_of
 
 from handctl.core.tick_types import TELEMETRY_FIELDS
 from handctl.drives.frame_time import frame_time_s
@@ -25,61 +25,71 @@ from handctl.view.scene.topic_converters import FORCE_SCALE
 
 
 @pytest.fixture(scope="module")
-def recorded(rrd: Path) -> dict[str, Entity]:
-    return of_file(rrd)
+def recorded_entities(rrd: Path) -> dict[str, RecordingEntity]:
+    return entities_of_file(rrd)
 
 
 @pytest.fixture(scope="module")
-def log(log_path: Path) -> Iterator[RunLog]:
+def run_log(log_path: Path) -> Iterator[RunLog]:
     with RunLog(log_path) as log:
         yield log
 
 
 def test_every_number_of_the_controller_is_there_under_its_name(
-    recorded: dict[str, Entity], log: RunLog
+    recorded_entities: dict[str, RecordingEntity], run_log: RunLog
 ) -> None:
     for name in TELEMETRY_FIELDS:
-        one = recorded[f"/controller/{name}"]
-        np.testing.assert_array_equal(one.times, log.t_ns)
-        np.testing.assert_array_equal(one.table("Scalars:scalars"), log.field(name))
-        assert tuple(one.static["SeriesLines:names"]) == log.names(name)
+        one = recorded_entities[f"/controller/{name}"]
+        np.testing.assert_array_equal(one.times, run_log.t_ns)
+        np.testing.assert_array_equal(one.table("Scalars:scalars"), run_log.field(name))
+        assert tuple(one.static["SeriesLines:names"]) == run_log.names(name)
 
 
-def test_tension_has_its_band_command_and_limit(recorded: dict[str, Entity], log: RunLog) -> None:
-    one = recorded["/tension/estimate"]
-    np.testing.assert_array_equal(one.times, log.t_ns)
-    np.testing.assert_array_equal(one.table("Measurements:values"), log.field("tension"))
+def test_tension_has_its_band_command_and_limit(
+    recorded_entities: dict[str, RecordingEntity], run_log: RunLog
+) -> None:
+    one = recorded_entities["/tension/estimate"]
+    np.testing.assert_array_equal(one.times, run_log.t_ns)
+    np.testing.assert_array_equal(one.table("Measurements:values"), run_log.field("tension"))
     np.testing.assert_allclose(
-        one.table("Measurements:variances") ** 0.5, log.field("tension_sigma"), rtol=1e-12
+        one.table("Measurements:variances") ** 0.5, run_log.field("tension_sigma"), rtol=1e-12
     )
     np.testing.assert_array_equal(
-        recorded["/tension/command"].table("Scalars:scalars"), log.field("tension_goal")
+        recorded_entities["/tension/command"].table("Scalars:scalars"),
+        run_log.field("tension_goal"),
     )
-    assert one.static["Measurements:names"] == list(log.header.tendons)
-    limit = recorded["/tension/limit"]
+    assert one.static["Measurements:names"] == list(run_log.header.tendons)
+    limit = recorded_entities["/tension/limit"]
     assert (limit.table("Scalars:scalars") == 110.0).all()
-    assert (limit.times[0], limit.times[-1]) == (log.t_ns[0], log.t_ns[-1])
+    assert (limit.times[0], limit.times[-1]) == (run_log.t_ns[0], run_log.t_ns[-1])
 
 
-def test_angles_are_in_degrees_digit_by_digit(recorded: dict[str, Entity], log: RunLog) -> None:
+def test_angles_are_in_degrees_digit_by_digit(
+    recorded_entities: dict[str, RecordingEntity], run_log: RunLog
+) -> None:
     shown = {"estimate": "Measurements:values", "command": "Scalars:scalars"}
     for (kind, component), name in zip(shown.items(), ("q", "q_goal"), strict=True):
-        parts = [recorded[f"/angle/{digit}/{kind}"].table(component) for digit in log.header.digits]
-        np.testing.assert_allclose(np.hstack(parts), np.degrees(log.field(name)), atol=1e-12)
+        parts = [
+            recorded_entities[f"/angle/{digit}/{kind}"].table(component)
+            for digit in run_log.header.digits
+        ]
+        np.testing.assert_allclose(np.hstack(parts), np.degrees(run_log.field(name)), atol=1e-12)
     bands = [
-        recorded[f"/angle/{digit}/estimate"].table("Measurements:variances")
-        for digit in log.header.digits
+        recorded_entities[f"/angle/{digit}/estimate"].table("Measurements:variances")
+        for digit in run_log.header.digits
     ]
-    np.testing.assert_allclose(np.hstack(bands) ** 0.5, np.degrees(log.field("q_sigma")), rtol=1e-9)
+    np.testing.assert_allclose(
+        np.hstack(bands) ** 0.5, np.degrees(run_log.field("q_sigma")), rtol=1e-9
+    )
 
 
 def test_arrows_are_the_forces_of_the_object_on_the_tips(
-    recorded: dict[str, Entity], log: RunLog
+    recorded_entities: dict[str, RecordingEntity], run_log: RunLog
 ) -> None:
-    forces = log.field("tip_force")
+    forces = run_log.field("tip_force")
     assert forces.max() > 1
-    for index, digit in enumerate(log.header.digits):
-        one = recorded[f"/force/{digit}"]
+    for index, digit in enumerate(run_log.header.digits):
+        one = recorded_entities[f"/force/{digit}"]
         vectors = one.table("Arrows3D:vectors")[:, 0]
         force = np.where(forces[:, index] >= 0.05, forces[:, index], 0.0)
         np.testing.assert_allclose(vectors, force[:, None] * (0, -FORCE_SCALE, 0), atol=1e-7)
@@ -88,28 +98,38 @@ def test_arrows_are_the_forces_of_the_object_on_the_tips(
         assert one.static["CoordinateFrame:frame"] == [f"{digit}_tip"]
 
 
-def test_states_change_as_in_the_log(recorded: dict[str, Entity], log: RunLog) -> None:
-    phase = recorded["/state/phase"]
+def test_states_change_as_in_the_log(
+    recorded_entities: dict[str, RecordingEntity], run_log: RunLog
+) -> None:
+    phase = recorded_entities["/state/phase"]
     expected = [
         (int(t), names[0])
         for t, names in zip(phase.times, phase.rows["StateChange:state"], strict=True)
     ]
-    assert expected == [(change.t_ns, change.name) for change in log.phases]
+    assert expected == [(change.t_ns, change.name) for change in run_log.phases]
     assert len(expected) == 7
-    for lane, numbers in (("mode", log.mode), ("safety", log.action)):
+    for lane, numbers in (("mode", run_log.mode), ("safety", run_log.action)):
         changes = 1 + np.flatnonzero(np.diff(numbers.astype(int)))
-        np.testing.assert_array_equal(recorded[f"/state/{lane}"].times, log.t_ns[[0, *changes]])
-        shown = {names[0] for names in recorded[f"/state/{lane}"].rows["StateChange:state"]}
-        assert shown <= set(recorded[f"/state/{lane}"].static["StateConfiguration:values"])
+        np.testing.assert_array_equal(
+            recorded_entities[f"/state/{lane}"].times, run_log.t_ns[[0, *changes]]
+        )
+        shown = {
+            names[0] for names in recorded_entities[f"/state/{lane}"].rows["StateChange:state"]
+        }
+        assert shown <= set(recorded_entities[f"/state/{lane}"].static["StateConfiguration:values"])
 
 
-def test_lateness_and_bus_load_add_up(recorded: dict[str, Entity], log: RunLog) -> None:
+def test_lateness_and_bus_load_add_up(
+    recorded_entities: dict[str, RecordingEntity], run_log: RunLog
+) -> None:
     np.testing.assert_allclose(
-        recorded["/loop/late"].table("Scalars:scalars")[:, 0], log.late_ns / 1e3, atol=1e-9
+        recorded_entities["/loop/late"].table("Scalars:scalars")[:, 0],
+        run_log.late_ns / 1e3,
+        atol=1e-9,
     )
-    period = log.header.period_ns * 1e-9
+    period = run_log.header.period_ns * 1e-9
     spent, expected = [], []
-    for tick in log.ticks():
+    for tick in run_log.ticks():
         frames = (*tick.tick_in.frames, *tick.frames)
         spent.append(
             (tick.tick_in.t_ns, sum(frame_time_s(len(one.data), False, 1e6) for one in frames))
@@ -118,17 +138,17 @@ def test_lateness_and_bus_load_add_up(recorded: dict[str, Entity], log: RunLog) 
         last = [time for t, time in spent if now - LOAD_WINDOW_NS < t <= now]
         expected.append(100 * sum(last) / min(LOAD_WINDOW_NS * 1e-9, now * 1e-9 + period))
     np.testing.assert_allclose(
-        recorded["/bus/load"].table("Scalars:scalars")[:, 0], expected, rtol=1e-9
+        recorded_entities["/bus/load"].table("Scalars:scalars")[:, 0], expected, rtol=1e-9
     )
     assert 3 < expected[-1] < 100
 
 
 def test_frames_put_the_fingertips_where_kinematics_does(
-    recorded: dict[str, Entity], log: RunLog, log_path: Path
+    recorded_entities: dict[str, RecordingEntity], run_log: RunLog, log_path: Path
 ) -> None:
     edges: dict[str, tuple[str, np.ndarray, np.ndarray]] = {}
-    now = int(log.t_ns[-1] * 0.5)
-    for one in (recorded["/tf_static"], recorded["/tf"]):
+    now = int(run_log.t_ns[-1] * 0.5)
+    for one in (recorded_entities["/tf_static"], recorded_entities["/tf"]):
         rows = {name.split(":")[1]: values for name, values in one.rows.items()}
         for i in np.flatnonzero(one.times <= now):
             child, parent = rows["child_frame"][i][0], rows["parent_frame"][i][0]
@@ -137,16 +157,21 @@ def test_frames_put_the_fingertips_where_kinematics_does(
                 np.array(rows["translation"][i][0]),
                 np.array(rows["quaternion"][i][0]),
             )
-    at = int(np.searchsorted(log.t_ns, recorded["/tf"].times[recorded["/tf"].times <= now].max()))
+    at = int(
+        np.searchsorted(
+            run_log.t_ns,
+            recorded_entities["/tf"].times[recorded_entities["/tf"].times <= now].max(),
+        )
+    )
     hand = run_info_of(log_path).hand
     for digit, joints in zip(hand.digit, hand.digit_joints.values(), strict=True):
-        tip = link_transforms(DigitModel.from_hand(hand, digit.name), log.field("q")[at, joints])[
-            -1
-        ]
-        np.testing.assert_allclose(_place(edges, tip.frame), tip.position, atol=1e-7)
+        tip = link_transforms(
+            DigitModel.from_hand(hand, digit.name), run_log.field("q")[at, joints]
+        )[-1]
+        np.testing.assert_allclose(_frame_position(edges, tip.frame), tip.position, atol=1e-7)
 
 
-def _place(edges: dict[str, tuple[str, np.ndarray, np.ndarray]], frame: str) -> np.ndarray:
+def _frame_position(edges: dict[str, tuple[str, np.ndarray, np.ndarray]], frame: str) -> np.ndarray:
     """Return the origin of a frame in the frame of the palm, by the transforms between frames."""
     point = np.zeros(3)
     while frame != "palm":
@@ -157,17 +182,17 @@ def _place(edges: dict[str, tuple[str, np.ndarray, np.ndarray]], frame: str) -> 
 
 
 def test_every_visual_shape_is_solid_and_in_its_digits_colour(
-    recorded: dict[str, Entity], log: RunLog
+    recorded_entities: dict[str, RecordingEntity], run_log: RunLog
 ) -> None:
-    robot = ET.fromstring(log.header.attachments["hand.urdf"])
+    robot = ET.fromstring(run_log.header.attachments["hand.urdf"])
     visuals = {
         f"/hand/{link.get('name')}/visual_{i}"
         for link in robot
         for i, _ in enumerate(link.iter("visual"))
     }
-    assert visuals == {path for path in recorded if path.startswith("/hand/")}
+    assert visuals == {path for path in recorded_entities if path.startswith("/hand/")}
     for path in visuals:
-        static = recorded[path].static
+        static = recorded_entities[path].static
         (kind,) = {name.split(":")[0] for name in static} & {
             "Boxes3D",
             "Cylinders3D",
@@ -175,7 +200,7 @@ def test_every_visual_shape_is_solid_and_in_its_digits_colour(
         }
         assert static[f"{kind}:fill_mode"] == [3]
     red, green, blue = palette.digit_colour(0)
-    first = recorded["/hand/index_link1/visual_0"].static["Cylinders3D:colors"]
+    first = recorded_entities["/hand/index_link1/visual_0"].static["Cylinders3D:colors"]
     assert first == [red << 24 | green << 16 | blue << 8 | 255]
 
 
@@ -186,15 +211,15 @@ def test_the_layout_is_saved_with_the_recording(rrd: Path, log_path: Path) -> No
 
 
 def test_time_slices_do_not_change_the_recording(
-    recorded: dict[str, Entity], log_path: Path, monkeypatch: pytest.MonkeyPatch
+    recorded_entities: dict[str, RecordingEntity], log_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("handctl.view.time_slices.SLICE_NS", 333_000_000)
-    again = entities(feed.run_chunks(log_path, run_info_of(log_path), 333_000_000))
-    assert again.keys() == recorded.keys() - {"/__properties"}
+    again = read_entities(feed.run_chunks(log_path, run_info_of(log_path), 333_000_000))
+    assert again.keys() == recorded_entities.keys() - {"/__properties"}
     for path in again.keys() - {"/tension/limit"}:
         one = again[path]
-        np.testing.assert_array_equal(one.times, recorded[path].times)
-        assert repr(one.rows) == repr(recorded[path].rows)
+        np.testing.assert_array_equal(one.times, recorded_entities[path].times)
+        assert repr(one.rows) == repr(recorded_entities[path].rows)
 
 
 @pytest.mark.parametrize("fraction", [0.3, 0.5, 0.73, 0.9])
@@ -204,7 +229,7 @@ def test_a_log_that_ends_early_is_shown_up_to_there(
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(jamia_path.read_bytes()[: int(fraction * jamia_path.stat().st_size)])
     with RunLog(cut) as half:
-        shown = entities(feed.run_chunks(cut, run_info_of(cut)))
+        shown = read_entities(feed.run_chunks(cut, run_info_of(cut)))
         np.testing.assert_array_equal(
             shown["/controller/q"].table("Scalars:scalars"), half.field("q")
         )
@@ -220,7 +245,7 @@ def test_a_cut_within_the_index_of_a_chunk_loses_no_message(
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(jamia_path.read_bytes()[: scan.chunks[5].end + 40])
     with RunLog(cut) as half:
-        shown = entities(feed.run_chunks(cut, run_info_of(cut)))
+        shown = read_entities(feed.run_chunks(cut, run_info_of(cut)))
         assert half.t_ns[-1] == shown["/loop/late"].times[-1] == shown["/bus/load"].times[-1]
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rrd_entities import entities, of_file, run_info_of
+from rrd_entities import entities_of_file, read_entities, run_info_of
 
 from handctl.cli.main import main
 from handctl.errors import LogError
@@ -18,34 +18,34 @@ from handctl.report.truth import TruthRecord, read_truth
 from handctl.view.scene.run_info import RunInfo
 from handctl.view.scene.true_shapes import true_shape_chunks
 
-SHAPES: dict[str, Any] = {
+SCENE_SHAPES: dict[str, Any] = {
     "object": {"shape": "cylinder", "size_m": [0.04, 0.04, 0.09]},
     "table": {"shape": "box", "size_m": [0.2, 0.2, 0.01], "position_m": [0.02, 0.0, -0.05]},
 }
-COLUMNS = (*(f"object/{part}" for part in ("x", "y", "z", "qw", "qx", "qy", "qz")), "support")
+TRUTH_COLUMNS = (*(f"object/{part}" for part in ("x", "y", "z", "qw", "qx", "qy", "qz")), "support")
 
 
 def truth_of(shapes: dict[str, Any], seconds: float = 1.0) -> TruthRecord:
     """Return a truth in which the object rises by 10 mm per second and the table sinks by 50 mm per second."""
     t_ns = np.arange(0, int(seconds * 1e9) + 1, 1_000_000)
-    values = np.zeros((len(t_ns), len(COLUMNS)))
+    values = np.zeros((len(t_ns), len(TRUTH_COLUMNS)))
     values[:, 2] = 0.01e-9 * t_ns
     values[:, 3] = 1.0
     values[:, 7] = 0.05e-9 * t_ns
-    return TruthRecord({"shapes": shapes}, t_ns, values, COLUMNS)
+    return TruthRecord({"shapes": shapes}, t_ns, values, TRUTH_COLUMNS)
 
 
-def drawn(path: Path, truth: TruthRecord | None, offset_ns: int = 0) -> dict[str, Any]:
+def drawn_entities(path: Path, truth: TruthRecord | None, offset_ns: int = 0) -> dict[str, Any]:
     """Return the entities that show the object and the table of a run with a truth."""
     run = run_info_of(path)
     header = replace(
         run.header, metadata={**run.header.metadata, "truth_offset_ns": str(offset_ns)}
     )
-    return entities(true_shape_chunks(RunInfo(header, run.hand, run.name, truth)))
+    return read_entities(true_shape_chunks(RunInfo(header, run.hand, run.name, truth)))
 
 
 def test_object_and_table_are_where_the_truth_has_them(jamia_path: Path) -> None:
-    made = drawn(jamia_path, truth_of(SHAPES), offset_ns=400_000_000)
+    made = drawn_entities(jamia_path, truth_of(SCENE_SHAPES), offset_ns=400_000_000)
     assert made.keys() == {
         f"/true/{name}" for name in ("object", "table", "object_pose", "table_pose")
     }
@@ -59,13 +59,13 @@ def test_object_and_table_are_where_the_truth_has_them(jamia_path: Path) -> None
 
 
 def test_a_run_without_truth_or_without_shapes_has_none(jamia_path: Path) -> None:
-    assert drawn(jamia_path, None) == {}
-    assert drawn(jamia_path, truth_of({})) == {}
+    assert drawn_entities(jamia_path, None) == {}
+    assert drawn_entities(jamia_path, truth_of({})) == {}
 
 
 def test_an_unknown_shape_is_one_line(jamia_path: Path) -> None:
     with pytest.raises(LogError, match="expected cylinder, sphere or box"):
-        drawn(jamia_path, truth_of({"object": {"shape": "torus", "size_m": [1, 1, 1]}}))
+        drawn_entities(jamia_path, truth_of({"object": {"shape": "torus", "size_m": [1, 1, 1]}}))
 
 
 def write_truth(path: Path, truth: TruthRecord) -> None:
@@ -82,12 +82,12 @@ def test_a_named_truth_is_drawn_and_one_of_another_time_refused(
     jamia_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path, out = tmp_path / "some.truth", tmp_path / "run.rrd"
-    write_truth(path, truth_of(SHAPES))
+    write_truth(path, truth_of(SCENE_SHAPES))
     words = ["view", str(jamia_path), "--save", str(out), "--truth", str(path)]
     assert main([*words, "--json"]) == 0
-    assert "/true/object" in of_file(out)
+    assert "/true/object" in entities_of_file(out)
     capsys.readouterr()
-    late = truth_of(SHAPES)
+    late = truth_of(SCENE_SHAPES)
     write_truth(path, TruthRecord(late.header, late.t_ns + 10**12, late.values, late.columns))
     assert main(words) == 2
     assert capsys.readouterr().err.count("\n") == 1

@@ -39,7 +39,7 @@ SNAP_S = 0.25
 TIP_HAND, TIP_RATE_HZ = "jamia11", 200.0
 TIP_COMMANDS_N = (2.0, 4.0, 6.0)
 GRIP_COMMANDS_N = (1.0, 1.5, 2.0)
-FINGERS = ("index", "middle", "ring")
+FINGER_NAMES = ("index", "middle", "ring")
 WALL_SCENE = """name = "wall"
 [object]
 shape = "box"
@@ -184,7 +184,9 @@ def snap_run() -> RunRecording:
 def tip_on_wall() -> RunRecording:
     """Record a hand with a tendon at every joint that presses on a wall with three commanded tip forces."""
     opened = {"index": 6.0, "middle": 6.0, "ring": 6.0, "thumb": 0.0}
-    return _press(WALL_SCENE, opened, 60.0, [{"tip_force_N": force} for force in TIP_COMMANDS_N])
+    return _record_press(
+        WALL_SCENE, opened, 60.0, [{"tip_force_N": force} for force in TIP_COMMANDS_N]
+    )
 
 
 def tip_in_grasp() -> RunRecording:
@@ -192,16 +194,20 @@ def tip_in_grasp() -> RunRecording:
 
     The commanded force of the thumb is the sum of those of the fingers.
     """
-    opened = {**dict.fromkeys(FINGERS, 15.0), "thumb": 8.0}
-    closed = {**dict.fromkeys(FINGERS, 60.0), "thumb": 45.0}
+    opened = {**dict.fromkeys(FINGER_NAMES, 15.0), "thumb": 8.0}
+    closed = {**dict.fromkeys(FINGER_NAMES, 60.0), "thumb": 45.0}
     forces = [
-        {**dict.fromkeys(FINGERS, force), "thumb": len(FINGERS) * force}
+        {**dict.fromkeys(FINGER_NAMES, force), "thumb": len(FINGER_NAMES) * force}
         for force in GRIP_COMMANDS_N
     ]
-    return _press("cylinder:35", opened, closed, [{"tip_force_N": force} for force in forces])
+    return _record_press(
+        "cylinder:35", opened, closed, [{"tip_force_N": force} for force in forces]
+    )
 
 
-def _press(scene: str, opened: Any, closed: Any, holds: list[dict[str, Any]]) -> RunRecording:
+def _record_press(
+    scene: str, opened: Any, closed: Any, holds: list[dict[str, Any]]
+) -> RunRecording:
     """Close a hand with a tendon at every joint on an object.
 
     Then record holds, named 0, 1 and so on.

@@ -9,10 +9,10 @@ from typing import Any
 
 from tools.figures.style import BLOCK_COLOURS, INK_COLOUR, new_figure
 
-Point = tuple[float, float]
+PlanePoint = tuple[float, float]
 
 
-def plane(width: float, height: float, size: Point) -> tuple[Any, Any]:
+def new_plane(width: float, height: float, size: PlanePoint) -> tuple[Any, Any]:
     """Return a figure of a width and height [inch], and axes without a frame that span ``size`` units."""
     figure = new_figure(width, height)
     axes = figure.add_subplot()
@@ -21,8 +21,13 @@ def plane(width: float, height: float, size: Point) -> tuple[Any, Any]:
     return figure, axes
 
 
-def block(
-    axes: Any, corner: Point, size: Point, text: str, subject: str = "host", fontsize: float = 8.5
+def draw_block(
+    axes: Any,
+    corner: PlanePoint,
+    size: PlanePoint,
+    text: str,
+    subject: str = "host",
+    fontsize: float = 8.5,
 ) -> None:
     """Draw a block with a text in its middle. The subject selects the colour of the block."""
     from matplotlib.patches import FancyBboxPatch
@@ -50,7 +55,7 @@ def block(
     )
 
 
-def area(axes: Any, corner: Point, size: Point, text: str) -> None:
+def draw_area(axes: Any, corner: PlanePoint, size: PlanePoint, text: str) -> None:
     """Draw a dashed frame around an area with blocks. The title is at the upper left corner."""
     from matplotlib.patches import Rectangle
 
@@ -70,11 +75,11 @@ def area(axes: Any, corner: Point, size: Point, text: str) -> None:
     )
 
 
-def arrow(
+def draw_arrow(
     axes: Any,
-    points: Sequence[Point],
+    points: Sequence[PlanePoint],
     text: str = "",
-    at: Point | None = None,
+    at: PlanePoint | None = None,
     colour: str = INK_COLOUR,
     both: bool = False,
 ) -> None:
@@ -106,7 +111,7 @@ def arrow(
         )
 
 
-def note(axes: Any, place: Point, text: str, **how: Any) -> None:
+def draw_note(axes: Any, place: PlanePoint, text: str, **how: Any) -> None:
     """Write a text at a place in the diagram."""
     axes.text(
         *place,
@@ -116,8 +121,8 @@ def note(axes: Any, place: Point, text: str, **how: Any) -> None:
     )
 
 
-def circle(
-    axes: Any, place: Point, radius: float, subject: str = "hardware", text: str = ""
+def draw_circle(
+    axes: Any, place: PlanePoint, radius: float, subject: str = "hardware", text: str = ""
 ) -> None:
     """Draw a circle with a text in its middle."""
     from matplotlib.patches import Circle
@@ -125,4 +130,4 @@ def circle(
     axes.add_patch(
         Circle(place, radius, facecolor=BLOCK_COLOURS[subject], edgecolor=INK_COLOUR, linewidth=0.9)
     )
-    note(axes, place, text, ha="center")
+    draw_note(axes, place, text, ha="center")

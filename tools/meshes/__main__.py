@@ -11,19 +11,19 @@ HANDS_FOLDER = Path(__file__).parents[2] / "src" / "handctl" / "hand" / "hands"
 """Folder of the packaged hands."""
 
 
-def files() -> Iterator[tuple[Path, bytes]]:
+def packaged_mesh_files() -> Iterator[tuple[Path, bytes]]:
     """Yield the path and the content of each mesh file."""
     for name, triangles in (
-        ("palm", t42.palm()),
-        ("inner", t42.inner_link()),
-        ("outer", t42.outer_link()),
+        ("palm", t42.palm_triangles()),
+        ("inner", t42.inner_link_triangles()),
+        ("outer", t42.outer_link_triangles()),
     ):
         yield HANDS_FOLDER / "t42" / f"{name}.stl", stl(triangles)
 
 
 def main() -> int:
     """Write all mesh files, and return the exit code."""
-    for path, content in files():
+    for path, content in packaged_mesh_files():
         path.parent.mkdir(exist_ok=True)
         path.write_bytes(content)
         print(f"{path.relative_to(HANDS_FOLDER.parent)}: {len(content)} bytes")

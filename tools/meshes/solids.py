@@ -12,13 +12,13 @@ STL_HEADER = b"made by python -m tools.meshes"
 """Start of the header of 80 bytes in each STL file."""
 
 
-def disc(centre: tuple[float, float], radius: float, sides: int = 24) -> Array:
+def disc_outline(centre: tuple[float, float], radius: float, sides: int = 24) -> Array:
     """Return the corners of a regular polygon in counter-clockwise order, (sides, 2)."""
     angles = 2.0 * math.pi * np.arange(sides) / sides
     return np.asarray(np.array(centre) + radius * np.column_stack((np.cos(angles), np.sin(angles))))
 
 
-def prism(
+def prism_triangles(
     outline: Sequence[Sequence[float]] | Array, low: float, high: float, chamfer: float
 ) -> Array:
     """Return the triangles of a prism along z whose ends are chamfered, (n, 3, 3).

@@ -6,19 +6,19 @@ t42.toml. All other dimensions are chosen freely.
 
 import numpy as np
 
-from tools.meshes.solids import Array, along_x, disc, prism
+from tools.meshes.solids import Array, along_x, disc_outline, prism_triangles
 
 INNER_LENGTH_MM = 62.551
 """Distance between the two joints of a finger [mm]."""
 OUTER_LENGTH_MM = 48.0
 """Distance of the fingertip from the outer joint [mm]."""
-HALF_WIDTH = 9.0
+HALF_WIDTH_MM = 9.0
 """Half of the extent of a link along the hinge axis [mm]."""
 MOUNT_DISTANCE_MM = 26.0
 """Distance of a finger's first joint from the middle of the palm [mm]."""
 
 
-def inner_link() -> Array:
+def inner_link_triangles() -> Array:
     """Return the inner link: a knuckle, a bar, a pad on the closing side, and two cheeks at the outer joint."""
     bar = [(2.0, -7.0), (INNER_LENGTH_MM - 14.0, -6.0), (INNER_LENGTH_MM - 10.0, -4.0), (INNER_LENGTH_MM - 10.0, 3.5),
         (INNER_LENGTH_MM - 13.0, 5.0),
@@ -28,14 +28,16 @@ def inner_link() -> Array:
         (INNER_LENGTH_MM + 6.0, 0.0), (INNER_LENGTH_MM + 5.0, 3.5),
              (INNER_LENGTH_MM, 6.0), (INNER_LENGTH_MM - 18.0, 4.5)]  # fmt: skip
     return np.vstack([
-        prism(disc((0.0, 0.0), 8.0), -5.5, 5.5, 0.8), prism(bar, -HALF_WIDTH, HALF_WIDTH, 1.5),
-        prism(pad, -HALF_WIDTH + 1.0, HALF_WIDTH - 1.0, 1.0),
-        prism(cheek, -HALF_WIDTH, -HALF_WIDTH + 2.5, 0.5), prism(cheek, HALF_WIDTH - 2.5, HALF_WIDTH, 0.5),
-        prism(disc((INNER_LENGTH_MM, 0.0), 2.5), -HALF_WIDTH - 0.8, HALF_WIDTH + 0.8, 0.4),
+        prism_triangles(disc_outline((0.0, 0.0), 8.0), -5.5, 5.5, 0.8),
+        prism_triangles(bar, -HALF_WIDTH_MM, HALF_WIDTH_MM, 1.5),
+        prism_triangles(pad, -HALF_WIDTH_MM + 1.0, HALF_WIDTH_MM - 1.0, 1.0),
+        prism_triangles(cheek, -HALF_WIDTH_MM, -HALF_WIDTH_MM + 2.5, 0.5),
+        prism_triangles(cheek, HALF_WIDTH_MM - 2.5, HALF_WIDTH_MM, 0.5),
+        prism_triangles(disc_outline((INNER_LENGTH_MM, 0.0), 2.5), -HALF_WIDTH_MM - 0.8, HALF_WIDTH_MM + 0.8, 0.4),
     ])  # fmt: skip
 
 
-def outer_link() -> Array:
+def outer_link_triangles() -> Array:
     """Return the outer link: a knuckle, a bar that narrows to the tip, and a pad on the closing side."""
     bar = [(3.0, -5.5), (26.0, -5.0), (OUTER_LENGTH_MM - 8.0, -3.0), (OUTER_LENGTH_MM - 2.0, 0.5),
         (OUTER_LENGTH_MM, 3.5), (OUTER_LENGTH_MM - 1.5, 5.5),
@@ -48,21 +50,22 @@ def outer_link() -> Array:
         (12.0, 7.8),
     ]
     return np.vstack([
-        prism(disc((0.0, 0.0), 6.0), -5.8, 5.8, 0.8), prism(bar, -HALF_WIDTH + 0.5, HALF_WIDTH - 0.5, 1.5),
-        prism(pad, -HALF_WIDTH + 1.2, HALF_WIDTH - 1.2, 1.0),
+        prism_triangles(disc_outline((0.0, 0.0), 6.0), -5.8, 5.8, 0.8),
+        prism_triangles(bar, -HALF_WIDTH_MM + 0.5, HALF_WIDTH_MM - 0.5, 1.5),
+        prism_triangles(pad, -HALF_WIDTH_MM + 1.2, HALF_WIDTH_MM - 1.2, 1.0),
     ])  # fmt: skip
 
 
-def palm() -> Array:
+def palm_triangles() -> Array:
     """Return the palm: a block between the fingers, a foot, and two cheeks at each first joint."""
     block = [(-30.0, -15.0), (-2.0, -15.0), (0.0, -13.0), (0.0, 13.0), (-2.0, 15.0), (-30.0, 15.0)]
     foot = [(-38.0, -33.0), (-36.0, -37.0), (-14.0, -37.0), (-11.0, -33.0), (-11.0, 33.0), (-14.0, 37.0), (-36.0, 37.0),
             (-38.0, 33.0)]  # fmt: skip
-    parts = [prism(block, -17.0, 17.0, 1.5), prism(foot, -17.0, 17.0, 2.0)]
-    parts.append(along_x(prism(disc((0.0, 0.0), 24.0, 36), -48.0, -36.0, 1.5)))
+    parts = [prism_triangles(block, -17.0, 17.0, 1.5), prism_triangles(foot, -17.0, 17.0, 2.0)]
+    parts.append(along_x(prism_triangles(disc_outline((0.0, 0.0), 24.0, 36), -48.0, -36.0, 1.5)))
     for y in (-MOUNT_DISTANCE_MM, MOUNT_DISTANCE_MM):
         cheek = [(-20.0, y - 8.5), (0.0, y - 8.0), (5.5, y - 5.5), (8.0, y), (5.5, y + 5.5), (0.0, y + 8.0),
                  (-20.0, y + 8.5)]  # fmt: skip
-        parts += [prism(cheek, -9.5, -6.2, 0.6), prism(cheek, 6.2, 9.5, 0.6)]
-        parts.append(prism(disc((0.0, y), 3.0), -10.5, 10.5, 0.5))
+        parts += [prism_triangles(cheek, -9.5, -6.2, 0.6), prism_triangles(cheek, 6.2, 9.5, 0.6)]
+        parts.append(prism_triangles(disc_outline((0.0, y), 3.0), -10.5, 10.5, 0.5))
     return np.vstack(parts)

@@ -10,16 +10,16 @@ from pathlib import Path
 from tools.reference import command_line, faults, files, python_api, topics
 
 BLOCK_FUNCTIONS: dict[str, Callable[[], str]] = {
-    "verbs": command_line.verbs,
+    "verbs": command_line.verb_sections,
     "verb-table": command_line.verb_table,
     "exit-codes": command_line.exit_codes,
-    "python": python_api.names,
-    "hand-file": files.hand_file,
-    "gains": files.gains,
-    "requests": files.requests,
-    "topics": topics.topics,
+    "python": python_api.exported_name_sections,
+    "hand-file": files.hand_file_sections,
+    "gains": files.gains_sections,
+    "requests": files.request_sections,
+    "topics": topics.topic_table,
     "message-types": topics.message_types,
-    "telemetry": topics.telemetry,
+    "telemetry": topics.telemetry_table,
     "fault-table": faults.fault_table_markdown,
     "fault-sections": faults.fault_sections,
     "fault-catalogue": faults.catalogue_markdown,
@@ -33,7 +33,7 @@ BLOCK_PATTERN = re.compile(
 """Pattern of a block in a page, with its marks."""
 
 
-def pages(root: Path) -> Iterator[tuple[Path, str, str]]:
+def pages_with_blocks(root: Path) -> Iterator[tuple[Path, str, str]]:
     """Yield the path, the present text and the right text of each page that contains a block."""
     for path in sorted([root / "README.md", *root.glob("docs/**/*.md")]):
         text = path.read_text(encoding="utf-8")
@@ -54,13 +54,17 @@ def filled_page(text: str) -> str:
 
 def stale_pages(root: Path) -> list[str]:
     """Return the pages whose blocks differ from the code."""
-    return [path.relative_to(root).as_posix() for path, text, right in pages(root) if text != right]
+    return [
+        path.relative_to(root).as_posix()
+        for path, text, right in pages_with_blocks(root)
+        if text != right
+    ]
 
 
 def written_pages(root: Path) -> list[str]:
     """Write the pages whose blocks differ from the code, and return their names."""
     names = []
-    for path, text, right in pages(root):
+    for path, text, right in pages_with_blocks(root):
         if text != right:
             path.write_text(right, encoding="utf-8")
             names.append(path.relative_to(root).as_posix())

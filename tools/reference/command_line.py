@@ -6,7 +6,12 @@ from typing import Any
 
 from handctl.cli.main import VERB_GROUPS, VERB_HELP, verb_parser
 from handctl.session.exit_codes import ExitCode
-from tools.reference.markdown import attribute_docstrings, code, prose, table
+from tools.reference.markdown import (
+    attribute_docstrings,
+    markdown_table,
+    prose_markdown,
+    quoted_code,
+)
 
 COMMON_OPTIONS = {"-h", "-v", "-q"}
 """Options that every command has. The page explains them only once."""
@@ -14,10 +19,12 @@ COMMON_OPTIONS = {"-h", "-v", "-q"}
 
 def verb_table() -> str:
     """Return a table of all commands, with one line for each."""
-    return table(("verb", "purpose"), ((code(name), text) for name, text in VERB_HELP.items()))
+    return markdown_table(
+        ("verb", "purpose"), ((quoted_code(name), text) for name, text in VERB_HELP.items())
+    )
 
 
-def verbs() -> str:
+def verb_sections() -> str:
     """Return a section for each command with purpose, arguments and example.
 
     Sub-commands also have sections.
@@ -26,24 +33,24 @@ def verbs() -> str:
     for group in VERB_GROUPS.values():
         parts.append(f"## {group.title[0].upper()}{group.title[1:]}")
         for name in group.verbs:
-            parts += _parser(verb_parser(name), f"handctl {name}", "###")
+            parts += _command_sections(verb_parser(name), f"handctl {name}", "###")
     return "\n\n".join(parts)
 
 
-def _parser(parser: argparse.ArgumentParser, command: str, level: str) -> Iterator[str]:
+def _command_sections(parser: argparse.ArgumentParser, command: str, level: str) -> Iterator[str]:
     """Yield the section of a command, and the sections of its sub-commands."""
     yield f"{level} {command}"
-    yield prose(parser.description)
-    rows = [_row(action) for action in parser._actions if _is_listed(action)]
+    yield prose_markdown(parser.description)
+    rows = [_argument_row(action) for action in parser._actions if _is_listed(action)]
     if rows:
-        yield table(("argument", "meaning"), rows)
+        yield markdown_table(("argument", "meaning"), rows)
     subs = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
     example = (parser.epilog or "").strip()
     if example and not subs:
         yield f"```text\n{example}\n```"
     for sub in subs:
         for name, below in sub.choices.items():
-            yield from _parser(below, f"{command} {name}", "####")
+            yield from _command_sections(below, f"{command} {name}", "####")
 
 
 def _is_listed(action: argparse.Action) -> bool:
@@ -53,19 +60,19 @@ def _is_listed(action: argparse.Action) -> bool:
     return not COMMON_OPTIONS.intersection(action.option_strings)
 
 
-def _row(action: argparse.Action) -> tuple[str, str]:
+def _argument_row(action: argparse.Action) -> tuple[str, str]:
     """Return the name and the meaning of a command-line argument."""
-    value = _value(action)
+    value = _value_placeholder(action)
     names = ", ".join(action.option_strings)
     name = f"{names} {value}".strip() if names else value
-    text = prose(action.help)
+    text = prose_markdown(action.help)
     shown: dict[str, Any] = {"default": action.default, "prog": "handctl"}
     text = text % shown if "%(" in text else text.replace("%%", "%")
     required = "required" if names and action.required else ""
-    return code(name), "; ".join(filter(None, (text, required)))
+    return quoted_code(name), "; ".join(filter(None, (text, required)))
 
 
-def _value(action: argparse.Action) -> str:
+def _value_placeholder(action: argparse.Action) -> str:
     """Return the placeholder for the value of an argument, empty for a switch."""
     if action.nargs == 0:
         return ""
@@ -88,5 +95,5 @@ def _value(action: argparse.Action) -> str:
 def exit_codes() -> str:
     """Return a table of the exit codes."""
     meanings = attribute_docstrings(ExitCode) | {"DONE": "The verb has done its work."}
-    rows = ((int(exit_), code(exit_.name), meanings[exit_.name]) for exit_ in ExitCode)
-    return table(("code", "name", "meaning"), rows)
+    rows = ((int(exit_), quoted_code(exit_.name), meanings[exit_.name]) for exit_ in ExitCode)
+    return markdown_table(("code", "name", "meaning"), rows)

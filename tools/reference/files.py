@@ -17,7 +17,7 @@ from handctl.core.gains.gains import Gains, TendonForces
 from handctl.hand.description import Hand
 from handctl.hand.file.key_descriptions import key_description
 from handctl.programs.requests import CommandBase, Request
-from tools.reference.markdown import code, prose, table
+from tools.reference.markdown import markdown_table, prose_markdown, quoted_code
 
 KEY_MEANINGS = {
     "move.angle_deg": "Angle of each digit [deg].",
@@ -43,33 +43,33 @@ The page itself explains what a valid name is.
 """
 
 
-def hand_file() -> str:
+def hand_file_sections() -> str:
     """Return a section for each table of a hand file, with a row for each key."""
-    parts = ["## The file", _keys(Hand, "hand")]
+    parts = ["## The file", _keys_table(Hand, "hand")]
     for name, field in Hand.model_fields.items():
         models = [
             part
-            for part in _parts(field.annotation)
+            for part in _inner_types(field.annotation)
             if isinstance(part, type) and issubclass(part, BaseModel)
         ]
         for model in models:
             brackets = f"[[{name}]]" if get_origin(field.annotation) is tuple else f"[{name}]"
-            parts += [f"## `{brackets}`", prose(model.__doc__), _keys(model, name)]
+            parts += [f"## `{brackets}`", prose_markdown(model.__doc__), _keys_table(model, name)]
     return "\n\n".join(parts)
 
 
-def _keys(model: type[BaseModel], section: str) -> str:
+def _keys_table(model: type[BaseModel], section: str) -> str:
     """Return a Markdown table of the keys of a model."""
-    rows = [(code(field.alias or name), *_row(model, name, f"{section}.{field.alias or name}"))
+    rows = [(quoted_code(field.alias or name), *_key_row(model, name, f"{section}.{field.alias or name}"))
             for name, field in model.model_fields.items()]  # fmt: skip
-    return table(("key", "value", "required", "meaning"), rows)
+    return markdown_table(("key", "value", "required", "meaning"), rows)
 
 
-def _row(model: type[BaseModel], name: str, key: str) -> tuple[str, str, str]:
+def _key_row(model: type[BaseModel], name: str, key: str) -> tuple[str, str, str]:
     """Return the valid values, the necessity and the meaning of a key.
 
     Raises:
-        KeyError: the key has neither a description in its model nor an entry in MEANINGS.
+        KeyError: the key has neither a description in its model nor an entry in KEY_MEANINGS.
     """
     field = model.model_fields[name]
     required = "yes" if field.is_required() and key not in OPTIONAL_KEYS else "no"
@@ -79,17 +79,17 @@ def _row(model: type[BaseModel], name: str, key: str) -> tuple[str, str, str]:
     return (
         KEY_VALUES.get(key) or value_text(annotation),
         required,
-        prose(key_description(model, name)) or KEY_MEANINGS[key],
+        prose_markdown(key_description(model, name)) or KEY_MEANINGS[key],
     )
 
 
-def _parts(annotation: Any) -> Iterator[Any]:
+def _inner_types(annotation: Any) -> Iterator[Any]:
     """Yield the types within an annotation."""
     arguments = get_args(annotation)
     if not arguments:
         yield annotation
     for part in arguments:
-        yield from _parts(part)
+        yield from _inner_types(part)
 
 
 def value_text(annotation: Any) -> str:
@@ -112,7 +112,7 @@ def value_text(annotation: Any) -> str:
         get_origin(arguments[0]) is tuple or NoneType in get_args(arguments[0])
     ):
         return value_text(arguments[0])
-    return _expected(annotation)
+    return _expected_text(annotation)
 
 
 def _list_text(arguments: list[Any]) -> str:
@@ -128,7 +128,7 @@ def _list_text(arguments: list[Any]) -> str:
     )
 
 
-def _expected(annotation: Any) -> str:
+def _expected_text(annotation: Any) -> str:
     """Return the expected value, as the error message of a type's validator names it."""
     try:
         TypeAdapter(annotation).validate_python(object())
@@ -138,57 +138,59 @@ def _expected(annotation: Any) -> str:
     return "any value"
 
 
-def gains() -> str:
+def gains_sections() -> str:
     """Return a section for each table of a gains file, with bounds, default and meaning of each key."""
     parts = []
     for section in GAIN_SECTIONS:
         model = Gains.model_fields[section].annotation
         keys = [bound for key, bound in gain_bounds().items() if key.startswith(f"{section}.")]
         live = "during a run" if keys[0].live else "before a run only"
-        rows = ((code(b.key), f"{b.default:g}", str(b), prose(b.why)) for b in keys)
+        rows = ((quoted_code(b.key), f"{b.default:g}", str(b), prose_markdown(b.why)) for b in keys)
         parts += [
             f"## `[{section}]`",
-            f"{prose(getattr(model, '__doc__', ''))}\n\nChanges: {live}.",
+            f"{prose_markdown(getattr(model, '__doc__', ''))}\n\nChanges: {live}.",
         ]
-        parts.append(table(("gain", "default", "bounds", "meaning"), rows))
+        parts.append(markdown_table(("gain", "default", "bounds", "meaning"), rows))
     parts += [
         f"## `[[{TENDON_SECTION}]]`",
-        f"{prose(TendonForces.__doc__)}\n\nChanges: during a run.",
+        f"{prose_markdown(TendonForces.__doc__)}\n\nChanges: during a run.",
     ]
     forces = []
     for field, shared in SHARED_KEYS.items():
         if bound := bounds_of_key(f"{TENDON_SECTION}.NAME.{field}"):
-            forces.append((code(bound.key), code(shared), str(bound), prose(bound.why)))
-    parts.append(table(("gain", "default", "bounds", "meaning"), forces))
+            forces.append(
+                (quoted_code(bound.key), quoted_code(shared), str(bound), prose_markdown(bound.why))
+            )
+    parts.append(markdown_table(("gain", "default", "bounds", "meaning"), forces))
     return "\n\n".join(parts)
 
 
-def requests() -> str:
+def request_sections() -> str:
     """Return a section for each request, with a row for each field."""
     parts = []
     for model in get_args(Request):
         do = get_args(model.model_fields["do"].annotation)[0]
-        rows = list(_fields(model, do))
-        parts += [f"## `{do}`", prose(model.__doc__)]
-        parts += [table(("field", "value", "default", "meaning"), rows)] if rows else []
+        rows = list(_field_rows(model, do))
+        parts += [f"## `{do}`", prose_markdown(model.__doc__)]
+        parts += [markdown_table(("field", "value", "default", "meaning"), rows)] if rows else []
     return "\n\n".join(parts)
 
 
-def _fields(model: type[BaseModel], do: str) -> Iterable[tuple[str, str, str, str]]:
+def _field_rows(model: type[BaseModel], do: str) -> Iterable[tuple[str, str, str, str]]:
     """Yield a row for each field of a request, except the fields that all requests have."""
     schema = model.model_json_schema()["properties"]
     for name, field in model.model_fields.items():
         if name == "do" or name in CommandBase.model_fields:
             continue
         default = "required" if field.is_required() else str(field.default).removesuffix(".0")
-        meaning = prose(key_description(model, name)) or KEY_MEANINGS[f"{do}.{name}"]
-        yield code(name), _bounds_text(schema[name]), default, meaning
+        meaning = prose_markdown(key_description(model, name)) or KEY_MEANINGS[f"{do}.{name}"]
+        yield quoted_code(name), _bounds_text(schema[name]), default, meaning
 
 
 def _bounds_text(schema: dict[str, Any]) -> str:
     """Return the valid values of a JSON schema in words."""
     if "enum" in schema:
-        return " or ".join(code(value) for value in schema["enum"])
+        return " or ".join(quoted_code(value) for value in schema["enum"])
     if schema.get("type") == "array":
         return f"a list of at most {schema['maxItems']}, each {_bounds_text(schema['items'])}"
     if schema.get("type") == "object":

@@ -13,7 +13,7 @@ ENTRY_PATTERN = re.compile(r"^    (\*{0,2}[\w, ]+): (.*)$")
 """First line of the entry for an argument or an exception in a docstring."""
 
 
-def cell(text: object) -> str:
+def table_cell(text: object) -> str:
     """Return a text as the content of a cell in a Markdown table.
 
     Code with a vertical bar is written in HTML. Markdown needs a backslash before the bar, and
@@ -28,23 +28,23 @@ def _code_with_bars(match: re.Match[str]) -> str:
     return "<code>" + html.escape(match[1], quote=False).replace("|", "&#124;") + "</code>"
 
 
-def code(text: object) -> str:
-    """Return a text as quoted code. In a table, the function ``cell`` escapes this text."""
+def quoted_code(text: object) -> str:
+    """Return a text as quoted code. In a table, the function ``table_cell`` escapes this text."""
     return "`" + " ".join(str(text).split()) + "`"
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+def markdown_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """Return a Markdown table of a head and rows."""
-    lines = [head, ["---"] * len(head), *([cell(value) for value in row] for row in rows)]
+    lines = [head, ["---"] * len(head), *([table_cell(value) for value in row] for row in rows)]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def prose(text: str | None) -> str:
+def prose_markdown(text: str | None) -> str:
     """Return a docstring as Markdown prose. Single backquotes replace the double ones."""
     return inspect.cleandoc(text or "").replace("``", "`")
 
 
-def docstring(value: object) -> str:
+def docstring_markdown(value: object) -> str:
     """Return the docstring of an object as Markdown, with lists for its arguments, results and errors."""
     lines: list[str] = []
     listing = False
@@ -63,7 +63,7 @@ def docstring(value: object) -> str:
                 if line.strip() and lines and lines[-1].startswith("- ")
                 else line.strip()
             )
-    return re.sub(r"\n{3,}", "\n\n", prose("\n".join(lines))).strip()
+    return re.sub(r"\n{3,}", "\n\n", prose_markdown("\n".join(lines))).strip()
 
 
 def attribute_docstrings(kind: type) -> dict[str, str]:
@@ -77,5 +77,5 @@ def attribute_docstrings(kind: type) -> dict[str, str]:
             case ast.Assign(targets=[ast.Name(id=name)]) | ast.AnnAssign(target=ast.Name(id=name)):
                 continue
             case ast.Expr(value=ast.Constant(value=str(text))) if name:
-                texts[name] = prose(text)
+                texts[name] = prose_markdown(text)
     return texts

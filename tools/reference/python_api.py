@@ -5,13 +5,13 @@ import re
 from collections.abc import Iterator
 
 import handctl
-from tools.reference.markdown import docstring
+from tools.reference.markdown import docstring_markdown
 
 ARRAY_PATTERN = re.compile(r"numpy\.ndarray\[.*?, numpy\.dtype\[[\w.]*(?:\[\w+\])?\]\]")
 """Type of an array, as the module inspect writes it. The reference pages write NDArray instead."""
 
 
-def names() -> str:
+def exported_name_sections() -> str:
     """Return a section for each exported name: first functions, then classes, then errors."""
     exported = [getattr(handctl, name) for name in handctl.__all__]
     errors = [
@@ -21,29 +21,37 @@ def names() -> str:
     functions = [value for value in exported if value not in errors and value not in classes]
     parts = ["## Functions"]
     for function in functions:
-        parts += [f"### handctl.{function.__name__}", _signature(function), docstring(function)]
+        parts += [
+            f"### handctl.{function.__name__}",
+            _signature_block(function),
+            docstring_markdown(function),
+        ]
     parts.append("## Classes")
     for kind in classes:
-        parts += [f"### handctl.{kind.__name__}", docstring(kind), *_methods(kind)]
+        parts += [f"### handctl.{kind.__name__}", docstring_markdown(kind), *_method_sections(kind)]
     parts.append("## Errors")
     for error in errors:
         bases = ", ".join(f"`{base.__name__}`" for base in error.__bases__)
-        parts += [f"### handctl.{error.__name__}", f"A kind of {bases}.", docstring(error)]
+        parts += [f"### handctl.{error.__name__}", f"A kind of {bases}.", docstring_markdown(error)]
     return "\n\n".join(parts)
 
 
-def _methods(kind: type) -> Iterator[str]:
+def _method_sections(kind: type) -> Iterator[str]:
     """Yield a section for each public method or property of a class."""
     for name, member in vars(kind).items():
         if name.startswith("_"):
             continue
         if isinstance(member, property):
-            yield from (f"#### {kind.__name__}.{name}", docstring(member))
+            yield from (f"#### {kind.__name__}.{name}", docstring_markdown(member))
         elif inspect.isfunction(member):
-            yield from (f"#### {kind.__name__}.{name}", _signature(member), docstring(member))
+            yield from (
+                f"#### {kind.__name__}.{name}",
+                _signature_block(member),
+                docstring_markdown(member),
+            )
 
 
-def _signature(function: object) -> str:
+def _signature_block(function: object) -> str:
     """Return the signature of a function as code.
 
     A long signature has one argument in each line.
@@ -60,11 +68,11 @@ def _signature(function: object) -> str:
     if len(line) > 90:
         inner = flat[1:-1].replace(", ", ",\n    ")
         # Commas within brackets of a type do not separate arguments.
-        line = f"{name}(\n    {_rejoined(inner)},\n) -> {result}"
+        line = f"{name}(\n    {_rejoin_brackets(inner)},\n) -> {result}"
     return f"```python\n{line}\n```"
 
 
-def _rejoined(text: str) -> str:
+def _rejoin_brackets(text: str) -> str:
     """Join those lines of a signature that end within brackets with the next line."""
     lines: list[str] = []
     for line in text.split(",\n    "):

@@ -9,7 +9,7 @@ from handctl.log.header import RunHeader
 from handctl.log.message_types import MESSAGE_DEFINITIONS
 from handctl.log.topics.state_topics import ESTIMATE_TOPICS, JOINT_STATE_TOPICS
 from handctl.log.topics.topic_set import TopicSet
-from tools.reference.markdown import attribute_docstrings, code, table
+from tools.reference.markdown import attribute_docstrings, markdown_table, quoted_code
 
 EVERY_TICK = "every tick"
 EXAMPLE_HANDS = ("jamia", "orca_like")
@@ -70,7 +70,7 @@ PRINTED_TYPES = ("handctl_msgs/", "sensor_msgs/JointState", "pal_statistics_msgs
 """Prefixes of the message types whose definitions the page prints."""
 
 
-def registered() -> dict[str, tuple[str, str]]:
+def packaged_hand_topics() -> dict[str, tuple[str, str]]:
     """Return message type and note of each topic of the packaged hands.
 
     Placeholders replace names in topics.
@@ -81,36 +81,36 @@ def registered() -> dict[str, tuple[str, str]]:
         made = TopicSet(header)
         types = {schema.id: schema.name for schema in made.schemas}
         for channel in made.channels:
-            topic = _placeholder(channel.topic, header)
+            topic = _topic_with_placeholder(channel.topic, header)
             registered_topics[topic] = (types[channel.schema_id], channel.metadata.get("note", ""))
     return registered_topics
 
 
-def _placeholder(topic: str, header: RunHeader) -> str:
+def _topic_with_placeholder(topic: str, header: RunHeader) -> str:
     """Replace the name of a digit or motor in a topic by a placeholder."""
     names = dict.fromkeys(header.digits, "DIGIT") | dict.fromkeys(header.motors, "MOTOR")
     return "/".join(names.get(word, word) for word in topic.split("/"))
 
 
-def topics() -> str:
+def topic_table() -> str:
     """Return a table of all topics with message type, rate, and content with units."""
-    topic_types = sorted(registered().items())
+    topic_types = sorted(packaged_hand_topics().items())
     rows = (
-        (code(topic), _linked_type(kind), *content(topic, note))
+        (quoted_code(topic), _linked_type(kind), *topic_content(topic, note))
         for topic, (kind, note) in topic_types
     )
-    return table(("topic", "message type", "rate", "content"), rows)
+    return markdown_table(("topic", "message type", "rate", "content"), rows)
 
 
 def _linked_type(kind: str) -> str:
     """Return a message type. It is a link to the definition if the page prints that."""
     name = kind.replace("/msg/", "/")
     if name not in MESSAGE_DEFINITIONS or not name.startswith(PRINTED_TYPES):
-        return code(kind)
-    return f"[{code(kind)}](#{re.sub('[^a-z_]', '', name.lower())})"
+        return quoted_code(kind)
+    return f"[{quoted_code(kind)}](#{re.sub('[^a-z_]', '', name.lower())})"
 
 
-def content(topic: str, note: str) -> tuple[str, str]:
+def topic_content(topic: str, note: str) -> tuple[str, str]:
     """Return the rate and the content of a topic.
 
     Raises:
@@ -119,7 +119,7 @@ def content(topic: str, note: str) -> tuple[str, str]:
     if topic in JOINT_STATE_TOPICS:
         axis, *fields = JOINT_STATE_TOPICS[topic]
         parts = [
-            f"{part} `{field}` [{_unit(field)}]"
+            f"{part} `{field}` [{_unit_of_field(field)}]"
             for part, field in zip(("position:", "velocity:", "effort:"), fields, strict=True)
             if field
         ]
@@ -144,16 +144,16 @@ def message_types() -> str:
     return "\n\n".join(parts)
 
 
-def telemetry() -> str:
+def telemetry_table() -> str:
     """Return a table of the telemetry fields, in the order of `/controller/values`."""
     meanings = attribute_docstrings(Telemetry)
     rows = (
-        (code(field), TELEMETRY_AXES[field], _unit(field), meanings[field])
+        (quoted_code(field), TELEMETRY_AXES[field], _unit_of_field(field), meanings[field])
         for field in TELEMETRY_FIELDS
     )
-    return table(("field", "per", "unit", "meaning"), rows)
+    return markdown_table(("field", "per", "unit", "meaning"), rows)
 
 
-def _unit(field: str) -> str:
+def _unit_of_field(field: str) -> str:
     """Return the unit of a telemetry field, or of the torque that the log derives from it."""
     return "N m" if field == "tendon_torque" else column_unit(f"{field}/x")

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.runtime.processes import scaled
+from tests.runtime.processes import time_scale_options
 
 TIME_SCALE = 0.15
 """Time scale of simulated hand, watchdogs and deadlines.
@@ -52,7 +52,7 @@ def run_simulator(
         "jamia",
         "--bus",
         "socketcan:vcan0",
-        *scaled(time_scale),
+        *time_scale_options(time_scale),
         "--seed",
         "1",
         *options,

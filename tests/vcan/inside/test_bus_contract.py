@@ -5,11 +5,11 @@ from collections.abc import Iterator
 import pytest
 
 from tests.runtime.bus_contract import *  # noqa: F403 - the tests
-from tests.runtime.bus_contract import Medium
+from tests.runtime.bus_contract import BusUnderTest
 
 
 @pytest.fixture
-def medium() -> Iterator[Medium]:
-    made = Medium("socketcan:vcan0")
+def medium() -> Iterator[BusUnderTest]:
+    made = BusUnderTest("socketcan:vcan0")
     yield made
     made.close()

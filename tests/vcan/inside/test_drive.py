@@ -13,8 +13,8 @@ from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.calibration import Calibration, TendonCalibration
 from handctl.session.calibration import write_calibration
-from tests.replay.repeat import mean_angle_differences, tensions_held
-from tests.replay.runs import SCENE
+from tests.replay.grasp_repetition import mean_angle_differences, tensions_held
+from tests.replay.short_runs import CYLINDER_SCENE
 
 HANDCTL_COMMAND = Path(sys.executable).with_name("handctl")
 GOLDEN_LOG = Path(__file__).parents[3] / "logs" / "golden" / "jamia-grasp.mcap"
@@ -29,7 +29,7 @@ SIMULATOR_OPTIONS = ["--homed", "--scene", str(SCENE_FILE), "--time-scale", str(
 
 @pytest.fixture(scope="module", autouse=True)
 def scene_file() -> None:
-    SCENE_FILE.write_text(SCENE.format(friction=0.5))
+    SCENE_FILE.write_text(CYLINDER_SCENE.format(friction=0.5))
 
 
 def _write_homed_calibration(path: Path) -> None:

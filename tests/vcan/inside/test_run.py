@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from handctl.hand.hand_loading import load_hand
-from tests.runtime.processes import HOMED, scaled, write_homed
+from tests.runtime.processes import HOMED_OPTIONS, time_scale_options, write_homed_calibration
 from tests.vcan.inside.conftest import STALL_FAULTS, TIME_SCALE, run_simulator
 
 HANDCTL_COMMAND = Path(sys.executable).with_name("handctl")
@@ -31,7 +31,7 @@ def run_handctl(folder: Path, time_scale: float) -> subprocess.CompletedProcess[
     """Run ``handctl run`` with a new simulator and a time scale, and return the ended process."""
     calibration = folder / "jamia.calibration.toml"
     if not NIGHTLY:
-        write_homed(calibration, load_hand("jamia"))
+        write_homed_calibration(calibration, load_hand("jamia"))
     words = [
         "run",
         "--hand",
@@ -40,10 +40,10 @@ def run_handctl(folder: Path, time_scale: float) -> subprocess.CompletedProcess[
         "socketcan:vcan0",
         "--task",
         str(TASK_FILE),
-        *scaled(time_scale),
+        *time_scale_options(time_scale),
     ]
     files = ["--json", "--log", str(folder / "run.mcap"), "--calibration", str(calibration)]
-    options = ["--scene", "cylinder", *(() if NIGHTLY else HOMED)]
+    options = ["--scene", "cylinder", *(() if NIGHTLY else HOMED_OPTIONS)]
     with run_simulator(*options, stderr_file=folder / "simulator", time_scale=time_scale):
         return subprocess.run(
             [HANDCTL_COMMAND, *words, *files],

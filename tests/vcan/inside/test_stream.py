@@ -9,7 +9,7 @@ import pytest
 from benchmarks import streaming
 from handctl import DriveError, UnconfirmedError
 from handctl.hand.hand_loading import load_hand
-from tests.runtime.processes import HOMED, write_homed
+from tests.runtime.processes import HOMED_OPTIONS, write_homed_calibration
 from tests.vcan.inside.conftest import SIMULATOR_CODE, STALL_FAULTS, TIME_SCALE
 
 TIME_SCALES = (TIME_SCALE, 0.7 * TIME_SCALE, 0.4 * TIME_SCALE)
@@ -28,11 +28,11 @@ LARGEST_RATIO = 1.5
 def test_a_streamed_sine_is_followed_like_a_task(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(streaming, "SIMULATOR", ["-c", SIMULATOR_CODE])
+    monkeypatch.setattr(streaming, "SIMULATOR_ARGUMENTS", ["-c", SIMULATOR_CODE])
     monkeypatch.setattr(streaming, "TRACKED_S", TRACKED_S)
-    monkeypatch.setattr(streaming, "INTERPOLATIONS", ("minimum_jerk",))
+    monkeypatch.setattr(streaming, "INTERPOLATION_NAMES", ("minimum_jerk",))
     calibration = tmp_path / "jamia.calibration.toml"
-    write_homed(calibration, load_hand("jamia"))
+    write_homed_calibration(calibration, load_hand("jamia"))
     for time_scale in TIME_SCALES:
         with contextlib.suppress(GuestStoppedError):
             result = measure_tracking(time_scale, calibration)
@@ -54,7 +54,9 @@ def measure_tracking(time_scale: float, calibration: Path) -> dict[str, Any]:
         GuestStoppedError: client, controller or simulated hand did not run for a while.
     """
     try:
-        return streaming.measure_tracking("socketcan:vcan0", time_scale, (calibration, HOMED))
+        return streaming.measure_tracking(
+            "socketcan:vcan0", time_scale, (calibration, HOMED_OPTIONS)
+        )
     except UnconfirmedError as error:  # the controller ended before a request
         raise GuestStoppedError from error
     except DriveError as error:

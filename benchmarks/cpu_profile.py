@@ -1,0 +1,71 @@
+"""Profile of a run by parts of the program. Time in a library belongs to the part that called the library."""
+
+import cProfile
+import pstats
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+
+PART_MARKS = {
+    "mj_step": ("mj_step", "firmware_sim/plant/drivetrain.py/steps"),
+    "plant around its steps": ("firmware_sim/plant/plant", "firmware_sim/plant/tendon", "firmware_sim/plant/motor",
+        "firmware_sim/plant/rigid_body_engine", "firmware_sim/scene/support_table", "firmware_sim/plant/drivetrain"),
+    "simulated drives and sensors, their codec": ("firmware_sim/",),
+    "host's codec and drive states": ("handctl/drives/",
+        "tick.py/_receive_frames", "tick.py/_write_commands", "tick.py/store_drive_state"),
+    "estimation": ("core/estimation/", "core/hand_estimate", "filterpy/", "tick.py/_process_frames"),
+    "law: goals, inverse dynamics, allocation": ("core/control_law/", "handctl/hand/", "tick.py/_command_drives"),
+    "program": ("handctl/programs/",),
+    "safety": ("handctl/safety/", "controller/monitor/", "tick.py/_judge_faults"),
+    "hash of the state": ("controller/controller_state", "core/identity_cache", "core/plain_values"),
+    "telemetry": ("controller/telemetry",),
+    "tick and modes": ("handctl/controller/", "handctl/core/"),
+    "reading a log": ("handctl/log/", "handctl/replay/"),
+    "lockstep clock and bus, this script": ("handctl/runtime/", "benchmarks/"),
+}  # fmt: skip
+"""Parts of the program, each with pieces of the paths or names of its functions.
+
+A function belongs to the first part that has a fitting piece.
+
+The profiler does not see compiled functions: their time belongs to the Python function that calls
+them. Each stage of the tick is therefore recognised by the method that runs it. The compiled step
+calls ``mj_step``, so that the time of ``mj_step`` includes tendons and rotors.
+"""
+
+ProfiledFunction = tuple[str, int, str]
+
+
+def cpu_time_fractions(work: Callable[[], None]) -> dict[str, float]:
+    """Return the fraction of the time that each part takes.
+
+    The profiler slows down Python calls, so that compiled code seems faster.
+    """
+    profile = cProfile.Profile()
+    profile.runcall(work)
+    stats = pstats.Stats(profile).stats
+    total: dict[str, float] = defaultdict(float)
+    for function, (_, _, self_s, _, _) in stats.items():
+        for part, fraction in _parts_of_function(stats, function, 6):
+            total[part] += self_s * fraction
+    whole = sum(total.values())
+    return {part: value / whole for part, value in sorted(total.items(), key=lambda row: -row[1])}
+
+
+def _parts_of_function(
+    stats: dict, function: ProfiledFunction, depth: int
+) -> Iterator[tuple[str, float]]:
+    """Yield the parts to which a function belongs, with fractions.
+
+    These are its own part, or the parts of its callers in proportion to their time.
+    """
+    name = f"{function[0]}/{function[2]}"
+    part = next(
+        (part for part, marks in PART_MARKS.items() if any(mark in name for mark in marks)), None
+    )
+    callers = stats[function][4]
+    if part or not callers or not depth:
+        yield part or "other", 1.0
+        return
+    whole = sum(times[3] for times in callers.values()) or 1.0
+    for caller, times in callers.items():
+        for owner, fraction in _parts_of_function(stats, caller, depth - 1):
+            yield owner, fraction * times[3] / whole

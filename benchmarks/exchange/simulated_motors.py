@@ -1,0 +1,85 @@
+"""The two buses of the exchange benchmark, and simulated motors whose time is not counted."""
+
+import os
+import socket
+import struct
+from collections.abc import Callable
+from contextlib import contextmanager
+from pathlib import Path
+
+CLASSICAL_FRAME_STRUCT = struct.Struct("=IB3x8s")
+FD_FRAME_STRUCT = struct.Struct("=IBB2x64s")
+FRAME_RECORD_STRUCT = struct.Struct("<IBBH64s")
+FDF = 4
+ReplyFunction = Callable[[int], tuple[int, bytes, int]]
+"""Function that returns identifier, payload and flags of the reply of a motor. Motors are numbered from 1."""
+
+
+class LocalMotors:
+    """Simulated motors that reply on a Unix socket, as the hub of a local bus does."""
+
+    def __init__(self, name: str) -> None:
+        self.path = Path(os.environ["HANDCTL_RUN_DIR"]) / f"{name}.bus"
+        self.listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self.listener.bind(str(self.path))
+        self.listener.listen()
+        self.link = None
+
+    def send_replies(self, motors: int, reply_of: ReplyFunction) -> None:
+        if self.link is None:
+            self.link, _ = self.listener.accept()
+        size = 0
+        while size < motors * FRAME_RECORD_STRUCT.size:
+            size += len(self.link.recv(1 << 16))
+        answers = [reply_of(i + 1) for i in range(motors)]
+        self.link.sendall(
+            b"".join(
+                FRAME_RECORD_STRUCT.pack(can_id, len(data), flags, 0, data)
+                for can_id, data, flags in answers
+            )
+        )
+
+    def close(self) -> None:
+        if self.link:
+            self.link.close()
+        self.listener.close()
+        self.path.unlink()
+
+
+class VcanMotors:
+    """Simulated motors that reply on a raw CAN socket."""
+
+    def __init__(self, name: str) -> None:
+        self.link = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+        self.link.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
+        self.link.bind((name,))
+        self.link.settimeout(5.0)
+
+    def send_replies(self, motors: int, reply_of: ReplyFunction) -> None:
+        for _ in range(motors):
+            self.link.recv(FD_FRAME_STRUCT.size)
+        for i in range(motors):
+            can_id, data, flags = reply_of(i + 1)
+            fd = FD_FRAME_STRUCT.pack(can_id, len(data), flags, data) if flags & FDF else b""
+            self.link.send(fd or CLASSICAL_FRAME_STRUCT.pack(can_id, len(data), data))
+
+    def close(self) -> None:
+        self.link.close()
+
+
+MOTORS_BY_MEDIUM = {
+    "local": (LocalMotors, "local", "b"),
+    "vcan": (VcanMotors, "socketcan", "vcan0"),
+}
+"""Class of the motors, interface and channel of each bus."""
+
+
+@contextmanager
+def motors_on(medium: str):
+    """Start the motors of a bus, and yield them with interface and channel of this bus."""
+    made, interface, channel = MOTORS_BY_MEDIUM[medium]
+    motors = made(channel)
+    try:
+        yield motors, interface, channel
+    finally:
+        motors.close()

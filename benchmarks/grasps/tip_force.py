@@ -1,0 +1,61 @@
+"""Force at the tip of a digit: the commanded force, the estimate of the controller, and the true force.
+
+In a hold with ``tip_force_N``, the digits press on a wall that only their last links can reach. The
+controller computes the tensions from the Jacobian (`jamia11`, which measures joint angles) or from
+the one-tendon approximation (`jamia`). A task file must not command a tip force for `jamia`, and
+this benchmark shows the reason.
+"""
+
+import random
+from typing import Any
+
+import numpy as np
+
+from grasps.contact import WALL_SCENE, program_of_phases
+from grasps.trial import hand_model, simulate_grasp
+
+COMMANDED_FORCES_N = (2.0, 4.0, 6.0)
+HOLD_S = 0.8
+JUDGED_HOLD_S = 0.4
+
+
+def measure_tip_force(job: tuple[str, int]) -> list[dict[str, Any]]:
+    """Measure the mean estimated and true force [N] of each digit at each commanded force, for a hand and a seed."""
+    hand, seed = job
+    chance = random.Random(f"tip {seed}")
+    wall = WALL_SCENE.format(x=0.045 + chance.uniform(-3e-3, 3e-3), y=chance.uniform(-4e-3, 2e-3))
+    phases: list[dict[str, Any]] = [
+        {
+            "kind": "move",
+            "angle_deg": {"index": 6.0, "middle": 6.0, "ring": 6.0, "thumb": 0.0},
+            "duration_s": 0.6,
+        },
+        {"kind": "close", "angle_deg": 60.0, "speed_deg_s": 50.0},
+    ]
+    phases += [
+        {"kind": "hold", "name": f"{f:g}", "tip_force_N": f, "duration_s": HOLD_S}
+        for f in COMMANDED_FORCES_N
+    ]
+    run = simulate_grasp(
+        hand, program_of_phases(phases), wall, seed=seed, until="end", timeout=12.0
+    )
+    rows = []
+    for command in COMMANDED_FORCES_N:
+        mask = np.array(run.phase) == f"{command:g}"
+        mask &= run.t > run.t[mask].max(initial=0.0) - JUDGED_HOLD_S
+        for d, name in enumerate(hand_model(hand)[0].hand.digit_names):
+            if mask.any() and run.contact[mask, d].all():
+                estimated = run.tip_force[mask, d]
+                true = run.force[mask, d]
+                rows.append(
+                    {
+                        "hand": hand,
+                        "seed": seed,
+                        "digit": name,
+                        "asked": command,
+                        "told": round(float(estimated.mean()), 3),
+                        "felt": round(float(true.mean()), 3),
+                        "noise": round(float((estimated - true).std()), 3),
+                    }
+                )
+    return rows

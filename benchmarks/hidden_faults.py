@@ -1,0 +1,218 @@
+"""Faults that are hard to detect: the reported faults, the delay of the detection, and the largest true tension.
+
+Each fault is injected into the first finger of a hand in lockstep. The stage is free motion, a hold
+at 24 N, the rise of the tension, or a hold at 90 N. If the controller does not react within 2 s,
+the benchmark stops the run, as an operator would.
+
+    python benchmarks/hidden_faults.py --hand jamia --protocol mit --seeds 20
+"""
+
+import argparse
+import copy
+import json
+import os
+from collections import Counter
+from collections.abc import Iterator
+from typing import Any
+
+from handctl.campaign.stage import CAMPAIGN_TASK, hand_with_protocol, homed_run
+from handctl.core.tick_types import HandMode
+from handctl.drives.motor_description import GUARDED_PROTOCOLS
+from handctl.safety.action import SafetyAction
+from handctl.session.plan import default_rate
+from handctl.session.simulate import SimulatedRun
+
+OPERATOR_DELAY_S = 2.0
+"""Time from the fault until the operator stops the run [s]."""
+AFTER_STOP_S = 1.5
+"""Time from the stop by the operator to the end of the run [s]."""
+STOP_REQUEST = '{"do": "stop"}'
+HOLD_N = 90.0
+FAST_RISE_N_PER_S = 60.0
+FREE_STAGE = "free"
+LOW_HOLD_STAGE = "hold 24"
+RISING_STAGE = "rising"
+HIGH_HOLD_STAGE = "hold 90"
+FAULT_STAGES = (FREE_STAGE, LOW_HOLD_STAGE, RISING_STAGE, HIGH_HOLD_STAGE)
+GRASPED_STAGES = (LOW_HOLD_STAGE, HIGH_HOLD_STAGE)
+HIDDEN_FAULTS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
+    ("registers lost, as saved", "forget node={motor}", FAULT_STAGES),
+    ("registers lost, TMAX 10 N m", "forget node={motor} size=10", FAULT_STAGES),
+    ("encoder slips by 0.5 rad/s", "drift encoder={motor} size=0.5", FAULT_STAGES),
+    ("encoder slips by -0.5 rad/s", "drift encoder={motor} size=-0.5", FAULT_STAGES),
+    ("encoder slips by 2 rad/s", "drift encoder={motor} size=2", FAULT_STAGES),
+    ("encoder slips by -2 rad/s", "drift encoder={motor} size=-2", FAULT_STAGES),
+    ("encoder scale 0.5", "scale encoder={motor} size=0.5", FAULT_STAGES),
+    ("encoder scale 1.5", "scale encoder={motor} size=1.5", FAULT_STAGES),
+    ("sensor frames 16 ticks old", "replay node=sensors size=16", FAULT_STAGES),
+    ("sensor frames 32 ticks old", "replay node=sensors size=32", FAULT_STAGES),
+    ("load cell 16 ticks old", "old cell={tendon} size=16", FAULT_STAGES),
+    ("load cell 30 ticks old", "old cell={tendon} size=30", FAULT_STAGES),
+    ("load cell 50 ticks old", "old cell={tendon} size=50", FAULT_STAGES),
+    ("ripple 0.1 N m at 20 Hz", "ripple node={motor} size=0.1 hz=20", FAULT_STAGES),
+    ("ripple 0.2 N m at 20 Hz", "ripple node={motor} size=0.2 hz=20", FAULT_STAGES),
+    ("ripple 0.2 N m at 30 Hz", "ripple node={motor} size=0.2 hz=30", FAULT_STAGES),
+    ("ripple 0.2 N m at 40 Hz", "ripple node={motor} size=0.2 hz=40", FAULT_STAGES),
+    ("runaway at torque_max_N_m", "runaway node={motor}", FAULT_STAGES),
+    ("runaway at torque_peak_N_m", "runaway node={motor} size={peak}", FAULT_STAGES),
+)
+
+
+def rising_hold_task() -> dict[str, Any]:
+    """Return the task of the campaign, with an added phase in which the tension rises to 90 N and stays there."""
+    other = copy.deepcopy(CAMPAIGN_TASK)
+    hold = other["phase"][-1]
+    hold["duration_s"] = 1.5
+    rise = {
+        "kind": "hold",
+        "name": "rise",
+        "tension_N": HOLD_N,
+        "rate_N_per_s": FAST_RISE_N_PER_S,
+        "duration_s": 60.0,
+    }
+    other["phase"].append(rise)
+    return other
+
+
+def is_at_stage(stage: str, out: Any, first: int) -> bool:
+    """Return True if a run is at a stage. ``first`` is the number of ticks that the free phase has lasted."""
+    tension = float(out.telemetry.tension.max())
+    if stage == FREE_STAGE:
+        return bool(out.phase == "free" and first > 100)
+    if stage == LOW_HOLD_STAGE:
+        return bool(out.phase == "hold" and tension > 20.0)
+    return bool(
+        out.phase == "rise" and tension > (40.0 if stage == RISING_STAGE else 0.95 * HOLD_N)
+    )
+
+
+def run_with_fault(simulation: SimulatedRun, text: str) -> dict[str, Any]:
+    """Inject a fault and run to the end.
+
+    The result has the identifiers of the reported faults, the delay of the reaction [ms], and the
+    largest true tension [N].
+    """
+    simulation.peer.inject(text)
+    start = simulation.k
+    detected = []
+    reacted = -1.0
+    tension = 0.0
+    stopped = 0.0
+    watched, end = (
+        round(s * 1e9 / simulation.period_ns)
+        for s in (OPERATOR_DELAY_S, OPERATOR_DELAY_S + AFTER_STOP_S)
+    )
+    for i in range(end):
+        stops = i == watched and reacted < 0
+        out = simulation.tick(requests=(STOP_REQUEST,) if stops else ())
+        effect = simulation.peer.fault_states()[-1]
+        effect_ns = effect["first_ns"] if effect["first_ns"] >= 0 else start * simulation.period_ns
+        detected += [
+            e.text.split()[0] for e in out.events if e.name == "fault" and e.level != "info"
+        ]
+        if (
+            reacted < 0
+            and i < watched
+            and (out.action >= SafetyAction.RELAX or out.mode in (HandMode.RELAX, HandMode.CUT))
+        ):
+            reacted = (simulation.k * simulation.period_ns - effect_ns) * 1e-6
+        largest = max(simulation.peer.truth()["tension"])
+        tension = max(tension, largest)
+        stopped = max(stopped, largest) if i >= watched else stopped
+        if out.mode == HandMode.DONE:
+            break
+    return {"found": list(dict.fromkeys(detected)), "ms": reacted, "tension": tension, "stopped": stopped,
+            "felt": bool(simulation.peer.fault_states()[-1]["felt"])}  # fmt: skip
+
+
+def fault_rows(
+    hand_name: str, protocol: str, seed: int, selected_fault: str
+) -> Iterator[dict[str, Any]]:
+    """Yield a row for every fault in every stage of one run.
+
+    Each fault is injected in a forked copy of this process.
+    """
+    hand = hand_with_protocol(hand_name, protocol)
+    rate = default_rate(hand)
+    motor = hand.motor[0]
+    tendon = hand.tendon[0]
+    words = {
+        "motor": motor.name,
+        "tendon": tendon.name,
+        "peak": f"{motor.torque_peak_N_m / motor.torque_max_N_m:.6g}",
+    }
+    with homed_run(hand, rate, seed, task=rising_hold_task()) as simulation:
+        for stage in FAULT_STAGES:
+            first = 0
+            for _ in range(round(15.0 * rate)):
+                out = simulation.tick()
+                first += out.phase == "free"
+                if is_at_stage(stage, out, first):
+                    break
+            else:
+                raise SystemExit(
+                    f"seed {seed}: no {stage}: {simulation.state.failure or out.phase}"
+                )
+            for name, text, stages in HIDDEN_FAULTS:
+                if stage in stages and selected_fault in name:
+                    reading, writing = os.pipe()
+                    if os.fork() == 0:
+                        os.write(
+                            writing,
+                            json.dumps(run_with_fault(simulation, text.format(**words))).encode(),
+                        )
+                        os._exit(0)
+                    os.close(writing)
+                    with os.fdopen(reading) as pipe:
+                        yield {
+                            "fault": name,
+                            "stage": stage,
+                            "seed": seed,
+                            **json.loads(pipe.read()),
+                        }
+                    os.wait()
+
+
+def results_table(results: list[dict[str, Any]]) -> str:
+    """Tabulate relaxed runs, reported faults, latest reaction and largest true tension for each fault and stage."""
+    lines = ["| fault | stage | relaxed or cut | by (runs) | at the latest, ms | true tension, N | after a stop, N |",
+             "|---|---|---|---|---|---|---|"]  # fmt: skip
+    for name, stage in dict.fromkeys((one["fault"], one["stage"]) for one in results):
+        selected = [one for one in results if (one["fault"], one["stage"]) == (name, stage)]
+        by = Counter(id_ for one in selected for id_ in one["found"])
+        rel = [one["ms"] for one in selected if one["ms"] >= 0]
+        detected = ", ".join(f"{id_} ({n})" for id_, n in by.most_common(5)) or "-"
+        silent = [one["stopped"] for one in selected if one["ms"] < 0]
+        lines.append(f"| {name} | {stage} | {len(rel)} of {len(selected)} | {detected} | {max(rel, default=-1):.0f} | "
+                     f"{max(one['tension'] for one in selected):.0f} | {max(silent, default=0.0):.0f} |")  # fmt: skip
+        if not all(one["felt"] for one in selected):
+            lines[-1] += " not felt"
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Measure all faults and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--hand", default="jamia", help="packaged hand (default: jamia)")
+    parser.add_argument(
+        "--protocol",
+        default="mit",
+        choices=GUARDED_PROTOCOLS,
+        help="protocol of the drives (default: mit)",
+    )
+    parser.add_argument(
+        "--seeds", type=int, default=1, help="number of runs for each fault (default: 1)"
+    )
+    parser.add_argument("--only", default="", help="only faults whose name contains this text")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    args = parser.parse_args()
+    results = [
+        row
+        for seed in range(args.seeds)
+        for row in fault_rows(args.hand, args.protocol, seed, args.only)
+    ]
+    print(json.dumps(results, indent=1) if args.json else results_table(results))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,103 @@
+"""The whole stack without a recorder, for ``lockstep.py``: controller, codec, simulated drives, plant."""
+
+import time
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import ClassVar
+
+import numpy as np
+
+from handctl.controller.run_setup import make_controller
+from handctl.core.gains.gains import Gains
+from handctl.hand.hand_loading import load_hand
+from handctl.programs.task import load_task
+from handctl.programs.task_program import TaskProgram
+from handctl.session.simulate import SimulatorSettings
+
+RATE_BY_HAND_HZ = {"jamia": 500.0, "jamia11": 200.0}
+"""Default control rate of each hand on one classical bus [Hz]."""
+TASK_HEAD = 'schema = 1\nname = "benchmark"\ndescription = "for lockstep.py"\n'
+
+
+@dataclass(frozen=True)
+class FreeMotionSetup:
+    """Program that moves the fingers without an object."""
+
+    scene: ClassVar[str | None] = None
+    task: ClassVar[str] = (
+        '[[phase]]\nkind = "move"\nname = "out"\nangle_deg = 25.0\nduration_s = 0.5\n'
+        '[[phase]]\nkind = "move"\nname = "back"\nangle_deg = 5.0\nduration_s = 0.5\n'
+    )
+    repeat: ClassVar[int] = 9
+
+
+@dataclass(frozen=True)
+class GraspSetup:
+    """Program that grasps a cylinder on a table and holds it."""
+
+    scene: ClassVar[str | None] = "cylinder"
+    task: ClassVar[str] = (
+        '[[phase]]\nkind = "move"\nname = "preshape"\nduration_s = 0.4\n'
+        "angle_deg = { index = 18.0, middle = 18.0, ring = 18.0, thumb = 3.0 }\n"
+        '[[phase]]\nkind = "close"\nangle_deg = 85.0\nspeed_deg_s = 120.0\ncontact_tension_N = 14.0\n'
+        '[[phase]]\nkind = "hold"\ntension_N = 24.0\nrate_N_per_s = 80.0\nduration_s = 9.0\n'
+    )
+    repeat: ClassVar[int] = 1
+
+
+class LockstepStack:
+    """A homed simulated hand with its controller, which runs tick by tick.
+
+    Attributes:
+        engine: rigid bodies and contact.
+        simulation: state of the simulated run.
+        peer: simulated nodes on the bus.
+    """
+
+    def __init__(
+        self, hand: str, rate_hz: float, scene: type[FreeMotionSetup | GraspSetup]
+    ) -> None:
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "task.toml"
+            path.write_text(TASK_HEAD + scene.task * scene.repeat)
+            program = TaskProgram(load_task(path))
+        controller = make_controller(
+            load_hand(hand), Gains(), rate_hz, program, None, arm_at_once=True
+        )
+        self._open = ExitStack()
+        self.simulation = self._open.enter_context(
+            SimulatorSettings(hand, scene.scene, homed=True).against(controller)
+        )
+        self.simulation.record = False
+        self.peer = self.simulation.peer
+        self.engine = self.peer.world.plant.engine
+
+    def run(self, seconds: float) -> list[float]:
+        """Run for a simulated time [s]. Return the CPU time of each tick [s]."""
+        tick = self.simulation.tick
+        took = []
+        now = time.process_time
+        for _ in range(round(seconds * 1e9) // self.simulation.period_ns):
+            before = now()
+            tick()
+            took.append(now() - before)
+        return took
+
+    def simulator_tick_times(self, seconds: float) -> list[float]:
+        """Run for a simulated time [s]. Return the CPU time of the simulator with its plant in each tick [s]."""
+        clock = self.simulation._clock
+        took = []
+        now = time.process_time
+        exchange = clock._exchange
+
+        def timed(t_ns: int, records: np.ndarray) -> np.ndarray:
+            before = now()
+            answers = exchange(t_ns, records)
+            took.append(now() - before)
+            return answers
+
+        clock._exchange = timed
+        self.run(seconds)
+        return took

@@ -1,0 +1,175 @@
+"""The complete loop of handctl: bus, filter, control law, safety, encoding, log. Only the clock is replaced."""
+
+import select
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from handctl.core.gains.gains import Gains
+from handctl.core.tick_types import HandMode
+from handctl.hand.formats.urdf import urdf_text
+from handctl.hand.hand_loading import load_hand
+from handctl.log.header import RunHeader
+from handctl.log.record import pack_tick_record
+from handctl.log.write.recorder import Recorder
+from handctl.programs.program import ProgramProgress, motion_to
+from handctl.runtime.buses.open import open_bus
+from handctl.runtime.clocks.priority import awake_processors, take_priority
+from handctl.runtime.clocks.real import RealClock
+from handctl.runtime.loop import ControlLoop
+from handctl.runtime.mailbox import STOP_REQUEST
+from handctl.session.plan import RunPlan
+from handctl.session.run import make_controller
+
+DESIGN_HZ = 1000.0
+
+
+class StayProgram:
+    """Program that holds every digit at its present position."""
+
+    def initial_progress(self, model):
+        return ProgramProgress.initial(len(model.digits), "start")
+
+    def advance(self, model, progress, estimate, measured, t):
+        if progress.phase == "start":
+            goals = tuple(motion_to(digit, estimate, 0.0, 1.0, t) for digit in model.digits)
+            progress = replace(progress, phase="stay", goals=goals)
+        return progress, ()
+
+
+@dataclass
+class UnpacedClock:
+    """Clock without deadlines. The next tick begins when the bus has replies to the last tick."""
+
+    fd: int
+
+    def start(self):
+        return
+
+    def wait(self, k):
+        select.select([self.fd], [], [], 0.002)
+        return 0
+
+    def now_ns(self):
+        return 0
+
+    def clock_facts(self):
+        return {}
+
+
+def run_loop(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, log: Path):
+    """Run the controller until some time has passed since the hand became active.
+
+    Args:
+        hand_name: name of a packaged hand.
+        bus_name: name of the local bus.
+        seconds: time with the hand active [s].
+        rate_hz: control rate [Hz]. With None, each tick starts when the last one has ended.
+        log: path of a new file for the log.
+
+    Returns:
+        ticks per second while active, fraction of missed deadlines, lateness of every active tick [ns], wall time
+        of each tick in the controller [ns], and CPU time of the control process per second.
+    """
+    hand = load_hand(hand_name)
+    rate = rate_hz or DESIGN_HZ
+    plan = RunPlan(hand, Gains(), rate, (0.0,), (f"local:{bus_name}",))
+    controller = make_controller(plan, StayProgram(), None, arm_at_once=True)
+    bus = open_bus(plan.buses[0], 0, 1_000_000)
+    clock = RealClock(plan.period_ns) if rate_hz else UnpacedClock(bus.fileno())
+    priority = take_priority()
+    if rate_hz:
+        clock.spin = priority.realtime
+    described = {"hand.toml": hand.to_toml().encode(), "hand.urdf": urdf_text(hand).encode()}
+    recorder = Recorder.start(
+        log, RunHeader.of_hand(hand.to_toml(), plan.period_ns, attachments=described)
+    )
+    counter = ActiveTickCounter(seconds)
+    cut = controller.cut_frames()
+
+    def record(entry, out):
+        recorder.record(pack_tick_record(entry, out))
+
+    took = []
+    # Timing takes a few microseconds, which a rate without deadlines must not contain.
+    begin = (
+        (lambda state, entry: TimedTick(controller, state, entry, took))
+        if rate_hz
+        else controller.begin_tick
+    )
+    loop = ControlLoop(
+        clock, plan.period_ns, [bus], begin, cut, counter.requests, lambda: list(recorder.events()), record, counter,
+        urgent=awake_processors,
+    )  # fmt: skip
+    state = loop.run(controller.initial_state())
+    recorder.close("done")
+    bus.close()
+    log.unlink()
+    if not counter.ticks:
+        raise RuntimeError(f"never active: {state.failure}")
+    span = (counter.last_ns - counter.first_ns) / 1e9
+    missed = (counter.last_k - counter.first_k - counter.ticks) / counter.ticks
+    return counter.ticks / span, missed, counter.late, took[-counter.ticks :], counter.cpu_s / span
+
+
+class TimedTick:
+    """Tick of the controller.
+
+    It measures the wall time of its three steps: begin, command and conclude [ns].
+    """
+
+    def __init__(self, controller, state, entry, tick_times_ns) -> None:
+        began = _now_ns()
+        self.step = controller.begin_tick(state, entry)
+        self.tick_times_ns = tick_times_ns
+        self.spent_ns = _now_ns() - began
+
+    def command(self, requests):
+        began = _now_ns()
+        frames = self.step.command(requests)
+        self.spent_ns += _now_ns() - began
+        return frames
+
+    def conclude(self):
+        began = _now_ns()
+        result = self.step.conclude()
+        self.tick_times_ns.append(self.spent_ns + _now_ns() - began)
+        return result
+
+
+class ActiveTickCounter:
+    """Observer that counts the ticks with an active hand and ends the run after the requested time."""
+
+    def __init__(self, seconds: float) -> None:
+        self.seconds = seconds
+        self.ticks = 0
+        self.late = []
+        self.first_ns = self.last_ns = self.first_k = self.last_k = 0
+        self.cpu_s = self.first_cpu_s = 0.0
+        self.stopped = False
+
+    def __call__(self, entry, out) -> None:
+        if out.mode != HandMode.ACTIVE or self.stopped:
+            return
+        if not self.first_ns:
+            self.first_cpu_s = time.process_time()
+            self.first_ns = self.last_ns = _now_ns()
+            self.first_k = self.last_k = entry.k
+            return
+        self.ticks += 1
+        self.last_k = entry.k
+        self.late.append(entry.late_ns)
+
+    def requests(self) -> tuple[str, ...]:
+        if not self.first_ns or self.stopped:
+            return ()
+        self.last_ns = _now_ns()
+        if self.last_ns - self.first_ns < self.seconds * 1e9:
+            return ()
+        self.cpu_s = time.process_time() - self.first_cpu_s
+        self.stopped = True
+        return (STOP_REQUEST,)
+
+
+def _now_ns() -> int:
+    return time.monotonic_ns()

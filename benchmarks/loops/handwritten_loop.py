@@ -1,0 +1,134 @@
+"""Typical hand-written loop: python-can with one frame at a time, one filter per tendon, pinocchio, JSON."""
+
+import json
+import struct
+import time
+from pathlib import Path
+
+import can
+import numpy as np
+import pinocchio
+from filterpy.kalman import KalmanFilter
+
+from handctl.hand.formats.urdf import urdf_text
+from handctl.hand.hand_loading import load_hand
+from handctl.runtime.clocks.priority import take_priority
+
+ENABLE_PAYLOAD = b"\xff" * 7 + b"\xfc"
+DISABLE_PAYLOAD = b"\xff" * 7 + b"\xfd"
+
+
+def tendon_filter(dt: float) -> KalmanFilter:
+    """Return a Kalman filter whose state is the tension and its rate."""
+    one = KalmanFilter(dim_x=2, dim_z=1)
+    one.F = np.array([[1.0, dt], [0.0, 1.0]])
+    one.H = np.array([[1.0, 0.0]])
+    one.Q = np.diag([1e-3, 1e-1])
+    one.R = np.array([[0.25]])
+    return one
+
+
+def torque_payload(torque: float) -> bytes:
+    """Encode a torque in the MIT frame of a Damiao motor (range 0.8 N m), with zero position, speed and gains."""
+    raw = round((torque + 0.8) / 1.6 * 4095)
+    return bytes((0x80, 0x00, 0x80, 0x00, 0x00, 0x00, raw >> 8, raw & 0xFF))
+
+
+class BaselineLoop:
+    """Hand-written control loop on a python-can bus, which runs tick by tick."""
+
+    def __init__(self, hand_name: str, bus_name: str, log: Path) -> None:
+        self.hand = load_hand(hand_name)
+        self.bus = can.Bus(interface="local", channel=bus_name)
+        self.model = pinocchio.buildModelFromXML(urdf_text(self.hand))
+        self.data = self.model.createData()
+        self.nodes = [motor.node_id for motor in self.hand.motor]
+        self.filters = [tendon_filter(1e-3) for _ in self.nodes]
+        node = self.hand.sensor_node
+        self.sync_id = node.sync_id
+        self.sensor_base_id = node.base_id
+        self.reply_count = len(self.nodes) + -(-len(self.nodes) // 5)
+        self.k = 0
+        self.file = log.open("w")
+        self.path = log
+
+    def send_all(self, data: bytes) -> None:
+        """Send the same data to every motor and discard the replies."""
+        for node in self.nodes:
+            self.bus.send(can.Message(arbitration_id=node, data=data, is_extended_id=False))
+        while self.bus.recv(0.05):
+            pass
+
+    def run_tick(self) -> None:
+        """Run one tick: compute and send torques, read and filter the replies, and log them."""
+        self.bus.send(
+            can.Message(arbitration_id=self.sync_id, data=[self.k & 0xFF], is_extended_id=False)
+        )
+        torque = pinocchio.rnea(self.model, self.data, np.zeros(self.model.nq), np.zeros(self.model.nv),
+                                np.zeros(self.model.nv))  # fmt: skip
+        for node, one in zip(self.nodes, self.filters, strict=True):
+            data = torque_payload(
+                0.005 * min(max(float(one.x[0, 0]) + float(torque[0]), 0.0), 10.0) * 0.0
+            )
+            self.bus.send(can.Message(arbitration_id=node, data=data, is_extended_id=False))
+        row = {"k": self.k, "t": time.time(), "tension": [], "position": []}
+        expected = (
+            self.reply_count
+            + (self.k % self.hand.sensor_node.joint_decimation == 0) * self.joint_frames()
+        )
+        for _ in range(expected):
+            message = self.bus.recv(0.002)
+            if message is None:
+                break
+            self.add_reply(message, row)
+        self.file.write(json.dumps(row) + "\n")
+        self.k += 1
+
+    def joint_frames(self) -> int:
+        return -(-len(self.hand.sensor_node.joints) // 5)
+
+    def add_reply(self, message: can.Message, row: dict) -> None:
+        """Decode one reply and add its values to the row of the log."""
+        if self.sensor_base_id <= message.arbitration_id < self.sensor_base_id + 0x10:
+            bits = int.from_bytes(message.data, "little")
+            first = 5 * (message.arbitration_id - self.sensor_base_id)
+            for i in range(first, min(first + 5, len(self.filters))):
+                tension = (bits >> (4 + 12 * (i - first)) & 0xFFF) * 0.0625 - 6.0
+                self.filters[i].predict()
+                self.filters[i].update(tension)
+                row["tension"].append(float(self.filters[i].x[0, 0]))
+        elif len(message.data) == 8:
+            raw = struct.unpack_from(">H", message.data, 1)[0]
+            row["position"].append(raw / 65535 * 25.0 - 12.5)
+
+    def close(self) -> None:
+        self.send_all(DISABLE_PAYLOAD)
+        self.bus.shutdown()
+        self.file.close()
+        self.path.unlink()
+
+
+def run_loop(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, log: Path):
+    """Run the hand-written loop for some time, and return results like those of ``handctl_loop.run_loop``."""
+    loop = BaselineLoop(hand_name, bus_name, log)
+    take_priority()
+    loop.send_all(ENABLE_PAYLOAD)
+    start = time.monotonic()
+    ticks = 0
+    missed = 0
+    late = []
+    deadline = start
+    while time.monotonic() - start < seconds:
+        if rate_hz:
+            deadline += 1.0 / rate_hz
+            time.sleep(max(0.0, deadline - time.monotonic()))
+            behind = time.monotonic() - deadline
+            late.append(int(behind * 1e9))
+            skipped = int(behind * rate_hz)
+            missed += skipped
+            deadline += skipped / rate_hz
+        loop.run_tick()
+        ticks += 1
+    span = time.monotonic() - start
+    loop.close()
+    return ticks / span, missed / ticks, late

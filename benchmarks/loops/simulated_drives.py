@@ -1,0 +1,58 @@
+"""Simulated drives and load cells at rest, without a plant and with cached replies.
+
+``python benchmarks/loops/simulated_drives.py HAND NAME`` serves ``local:NAME`` and prints a line when it is
+ready.
+"""
+
+import select
+import sys
+
+from firmware_sim.bus.frame import Frame, pack_record
+from firmware_sim.bus.local_ports import HubPort
+from firmware_sim.lockstep_hand import LockstepHand
+from firmware_sim.realtime_priority import take_priority
+
+SPECIAL_COMMAND_HEAD = b"\xff" * 7
+ENABLED_STATE = 1
+
+
+class CachedReplies:
+    """Replies of the simulated nodes. Each reply is computed only once and then cached."""
+
+    def __init__(self, hand: str) -> None:
+        self.rig = LockstepHand(hand, homed=True)
+        self.replies: dict[tuple[int, int], bytes] = {}
+        self.sync = self.rig.world.hand.sensors.sync_id
+
+    def replies_to(self, frame: Frame) -> bytes:
+        """Return the replies of the nodes to a frame, as records."""
+        if frame.can_id != self.sync and (
+            frame.can_id > 0xFF or frame.data.startswith(SPECIAL_COMMAND_HEAD)
+        ):
+            self.replies.clear()
+            return b"".join(map(pack_record, self.rig.world.receive(frame)))
+        key = (frame.can_id, frame.data[0] & 0xF if frame.can_id == self.sync else 0)
+        if key in self.replies:
+            return self.replies[key]
+        answers = self.rig.world.receive(frame)
+        records = b"".join(map(pack_record, answers))
+        if frame.can_id == self.sync or (answers and answers[0].data[0] >> 4 == ENABLED_STATE):
+            self.replies[key] = records
+        return records
+
+
+def main(hand: str, name: str) -> None:
+    """Reply to frames on the bus until the process is killed."""
+    echo = CachedReplies(hand)
+    port = HubPort(name, 0)
+    take_priority()
+    print("ready", flush=True)
+    while True:
+        ready, _, _ = select.select(port.read_sockets(), port.write_sockets(), [])
+        records = b"".join(map(echo.replies_to, port.receive(ready)))
+        if records:
+            port._hub.send(records)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

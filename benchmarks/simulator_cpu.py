@@ -1,0 +1,89 @@
+"""CPU time of the simulated drives, sensors, codec, tendons and rotors in lockstep, without MuJoCo's ``mj_step``.
+
+``python benchmarks/simulator_cpu.py [--quick] [--json]``. The whole stack runs, because the controller
+evicts the code and data of the simulator from the caches of the processor. The benchmark measures
+the CPU time of ``LockstepHand.exchange`` in each tick, and subtracts the CPU time of ``mj_step`` alone for
+the same motion. All runs are bit-identical, so the benchmark uses the shortest time of each tick.
+"""
+
+import argparse
+import json
+import tempfile
+import time
+from pathlib import Path
+
+from lockstep import SETUP_BY_SCENE, record_rollout, repeat_rollout, sum_of_shortest
+from lockstep_stack import RATE_BY_HAND_HZ, LockstepStack
+
+from handctl.campaign.stage import hand_with_protocol
+from handctl.drives.motor_description import GUARDED_PROTOCOLS
+
+SIMULATED_S = 3.0
+QUICK_SIMULATED_S = 1.2
+RUNS_PER_CASE = 4
+CLOCK_READS = 10_000
+
+
+def main() -> None:
+    """Measure all cases of hand, protocol and scene, and print the results."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="shorter runs")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    args = parser.parse_args()
+    seconds = QUICK_SIMULATED_S if args.quick else SIMULATED_S
+    rows = []
+    for hand in RATE_BY_HAND_HZ:
+        for protocol in GUARDED_PROTOCOLS:
+            for scene in SETUP_BY_SCENE:
+                rows.append(measure_simulator_cpu(hand, protocol, scene, seconds))
+                if not args.json:
+                    print_case(rows[-1])
+    if args.json:
+        print(json.dumps(rows, indent=2))
+
+
+def measure_simulator_cpu(hand: str, protocol: str, scene: str, seconds: float) -> dict:
+    """Measure one hand with drives of one protocol in one scene."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "hand.toml"
+        path.write_text(hand_with_protocol(hand, protocol).to_toml())
+
+        def new_stack() -> LockstepStack:
+            return LockstepStack(str(path), RATE_BY_HAND_HZ[hand], SETUP_BY_SCENE[scene])
+
+        rollout = record_rollout(new_stack(), seconds)
+        bare = sum_of_shortest(repeat_rollout(new_stack(), rollout) for _ in range(RUNS_PER_CASE))
+        peer = sum_of_shortest(
+            new_stack().simulator_tick_times(seconds) for _ in range(RUNS_PER_CASE)
+        )
+    ticks = round(seconds * RATE_BY_HAND_HZ[hand])
+    steps = len(rollout.torque)
+    bare_us = (bare - steps * clock_s()) / ticks * 1e6
+    exchange_us = (peer - ticks * clock_s()) / ticks * 1e6
+    return {
+        "hand": hand,
+        "protocol": protocol,
+        "scene": scene,
+        "bare_us_per_tick": bare_us,
+        "exchange_us_per_tick": exchange_us,
+        "behind_the_wire_us_per_tick": exchange_us - bare_us,
+    }
+
+
+def clock_s() -> float:
+    """Measure the time that two readings of the clock take [s]."""
+    now = time.process_time
+    return min(-(now() - now()) for _ in range(CLOCK_READS))
+
+
+def print_case(row: dict) -> None:
+    """Print one result as text."""
+    print(
+        f"{row['hand']:8} {row['protocol']:7} {row['scene']:8} mj_step {row['bare_us_per_tick']:6.1f} us, exchange "
+        f"{row['exchange_us_per_tick']:6.1f} us, behind the wire {row['behind_the_wire_us_per_tick']:5.1f} us per tick",
+        flush=True,
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,145 @@
+"""Start of a run: time from the command to the first frame on the bus, and the time of the help of a verb.
+
+``python benchmarks/start_time.py [--repeats N] [--json]``. The bus is a local bus without other
+participants. The kernels and the byte code of Python are compiled before the first measurement.
+Between the starts, the benchmark measures the start of Python with numpy, as a reference for the
+same machine. Compare only ratios to this reference. The CPU time depends less on other programs
+than the wall time.
+"""
+
+import argparse
+import json
+import os
+import resource
+import select
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+FRAME_TIMEOUT_S = 600.0
+"""Longest time to wait for a frame, with compilation [s]."""
+BUS_NAME = "start"
+"""Name of the local bus."""
+HAND_BY_RUN = {"handctl run": "jamia", "handctl run, 11 motors": "jamia11"}
+"""Packaged hand of each measured run."""
+
+
+class StartTime(NamedTuple):
+    """Wall time of a start [s], and CPU time of the started process until then [s]."""
+
+    wall_s: float
+    cpu_s: float
+
+
+def main() -> None:
+    """Measure all programs and print the times."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument(
+        "--repeats", type=int, default=7, help="starts of each program (default: 7)"
+    )
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    args = parser.parse_args()
+    with tempfile.TemporaryDirectory(prefix="h-") as folder:
+        os.environ["HANDCTL_RUN_DIR"] = folder
+        os.environ.pop(
+            "PYTHONDONTWRITEBYTECODE", None
+        )  # without stored byte code each start would compile 300 modules
+        os.environ["PYTHONPYCACHEPREFIX"] = folder
+        result = measure_starts(args.repeats, Path(folder))
+    print(json.dumps(result, indent=2)) if args.json else print_results(result)
+
+
+def measure_starts(repeats: int, folder: Path) -> dict[str, list[StartTime]]:
+    """Return the times of all starts of each program. The programs are started in turns."""
+    command = [sys.executable, "-m", "firmware_sim", "bus", BUS_NAME]
+    hub = subprocess.Popen(
+        command, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[1]
+    )
+    assert hub.stdout
+    hub.stdout.readline()
+    measures: dict[str, Callable[[], StartTime]] = {
+        "python -c 'import numpy'": lambda: time_until_exit([sys.executable, "-c", "import numpy"]),
+        "handctl run --help": lambda: time_until_exit(
+            [sys.executable, "-m", "handctl.cli", "run", "--help"]
+        ),
+    }
+    for name, hand in HAND_BY_RUN.items():
+        measures[name] = partial(until_first_frame, hand, folder)
+    try:
+        for one in measures.values():
+            one()  # The first start compiles, and fills the disk cache.
+        times: dict[str, list[StartTime]] = {name: [] for name in measures}
+        for _ in range(repeats):
+            for name, one in measures.items():
+                times[name].append(one())
+        return times
+    finally:
+        hub.terminate()
+        hub.wait()
+
+
+def time_until_exit(command: list[str]) -> StartTime:
+    """Return the wall time and CPU time of a command from its start to its end."""
+    before = children_cpu_s()
+    begin = time.monotonic()
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    return StartTime(time.monotonic() - begin, children_cpu_s() - before)
+
+
+def children_cpu_s() -> float:
+    """Return the CPU time of all ended child processes [s]."""
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
+
+
+def process_cpu_s(pid: int) -> float:
+    """Return the CPU time of a running process [s]."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def until_first_frame(hand: str, folder: Path) -> StartTime:
+    """Return the wall time and CPU time from the start of ``handctl run`` to its first frame."""
+    from handctl.runtime.buses.local import connect_to_hub
+
+    listener = connect_to_hub(BUS_NAME)
+    words = ["run", "--hand", hand, "--bus", f"local:{BUS_NAME}", "--log", str(folder / "run.mcap")]
+    begin = time.monotonic()
+    run = subprocess.Popen(
+        [sys.executable, "-m", "handctl.cli", *words],
+        cwd=folder,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        if not select.select([listener], [], [], FRAME_TIMEOUT_S)[0]:
+            raise SystemExit(
+                f"handctl {' '.join(words)} has sent no frame within {FRAME_TIMEOUT_S:g} s"
+            )
+        return StartTime(time.monotonic() - begin, process_cpu_s(run.pid))
+    finally:
+        run.terminate()
+        run.wait()
+        listener.close()
+        (folder / "run.mcap").unlink(missing_ok=True)
+
+
+def print_results(result: dict[str, list[StartTime]]) -> None:
+    """Print a table of the times."""
+    print(f"{'program':28} {'median [s]':>11} {'smallest':>9} {'largest':>8} {'CPU [s]':>8}")
+    for name, starts in result.items():
+        times = [start.wall_s for start in starts]
+        cpu = statistics.median(start.cpu_s for start in starts)
+        print(
+            f"{name:28} {statistics.median(times):11.2f} {min(times):9.2f} {max(times):8.2f} {cpu:8.2f}"
+        )
+
+
+if __name__ == "__main__":
+    main()

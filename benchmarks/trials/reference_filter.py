@@ -1,0 +1,83 @@
+"""Error of a reference filter that is optimal for a fixed noise model.
+
+The result is no lower bound of the error. A filter for a plant with less noise can have a smaller
+error. So can a filter with more inputs.
+
+The state of each tendon consists of tendon travel and speed, excursion and its rate, Gauss-Markov
+forces on motor and joint, and the stretch offset. The measurements are load cell and encoder. The
+disturbances are constants of this module. The digit moves freely against its springs, or presses on
+a stiff object. ``scipy`` computes this filter, independently of the filter design in the
+controller.
+"""
+
+import numpy as np
+from scipy.linalg import expm, solve_discrete_are
+
+from handctl.core.hand_model import HandModel
+
+MOTOR_NOISE_N_M = 10e-3
+MOTOR_NOISE_S = 0.05
+JOINT_NOISE_N_M = 5e-3
+JOINT_NOISE_S = 0.02
+STRETCH_OFFSET_M = 0.2e-3
+STRETCH_OFFSET_S = 60.0
+CONTACT_N_M_PER_RAD = 40.0
+"""Stiffness of the held object at all joints of a digit [N m/rad]. Source of all constants: MODEL, section 5."""
+CELL_DRIFT_VARIANCE_N2_PER_S = 1.0 / 100.0
+"""Drift of the load cells, a random walk of 1 N in 100 s. No filter can observe this drift while a tendon is taut."""
+STATE_SCALE = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 1.0, 1e-5])
+
+
+def reference_sigma(
+    model: HandModel, i: int, is_held: bool, encoder: bool = True
+) -> tuple[float, float]:
+    """Return the standard deviations of the tension of tendon i at the last sample and at present [N].
+
+    The estimate of the controller is for the present, one period after the sample. The benchmark
+    compares this estimate with both values.
+
+    Args:
+        model: hand and control rate.
+        i: index of the tendon.
+        is_held: True if the digit presses on an object.
+        encoder: True if the filter uses both the encoder of the motor and the load cell. False if it uses only the load
+            cell.
+    """
+    space = model.space
+    arm = float(np.abs(model.hand.moment_arms[i]).sum())
+    spring = CONTACT_N_M_PER_RAD / arm**2 if is_held else space.load_stiffness[i]
+    k = space.stiffness[i]
+    c = space.damping[i]
+    m = space.motor_mass[i]
+    load = space.load_mass[i]
+    tension = np.array([k, c, -k, -c, 0.0, 0.0, -k])
+    A = np.zeros((7, 7))
+    A[0, 1] = A[2, 3] = 1.0
+    A[1] = -tension / m
+    A[1, 1] -= space.motor_damping[i] / m
+    A[1, 4] = 1.0 / m
+    A[3] = tension / load
+    A[3, 2] -= spring / load
+    A[3, 3] -= space.load_damping[i] / load
+    A[3, 5] = 1.0 / load
+    A[4, 4] = -1.0 / MOTOR_NOISE_S
+    A[5, 5] = -1.0 / JOINT_NOISE_S
+    A[6, 6] = -1.0 / STRETCH_OFFSET_S
+    sigma = (MOTOR_NOISE_N_M / space.spool[i], JOINT_NOISE_N_M / arm, STRETCH_OFFSET_M)
+    noise = [0.0] * 4 + [
+        2.0 * s**2 / t
+        for s, t in zip(sigma, (MOTOR_NOISE_S, JOINT_NOISE_S, STRETCH_OFFSET_S), strict=True)
+    ]
+    A = A * STATE_SCALE / STATE_SCALE[:, None]
+    Q = np.diag(noise) / np.outer(STATE_SCALE, STATE_SCALE)
+    loan = expm(np.block([[-A, Q], [np.zeros((7, 7)), A.T]]) * model.period)
+    F = loan[7:, 7:].T
+    H = np.vstack((np.eye(7)[0], tension)) * STATE_SCALE
+    R = np.diag([(space.encoder_step[i] / np.sqrt(6.0)) ** 2, space.tension_noise[i] ** 2])
+    rows = [0, 1] if encoder else [1]
+    spread = np.sqrt(np.diag(R)[rows])
+    P = solve_discrete_are(F.T, (H[rows] / spread[:, None]).T, F @ loan[:7, 7:], np.eye(len(rows)))
+    seen = H[rows] / spread[:, None]
+    row = tension * STATE_SCALE
+    gain = P @ seen.T @ np.linalg.inv(seen @ P @ seen.T + np.eye(len(rows)))
+    return float(np.sqrt(row @ (P - gain @ seen @ P) @ row)), float(np.sqrt(row @ P @ row))

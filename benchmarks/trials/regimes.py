@@ -1,0 +1,80 @@
+"""Regime of each tendon at each tick, from true values: free, reversal, impact, hold, beyond 200 N, slack."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trials.lockstep import Array, TrialRecord
+
+REVERSAL_S = 0.05
+"""Half width of the time window around a reversal of the winding direction [s]."""
+IMPACT_S = 0.1
+SETTLED_S = 0.3
+"""Time from the first contact, after which the tension has settled [s]."""
+TAUT_N = 0.5
+TOUCH_N = 0.05
+SLACK_S = 0.05
+TURNING_RAD_S = 0.2
+"""Speed of the spool below which its direction is not counted [rad/s]."""
+KNEE_N = 200.0
+REGIME_NAMES = ("free", "reversal", "impact", "hold", "beyond 200 N", "slack")
+MaskArray = NDArray[np.bool_]
+
+
+def regime_masks(record: TrialRecord) -> dict[str, MaskArray]:
+    """Return a mask (ticks, N) for each regime. For a tendon, each tick belongs to at most one regime."""
+    tension = record.tension()
+    t = record.times
+    touched = record.of_tendons(record.contact_force() > TOUCH_N)
+    ready = ~np.isin(record.phase, ("start", "tighten", "live"))[:, None]
+    taut = tension > TAUT_N
+    since = _since_rise(touched, t)
+    turning = _near_mask(_reversal_mask(record), t, REVERSAL_S) & ~touched
+    hold = ready & taut & touched & (since > SETTLED_S)
+    return {
+        "free": ready & taut & ~touched & ~turning,
+        "reversal": ready & taut & turning,
+        "impact": ready & taut & touched & (since <= IMPACT_S),
+        "hold": hold & (tension <= KNEE_N),
+        "beyond 200 N": hold & (tension > KNEE_N),
+        "slack": ready & ~_near_mask(taut, t, SLACK_S),
+    }
+
+
+def _since_rise(on: MaskArray, t: Array) -> Array:
+    """Return the time since each signal last became true, after it was false for ``SETTLED_S`` (ticks, N) [s]."""
+    since = np.full(on.shape, np.inf)
+    for i in range(on.shape[1]):
+        rise = -np.inf
+        fall = -np.inf
+        for k, value in enumerate(on[:, i]):
+            if value and not (k and on[k - 1, i]) and t[k] - fall > SETTLED_S:
+                rise = t[k]
+            if value:
+                fall = t[k]
+            since[k, i] = t[k] - rise
+    return since
+
+
+def _reversal_mask(record: TrialRecord) -> MaskArray:
+    """Return a mask (ticks, N) of the ticks in which the spool reverses."""
+    period = record.t_ns[1] - record.t_ns[0]
+    angle = [
+        record.truth((f"motor/{tendon.motor}" for tendon in record.hand.tendon), delay)
+        for delay in (0, period)
+    ]
+    speed = (angle[0] - angle[1]) / (period * 1e-9)
+    direction = np.where(np.abs(speed) > TURNING_RAD_S, np.sign(speed), 0.0)
+    turned = np.zeros(direction.shape, dtype=bool)
+    for i in range(direction.shape[1]):
+        moving = np.flatnonzero(direction[:, i])
+        turned[moving[1:], i] = direction[moving[1:], i] != direction[moving[:-1], i]
+    return turned
+
+
+def _near_mask(on: MaskArray, t: Array, distance: float) -> MaskArray:
+    """Return a mask (ticks, N) of the ticks within a time [s] of a true signal."""
+    reach = round(distance / (t[1] - t[0]))
+    kernel = np.ones(2 * reach + 1)
+    return np.column_stack(
+        [np.convolve(column, kernel, "same") > 0.5 for column in on.T.astype(float)]
+    )

@@ -1,0 +1,167 @@
+"""Other libraries that write logs.
+
+Each library writes the same decoded messages into a file, and reads the file back.
+"""
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+
+class LogMessage(NamedTuple):
+    """One message: topic, type, definition of the type, time [ns], and content as plain values."""
+
+    topic: str
+    kind: str
+    schema: str
+    t_ns: int
+    content: dict[str, Any]
+
+
+class LibraryWriter(NamedTuple):
+    """A log writer: functions that write one message, close the file, and read all messages."""
+
+    write: Callable[[LogMessage], None]
+    close: Callable[[], None]
+    read: Callable[[], Iterator[Any]]
+
+
+def mcap_ros2_writer(path: Path) -> LibraryWriter:
+    """Return a writer of mcap-ros2-support with its default settings."""
+    from mcap_ros2.reader import read_ros2_messages
+    from mcap_ros2.writer import LibraryWriter as Ros2Writer
+
+    file = path.open("wb")
+    writer = Ros2Writer(file)
+    schemas = {}
+
+    def write(one: LogMessage) -> None:
+        if one.kind not in schemas:
+            schemas[one.kind] = writer.register_msgdef(one.kind, one.schema)
+        writer.write_message(one.topic, schemas[one.kind], one.content, one.t_ns, one.t_ns)
+
+    def close() -> None:
+        writer.finish()
+        file.close()
+
+    return LibraryWriter(
+        write, close, lambda: (one.ros_msg for one in read_ros2_messages(str(path)))
+    )
+
+
+def rosbags_writer(path: Path) -> LibraryWriter:
+    """Return a writer of rosbags.
+
+    It writes a folder with MCAP storage, and takes each message as an object of its type.
+    """
+    from rosbags.highlevel import AnyReader
+    from rosbags.rosbag2 import LibraryWriter as BagWriter
+    from rosbags.rosbag2 import StoragePlugin
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.EMPTY)
+    connections = {}
+    bag = BagWriter(path, version=9, storage_plugin=StoragePlugin.MCAP)
+    bag.open()
+
+    def write(one: LogMessage) -> None:
+        if one.topic not in connections:
+            types = get_types_from_msg(one.schema, one.kind)
+            store.register(
+                {name: kind for name, kind in types.items() if name not in store.fielddefs}
+            )
+            connections[one.topic] = bag.add_connection(one.topic, one.kind, typestore=store)
+        data = store.serialize_cdr(_typed_object(store, one.kind, one.content), one.kind)
+        bag.write(connections[one.topic], one.t_ns, bytes(data))
+
+    def read() -> Iterator[Any]:
+        with AnyReader([path]) as reader:
+            for connection, _, raw in reader.messages():
+                yield reader.deserialize(raw, connection.msgtype)
+
+    return LibraryWriter(write, bag.close, read)
+
+
+def _typed_object(store: Any, kind: str, content: dict[str, Any]) -> Any:
+    """Convert plain values to an object of a type in the type store."""
+    import numpy as np
+
+    fields = {}
+    for name, (node, inner) in store.fielddefs[kind][1]:
+        value = content[name]
+        if node.name == "NAME":
+            fields[name] = _typed_object(store, inner, value)
+        elif node.name == "BASE":
+            fields[name] = value
+        elif inner[0][0].name == "NAME":
+            fields[name] = [_typed_object(store, inner[0][1], one) for one in value]
+        else:
+            word = inner[0][1][0]
+            fields[name] = (
+                list(value) if word == "string" else np.array(value, word.replace("byte", "uint8"))
+            )
+    return store.types[kind](**fields)
+
+
+def json_mcap_writer(path: Path) -> LibraryWriter:
+    """Return a writer of JSON in MCAP, with json.dumps and the package mcap."""
+    from mcap.reader import make_reader
+    from mcap.writer import LibraryWriter as McapWriter
+
+    file = path.open("wb")
+    writer = McapWriter(file)
+    channels = {}
+    writer.start("", "benchmark")
+
+    def write(one: LogMessage) -> None:
+        if one.topic not in channels:
+            schema = writer.register_schema(one.kind, "jsonschema", b'{"type": "object"}')
+            channels[one.topic] = writer.register_channel(one.topic, "json", schema)
+        writer.add_message(
+            channels[one.topic], one.t_ns, json.dumps(one.content).encode(), one.t_ns
+        )
+
+    def close() -> None:
+        writer.finish()
+        file.close()
+
+    def read() -> Iterator[Any]:
+        with path.open("rb") as opened:
+            for _, _, one in make_reader(opened).iter_messages(log_time_order=False):
+                yield json.loads(one.data)
+
+    return LibraryWriter(write, close, read)
+
+
+def foxglove_writer(path: Path) -> LibraryWriter:
+    """Return a writer of the Foxglove SDK.
+
+    It uses the channels of the SDK for dictionaries, which are written as JSON.
+    """
+    import foxglove_writer as sdk
+    from mcap.reader import make_reader
+
+    context = sdk.Context()
+    channels = {}
+    file = sdk.open_mcap(path, context=context)
+
+    def write(one: LogMessage) -> None:
+        if one.topic not in channels:
+            channels[one.topic] = sdk.Channel(one.topic, schema={"type": "object"}, context=context)
+        channels[one.topic].log(one.content, log_time=one.t_ns)
+
+    def read() -> Iterator[Any]:
+        with path.open("rb") as opened:
+            for _, _, one in make_reader(opened).iter_messages(log_time_order=False):
+                yield json.loads(one.data)
+
+    return LibraryWriter(write, file.close, read)
+
+
+LIBRARY_WRITERS = {
+    "mcap-ros2-support": mcap_ros2_writer,
+    "rosbags": rosbags_writer,
+    "JSON": json_mcap_writer,
+    "foxglove-sdk": foxglove_writer,
+}

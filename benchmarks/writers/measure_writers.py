@@ -1,0 +1,198 @@
+"""Measurement of all log writers: each one writes the same run and reads it back, and the cost is printed."""
+
+import argparse
+import json
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import synthetic_run
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+
+from benchmarks.writers.library_writers import LIBRARY_WRITERS, LogMessage
+from benchmarks.writers.sustained_recording import measure_sustained, packed_tick
+from handctl.log.read.reader import RunLog
+from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record
+from handctl.log.write.recorder import Recorder
+from handctl.log.write.writer import LogWriter
+
+RATE_HZ = 1000
+
+
+def main(description: str) -> None:
+    """Measure all libraries and print the results."""
+    parser = argparse.ArgumentParser(description=description.splitlines()[0])
+    parser.add_argument(
+        "--quick",
+        action="store_true",
+        help="0.2 s of a run instead of 2 s, and 2 s of continuous writing instead of 30 s",
+    )
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    args = parser.parse_args()
+    with tempfile.TemporaryDirectory(prefix="h-") as folder:
+        result = measure_all_writers(
+            Path(folder), 0.2 if args.quick else 2.0, 2.0 if args.quick else 30.0
+        )
+    print(json.dumps(result, indent=2)) if args.json else print_results(result)
+
+
+def measure_all_writers(folder: Path, seconds: float, sustained_s: float) -> dict[str, Any]:
+    """Measure the cost of all log writers, and continuous writing with handctl."""
+    run = synthetic_run.synthetic_header("jamia11", RATE_HZ)
+    ticks = [packed_tick(*tick) for tick in synthetic_run.SyntheticTicks(run, seconds)]
+    writers = {"handctl": measure_handctl(folder / "ours.mcap", run, ticks)}
+    messages = decode_messages(folder / "ours.mcap")
+    for name, make in LIBRARY_WRITERS.items():
+        try:
+            writers[name] = measure_library(folder / f"{name}.mcap", make, messages, len(ticks))
+        except ImportError as error:
+            writers[name] = {"skipped": f"{error.name} is not installed: make bench installs it"}
+    return {
+        "hand": "jamia11",
+        "rate_hz": RATE_HZ,
+        "ticks": len(ticks),
+        "messages": len(messages),
+        "frames": sum(len(tick_in.frames) + len(out.frames) for tick_in, out in ticks),
+        "writers": writers,
+        "sustained": measure_sustained(folder / "sustained.mcap", sustained_s),
+    }
+
+
+def _cpu_s(work: Callable[[], object]) -> float:
+    """Return the processor time of a function [s]."""
+    start = time.process_time()
+    work()
+    return time.process_time() - start
+
+
+def measure_handctl(path: Path, run: Any, ticks: list[Any]) -> dict[str, float]:
+    """Measure handctl: packing and passing on records in the loop, and the log writer in the same process."""
+    records: list[bytes] = []
+    packing = _cpu_s(lambda: records.extend(pack_tick_record(*tick) for tick in ticks))
+    recorder = Recorder.start(path.with_suffix(".pipe.mcap"), run)
+    handing = _cpu_s(lambda: [(recorder.record(record), recorder.events()) for record in records])
+    recorder.close("finished")
+    writer = LogWriter(path, run, print, 1)
+
+    def write() -> None:
+        for record in records:
+            writer.add(record[RECORD_FRAMING_STRUCT.size :])
+        writer.finish("finished", 0)
+
+    writing = _cpu_s(write)
+
+    def read() -> None:
+        with RunLog(path) as log:
+            assert sum(1 for _ in log.ticks()) == len(log.field("tension")) == len(ticks)
+
+    return _cost_row(
+        packing + handing,
+        packing + handing + writing,
+        path.stat().st_size,
+        _cpu_s(read),
+        len(ticks),
+    )
+
+
+def measure_library(
+    path: Path, make: Any, messages: list[LogMessage], ticks: int
+) -> dict[str, float]:
+    """Measure another library, which writes in the loop and then reads all messages."""
+    writer = make(path)
+
+    def write() -> None:
+        for one in messages:
+            writer.write(one)
+        writer.close()
+
+    spent = _cpu_s(write)
+    count = 0
+
+    def read() -> None:
+        nonlocal count
+        count = sum(1 for _ in writer.read())
+
+    reading = _cpu_s(read)
+    assert count == len(messages), f"{path}: {count} of {len(messages)} messages came back"
+    files = path.rglob("*") if path.is_dir() else [path]
+    return _cost_row(spent, spent, sum(file.stat().st_size for file in files), reading, ticks)
+
+
+def _cost_row(loop: float, total: float, size: int, reading: float, ticks: int) -> dict[str, float]:
+    return {
+        "loop_us_per_tick": 1e6 * loop / ticks,
+        "total_us_per_tick": 1e6 * total / ticks,
+        "bytes_per_tick": size / ticks,
+        "read_times_real_time": ticks / RATE_HZ / reading,
+    }
+
+
+def decode_messages(path: Path) -> list[LogMessage]:
+    """Return every message of a log with its content as plain values."""
+    messages = []
+    factory = DecoderFactory()
+    with path.open("rb") as file:
+        for schema, channel, one in make_reader(file).iter_messages(log_time_order=False):
+            decode = factory.decoder_for(channel.message_encoding, schema)
+            content = _plain_value(decode(one.data))
+            messages.append(
+                LogMessage(channel.topic, schema.name, schema.data.decode(), one.log_time, content)
+            )
+    return messages
+
+
+def _plain_value(value: Any) -> Any:
+    if hasattr(value, "__slots__") and not isinstance(value, (str, bytes, list, tuple)):
+        return {name: _plain_value(getattr(value, name)) for name in value.__slots__}
+    if isinstance(value, bytes):
+        return list(value)
+    return [_plain_value(one) for one in value] if isinstance(value, (list, tuple)) else value
+
+
+def print_results(result: dict[str, Any]) -> None:
+    """Print the result as text."""
+    print(
+        f"{result['ticks']} ticks of {result['hand']} at {result['rate_hz']} Hz: {result['messages']} messages"
+    )
+    print(f"{'':<18} {'in the loop':>14} {'in all':>14} {'size':>14} {'read':>16}")
+    base = result["writers"]["handctl"]
+    for name, row in result["writers"].items():
+        if "skipped" in row:
+            print(f"{name:<18} {row['skipped']}")
+            continue
+        loop, total, size, read = row.values()
+        print(
+            f"{name:<18} {loop:8.0f} us/tick {total:8.0f} us/tick {size:8.0f} B/tick {read:8.1f} x real time"
+        )
+        if row is not base:
+            ratios = (
+                loop / base["loop_us_per_tick"],
+                total / base["total_us_per_tick"],
+                size / base["bytes_per_tick"],
+            )
+            print(
+                f"{'':<18} {ratios[0]:8.1f} times    {ratios[1]:8.1f} times    {ratios[2]:8.2f} times"
+            )
+    _show_sustained(result["sustained"])
+
+
+def _show_sustained(sustained: dict[str, Any]) -> None:
+    print(
+        f"in real time for {sustained['seconds']:.0f} s: {sustained['ticks']} ticks, "
+        f"{sustained['frames_in_log']} frames, "
+        f"{sustained['dropped']} ticks dropped, {sustained['ticks_in_log']} in the log; "
+        f"the recorder took {100 * sustained['recorder_core_share']:.0f} % of its core"
+    )
+    print(
+        f"{'lateness of the loop [us]':<28}{'p50':>8}{'p99':>8}{'p99.9':>8}{'max':>8}{'missed':>10}"
+    )
+    for name in ("without", "with"):
+        *late, missed = sustained[f"{name}_us"].values()
+        print(
+            f"  {name + ' recorder':<26}"
+            + "".join(f"{one:8.0f}" for one in late)
+            + f"{100 * missed:8.2f} %"
+        )

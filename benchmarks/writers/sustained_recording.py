@@ -1,0 +1,213 @@
+"""Recorder with eleven motors and their frames at 1 kHz in real time: dropped ticks, and effect on the loop.
+
+The loop of the controller runs with prepared ticks, so that only the recorder affects its timing.
+Loop and recorder run on different cores. Before and after, the same loop runs without a recorder,
+which shows the effect of other load.
+"""
+
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import synthetic_run
+
+from handctl.core.tick_types import (
+    TELEMETRY_FIELDS,
+    HandMode,
+    IoEvent,
+    PackedTelemetry,
+    TickIn,
+    TickOut,
+)
+from handctl.drives.frame import Frame
+from handctl.drives.frame_records import Frames, frames_as_records
+from handctl.log.read.reader import RunLog
+from handctl.log.record import pack_tick_record
+from handctl.log.write.recorder import Recorder
+from handctl.runtime.clocks.priority import restore_priority, take_priority
+from handctl.runtime.clocks.real import RealClock
+from handctl.runtime.loop import ControlLoop, LoopStats
+
+HAND_NAME = "jamia11"
+RATE_HZ = 1000
+PREPARED_RUN_S = 0.5
+PERIOD_NS = 10**9 // RATE_HZ
+LATENESS_PERCENTILES = {"p50": 50.0, "p99": 99.0, "p99_9": 99.9, "max": 100.0}
+
+TickPair = tuple[TickIn, TickOut]
+
+
+def measure_sustained(path: Path, seconds: float) -> dict[str, Any]:
+    """Run the loop with the recorder. Run it before and after without the recorder, each for half the time.
+
+    Args:
+        path: path of the new log file.
+        seconds: duration of the loop with the recorder [s].
+
+    Returns:
+        content of the log, dropped ticks, fraction of one core for the recorder, lateness of the loop [us].
+    """
+    ticks = [
+        packed_tick(*tick)
+        for tick in synthetic_run.SyntheticTicks(
+            synthetic_run.synthetic_header(HAND_NAME, RATE_HZ), PREPARED_RUN_S
+        )
+    ]
+    recorder = Recorder.start(
+        path, synthetic_run.synthetic_header(HAND_NAME, RATE_HZ, deterministic=False)
+    )
+    with _on_separate_cores(recorder._child.pid) as granted:
+        before = _run_loop(seconds / 2, granted, ticks, lambda entry, out: None, list)
+        spent = _processor_s(recorder._child.pid)
+        start = time.perf_counter()
+        logged = _run_loop(
+            seconds, granted, ticks, _record_function(recorder), lambda: list(recorder.events())
+        )
+        fraction = (_processor_s(recorder._child.pid) - spent) / (time.perf_counter() - start)
+        after = _run_loop(seconds / 2, granted, ticks, lambda entry, out: None, list)
+    summary = recorder.close("finished")
+    with RunLog(path) as log:
+        frames = sum(len(tick.tick_in.frames) + len(tick.frames) for tick in log.ticks())
+        result = {"ticks": logged.ticks, "ticks_in_log": len(log), "frames_in_log": frames}
+    numbers = {name: int(str(summary[name])) for name in ("dropped", "lost", "bytes")}
+    late = {"without_us": _lateness_figures(before, after), "with_us": _lateness_figures(logged)}
+    return {
+        "seconds": seconds,
+        "real_time": granted,
+        **result,
+        **numbers,
+        "recorder_core_share": fraction,
+        **late,
+    }
+
+
+def packed_tick(tick_in: TickIn, out: TickOut) -> TickPair:
+    """Convert frames to records and telemetry to one array, as in the loop of the controller."""
+    places = {}
+    at = 0
+    for name, values in zip(TELEMETRY_FIELDS, out.telemetry, strict=True):
+        places[name] = slice(at, at + len(values))
+        at += len(values)
+    telemetry = PackedTelemetry(np.concatenate(tuple(out.telemetry)), places)
+    return tick_in._replace(frames=frames_as_records(tick_in.frames)), out._replace(
+        frames=frames_as_records(out.frames), telemetry=telemetry
+    )
+
+
+@contextmanager
+def _on_separate_cores(recorder: int) -> Iterator[bool]:
+    """Put loop and recorder on different cores if there are two. Yield True if the loop has real-time priority."""
+    cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
+    if cores:
+        os.sched_setaffinity(recorder, {max(cores)})
+        os.sched_setaffinity(0, {min(cores)})
+    try:
+        yield take_priority().realtime
+    finally:
+        restore_priority()
+        if cores:
+            os.sched_setaffinity(0, cores)
+
+
+class _PreparedBus:
+    """A bus that delivers the frames of a synthetic run."""
+
+    def __init__(self, ticks: list[TickPair]) -> None:
+        self._ticks = ticks
+        self._at = 0
+
+    def drain(self) -> Frames:
+        """Return the frames of the next tick."""
+        self._at += 1
+        return frames_as_records(self._ticks[self._at % len(self._ticks)][0].frames)
+
+    def send(self, frames: Sequence[Frame]) -> int:
+        """Accept all frames."""
+        return len(frames)
+
+    def take_events(self) -> list[tuple[str, str, int]]:
+        """Return no events."""
+        return []
+
+
+@dataclass
+class _PreparedTick:
+    """A tick whose result is known.
+
+    Attributes:
+        state: number of ticks so far.
+        out: output of the tick.
+    """
+
+    state: int
+    out: TickOut
+
+    def command(self, requests: tuple[str, ...]) -> Sequence[Frame]:
+        """Return the frames of the tick."""
+        return self.out.frames
+
+    def conclude(self) -> tuple[int, TickOut]:
+        """Return the known result of the tick."""
+        return self.state, self.out
+
+
+def _run_loop(
+    seconds: float,
+    spin: bool,
+    ticks: list[TickPair],
+    record: Callable[[TickIn, TickOut], None],
+    events: Callable[[], list[IoEvent]],
+) -> LoopStats:
+    """Run the controller's loop for a time with prepared ticks, and return its statistics."""
+    last = int(seconds * RATE_HZ)
+
+    def begin(state: int, entry: TickIn) -> _PreparedTick:
+        out = ticks[state % len(ticks)][1]
+        return _PreparedTick(
+            state + 1, out._replace(mode=HandMode.DONE) if entry.k >= last else out
+        )
+
+    clock = RealClock(PERIOD_NS, spin=spin)
+    loop = ControlLoop(
+        clock,
+        PERIOD_NS,
+        [_PreparedBus(ticks)],
+        begin,
+        (),
+        tuple,
+        events,
+        record,
+        lambda entry, out: None,
+    )
+    loop.run(0)
+    return loop.stats
+
+
+def _record_function(recorder: Recorder) -> Callable[[TickIn, TickOut], None]:
+    """Return a function that packs a tick and passes it to the recorder."""
+
+    def record(entry: TickIn, out: TickOut) -> None:
+        recorder.record(pack_tick_record(entry, out))
+
+    return record
+
+
+def _processor_s(pid: int) -> float:
+    """Return the processor time of the recorder and of its sync process [s]."""
+    family = [psutil.Process(pid), *psutil.Process(pid).children(recursive=True)]
+    return float(sum(one.cpu_times().user + one.cpu_times().system for one in family))
+
+
+def _lateness_figures(*parts: LoopStats) -> dict[str, float]:
+    """Return percentiles of the lateness [us] and the fraction of missed deadlines."""
+    us = np.concatenate([np.array(part.late_ns) for part in parts]) / 1e3
+    missed = sum(part.missed for part in parts) / sum(part.ticks + part.missed for part in parts)
+    return {name: float(np.percentile(us, mark)) for name, mark in LATENESS_PERCENTILES.items()} | {
+        "missed_share": missed
+    }

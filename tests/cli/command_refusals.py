@@ -1,0 +1,21 @@
+"""Run commands with bad input, and return their error lines."""
+
+from handctl.cli.main import main
+
+
+def refusal_line(capsys, *words):
+    """Return the only error line that a command prints when it refuses its input."""
+    lines = refusal_lines(capsys, *words)
+    assert len(lines) == 1, lines
+    return lines[0]
+
+
+def refusal_lines(capsys, *words):
+    """Return the error lines that a command prints when it refuses its input, one for each mistake."""
+    assert main(words) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    lines = err.splitlines(keepends=True)
+    assert lines
+    assert all(line.startswith("handctl: ") and line.endswith("\n") for line in lines), err
+    return lines

@@ -1,0 +1,73 @@
+"""Write logs with a changed header. Metadata records are replaced, all other records are unchanged."""
+
+import struct
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from mcap.opcode import Opcode
+
+from handctl.log.container import MAGIC
+
+MetadataEntries = dict[str, str]
+_RECORD_HEAD_STRUCT = struct.Struct("<BQ")
+
+
+def with_metadata(raw: bytes, change: Callable[[str, MetadataEntries], MetadataEntries]) -> bytes:
+    """Return the bytes of a log with changed metadata, without the checksums of the whole file.
+
+    Args:
+        raw: bytes of a complete log.
+        change: function that takes the name and the entries of a metadata record and returns the new entries.
+    """
+    parts = [MAGIC]
+    for code, body in _split_records(raw):
+        if code == Opcode.METADATA:
+            name, entries = _parsed_metadata(body)
+            body = _packed_metadata(name, change(name, entries))
+        elif code in (Opcode.DATA_END, Opcode.FOOTER):
+            body = body[:-4] + bytes(4)
+        parts.append(_RECORD_HEAD_STRUCT.pack(code, len(body)) + body)
+    return b"".join([*parts, MAGIC])
+
+
+def with_run_metadata(path: Path, out: Path, **values: str) -> Path:
+    """Write a copy of a log to `out` with other JSON texts in its record `handctl.run`, and return the path."""
+    out.write_bytes(
+        with_metadata(
+            path.read_bytes(), lambda name, old: old | values if name == "handctl.run" else old
+        )
+    )
+    return out
+
+
+def _split_records(raw: bytes) -> Iterator[tuple[int, bytes]]:
+    at = len(MAGIC)
+    while at < len(raw) - len(MAGIC):
+        code, size = _RECORD_HEAD_STRUCT.unpack_from(raw, at)
+        at += _RECORD_HEAD_STRUCT.size
+        yield code, raw[at : at + size]
+        at += size
+
+
+def _packed_text(value: str) -> bytes:
+    data = value.encode()
+    return struct.pack("<I", len(data)) + data
+
+
+def _read_text(body: bytes, at: int) -> tuple[str, int]:
+    (size,) = struct.unpack_from("<I", body, at)
+    return body[at + 4 : at + 4 + size].decode(), at + 4 + size
+
+
+def _parsed_metadata(body: bytes) -> tuple[str, MetadataEntries]:
+    name, at = _read_text(body, 0)
+    at, entries = at + 4, {}
+    while at < len(body):
+        key, at = _read_text(body, at)
+        entries[key], at = _read_text(body, at)
+    return name, entries
+
+
+def _packed_metadata(name: str, entries: MetadataEntries) -> bytes:
+    inner = b"".join(_packed_text(key) + _packed_text(value) for key, value in entries.items())
+    return _packed_text(name) + struct.pack("<I", len(inner)) + inner

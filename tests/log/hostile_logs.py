@@ -1,0 +1,92 @@
+"""Hostile log files: decompression bombs, wrong lengths, and a million records of one kind."""
+
+import struct
+import zlib
+from pathlib import Path
+
+import lz4.frame
+import zstandard
+
+from handctl.log.container import MAGIC
+from handctl.log.read.logfile import MAX_CHUNK_BYTES, LogFile
+from handctl.log.read.record_scan import RecordScan, scan_records
+
+
+def _chunk_record(compression: str, packed: bytes, size: int, crc: int = 0) -> bytes:
+    name = compression.encode()
+    body = (
+        struct.pack("<QQQII", 0, 0, size, crc, len(name))
+        + name
+        + struct.pack("<Q", len(packed))
+        + packed
+    )
+    return struct.pack("<BQ", 6, len(body)) + body
+
+
+def _with_chunks(small_log: Path, chunks: bytes) -> bytes:
+    """Return the bytes of the start of a real log, followed by other chunks."""
+    file, scan = LogFile(small_log), RecordScan()
+    scan_records(file, scan)
+    file.close()
+    return small_log.read_bytes()[: scan.chunks[1].end] + chunks
+
+
+def _zeros_zstd(size: int) -> bytes:
+    compressor = zstandard.ZstdCompressor(level=1).compressobj()
+    part = bytes(1 << 20)
+    return b"".join(compressor.compress(part) for _ in range(size >> 20)) + compressor.flush()
+
+
+def hostile_files(small_log: Path) -> dict[str, bytes]:
+    """Return the name and the bytes of each hostile file. Most begin as a real log."""
+    message = struct.pack("<BQHIQQ", 5, 22, 3, 0, 0, 0)
+    other = struct.pack("<BQHIQQ", 5, 22, 4, 0, 0, 0)
+    many = (message + other) * (MAX_CHUNK_BYTES // 62)
+    zeros = bytes(MAX_CHUNK_BYTES)
+    channels = b"".join(
+        struct.pack("<BQHHIIIB", 4, 17, n & 0xFFFF, 0, 0, 0, 1, 0) for n in range(1_000_000)
+    )
+    tick = (
+        struct.pack("<BQHIQQ", 5, 22 + 44, 3, 0, 0, 0)
+        + b"\0\1\0\0"
+        + bytes(36)
+        + b"\xff\xff\xff\x7f"
+    )
+    bombs = _chunk_record("zstd", zstandard.compress(zeros), len(zeros), zlib.crc32(zeros))
+    text = struct.pack("<I", 2**32 - 1)
+    return {
+        "zstd of a gigabyte": _with_chunks(
+            small_log, _chunk_record("zstd", _zeros_zstd(1 << 30), 1 << 20)
+        ),
+        "zstd that says how large it is": _with_chunks(
+            small_log, _chunk_record("zstd", _zeros_zstd(1 << 30), 1 << 30)
+        ),
+        "lz4 of more than it says": _with_chunks(
+            small_log, _chunk_record("lz4", lz4.frame.compress(zeros), 1000)
+        ),
+        "lz4 of less than it says": _with_chunks(
+            small_log, _chunk_record("lz4", lz4.frame.compress(b"x"), 1000)
+        ),
+        "many bombs": _with_chunks(small_log, bombs * 300),
+        "zeros as records": _with_chunks(
+            small_log, _chunk_record("lz4", lz4.frame.compress(zeros), len(zeros))
+        ),
+        "a million messages": _with_chunks(
+            small_log, _chunk_record("lz4", lz4.frame.compress(many), len(many))
+        ),
+        "a million channels": _with_chunks(
+            small_log, _chunk_record("lz4", lz4.frame.compress(channels), len(channels))
+        ),
+        "a tick that lies": _with_chunks(small_log, _chunk_record("", tick, len(tick))),
+        "a chunk larger than the file": _with_chunks(small_log, struct.pack("<BQ", 6, 2**63))
+        + bytes(100)
+        + MAGIC,
+        "a huge attachment": _with_chunks(
+            small_log, struct.pack("<BQ", 9, 17 << 20) + bytes(17 << 20)
+        ),
+        "metadata that lies": _with_chunks(small_log, struct.pack("<BQ", 12, 20) + text * 5),
+        "a million empty records": _with_chunks(small_log, struct.pack("<BQ", 0x90, 0) * 1_000_000),
+        "an unknown compression": _with_chunks(small_log, _chunk_record("lzma", b"x", 1)),
+        "not a log": b"PK\x03\x04" * 100,
+        "nothing": b"",
+    }

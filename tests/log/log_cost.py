@@ -1,0 +1,93 @@
+"""Measure the cost of a log.
+
+`python tests/log/log_cost.py` prints microseconds per tick on this machine, and checks no limit.
+"""
+
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import synthetic_run
+
+from handctl.log.read.reader import RunLog
+from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record
+from handctl.log.write.recorder import Recorder
+from handctl.log.write.writer import LogWriter
+
+
+def _us_per_item(number: int, work: Callable[[], object]) -> float:
+    """Return the processor time of some work per item [us], the best of three runs."""
+    spent = []
+    for _ in range(3):
+        start = time.process_time()
+        work()
+        spent.append(time.process_time() - start)
+    return min(spent) / number * 1e6
+
+
+def _write_log(path: Path, run: synthetic_run.RunHeader, bodies: list[bytes]) -> None:
+    path.unlink(missing_ok=True)
+    writer = LogWriter(path, run, print, 1)
+    for body in bodies:
+        writer.add(body)
+    writer.finish("finished", 0)
+
+
+def main() -> None:
+    """Measure the times to pack ticks, write a log, pass ticks through the pipe in lockstep, and read a log."""
+    for hand, rate_hz in (("jamia", 500), ("jamia11", 1000)):
+        run = synthetic_run.synthetic_header(hand, rate_hz)
+        ticks = list(synthetic_run.SyntheticTicks(run, 10.0))
+        number, records = len(ticks), [pack_tick_record(*tick) for tick in ticks]
+        bodies = [record[RECORD_FRAMING_STRUCT.size :] for record in records]
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "run.mcap"
+            print(
+                f"{hand} at {rate_hz} Hz, {len(records[9])} bytes and {_frame_count(ticks[9])} frames a tick"
+            )
+            packing = _us_per_item(
+                number, lambda ticks=ticks: [pack_tick_record(*tick) for tick in ticks]
+            )
+            print(f"  pack            {packing:7.1f} us")
+            writing = _us_per_item(
+                number, lambda path=path, run=run, bodies=bodies: _write_log(path, run, bodies)
+            )
+            print(
+                f"  write (child)   {writing:7.1f} us, {path.stat().st_size / number:.0f} bytes in the file"
+            )
+            print(
+                f"  pipe, lockstep  {_lockstep_write_us(Path(folder) / 'b.mcap', run, records):7.1f} us wall time"
+            )
+            _print_read_time(path, number)
+
+
+def _frame_count(tick: tuple[synthetic_run.TickIn, synthetic_run.TickOut]) -> int:
+    return len(tick[0].frames) + len(tick[1].frames)
+
+
+def _lockstep_write_us(path: Path, run: synthetic_run.RunHeader, records: list[bytes]) -> float:
+    recorder = Recorder.start(path, run)
+    start = time.perf_counter()
+    for record in records:
+        recorder.record(record)
+        recorder.events()
+    recorder.close("finished")
+    return (time.perf_counter() - start) / len(records) * 1e6
+
+
+def _print_read_time(path: Path, number: int) -> None:
+    start = time.perf_counter()
+    with RunLog(path) as log:
+        log.field("tension")
+        print(
+            f"  open, one field {(time.perf_counter() - start) * 1e3:7.1f} ms for all {number} ticks"
+        )
+        start = time.perf_counter()
+        for _ in log.ticks():
+            pass
+    print(f"  read ticks      {(time.perf_counter() - start) / number * 1e6:7.1f} us")
+
+
+if __name__ == "__main__":
+    main()

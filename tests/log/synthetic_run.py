@@ -1,0 +1,210 @@
+"""Synthetic run: plausible motion of a hand, for tests of the log and trials of the viewer.
+
+Command: `python tests/log/synthetic_run.py OUT.mcap [--hand jamia|jamia11] [--seconds 10] [--rate 500]`.
+
+Three fingers and the thumb tighten, close, touch an object one after the other, hold it at a rising tension, release
+and open. One drive warms up, one bus error happens, one gain changes, one frame is late.
+"""
+
+import argparse
+import hashlib
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from handctl.core.tick_types import (
+    TELEMETRY_AXES,
+    HandMode,
+    IoEvent,
+    Telemetry,
+    TickEvent,
+    TickIn,
+    TickOut,
+)
+from handctl.drives.contract import DrivePhase
+from handctl.drives.frame import Frame
+from handctl.hand.formats.urdf import urdf_text
+from handctl.hand.hand_loading import load_hand
+from handctl.log.header import RunHeader
+from handctl.log.record import pack_tick_record
+from handctl.log.topics.state_topics import moment_arms
+from handctl.log.write.recorder import Recorder
+from handctl.safety.action import SafetyAction
+
+PHASE_ENDS = (
+    ("start", 0.02),
+    ("tighten", 0.08),
+    ("close", 0.40),
+    ("hold", 0.75),
+    ("release", 0.85),
+    ("open", 0.98),
+)
+"""Phases of the run, each with the fraction of the run at which it ends. The phase after them is "end"."""
+
+
+def synthetic_header(hand: str = "jamia", rate_hz: int = 500, **more: object) -> RunHeader:
+    """Create the header of a deterministic run of a packaged hand."""
+    described = load_hand(hand)
+    attachments = {
+        "gains.toml": b"[motion]\nposition_error_m = 6e-4\n",
+        "initial_state": bytes(range(64)),
+        "hand.urdf": urdf_text(described).encode(),
+    }
+    given: dict[str, object] = {
+        "metadata": {"hand": hand, "note": "synthetic", "seed": "0"},
+        "gains": {"motion.position_error_m": "0.0006", "tension.rate_N_per_s": "200.0"},
+        "attachments": attachments,
+        "deterministic": True,
+    }
+    return RunHeader.of_hand(described.to_toml(), 10**9 // rate_hz, **(given | more))
+
+
+def _phase_at(fraction: float) -> str:
+    return next((name for name, end in PHASE_ENDS if fraction < end), "end")
+
+
+class SyntheticTicks:
+    """The ticks of a synthetic run. Equal seeds give equal ticks."""
+
+    def __init__(self, run: RunHeader, seconds: float, seed: int = 0) -> None:
+        self.run, self.ticks = run, round(seconds * 1e9 / run.period_ns)
+        self._random = np.random.default_rng(seed)
+        self._arms = moment_arms(run)
+        self._digit_of = [
+            next(d for d, name in enumerate(run.digits) if j.startswith(name)) for j in run.joints
+        ]
+        self._tendon_digit = [
+            next(d for d, name in enumerate(run.digits) if t.startswith(name)) for t in run.tendons
+        ]
+        self._hash = hashlib.blake2b(digest_size=8)
+
+    def __iter__(self) -> Iterator[tuple[TickIn, TickOut]]:
+        previous = ""
+        for k in range(self.ticks):
+            fraction = k / max(self.ticks, 1)
+            telemetry = self._telemetry(k, fraction)
+            phase = _phase_at(fraction)
+            tick_in = self._tick_in(k, telemetry)
+            events = (TickEvent("info", "phase", "", phase),) if phase != previous else ()
+            if k == self.ticks // 3:
+                events += (TickEvent("info", "gain", "motion.position_error_m", "0.0008"),)
+            if k == self.ticks // 2:
+                events += (
+                    TickEvent(
+                        "warn", "contact", self.run.digits[0], "touched earlier than planned"
+                    ),
+                )
+            previous = phase
+            mode = (
+                HandMode.READY
+                if fraction < 0.02
+                else HandMode.ACTIVE
+                if fraction < 0.98
+                else HandMode.DISARM
+            )
+            action = SafetyAction.WARN if 0.5 <= fraction < 0.51 else SafetyAction.PASS
+            self._hash.update(telemetry.packed())
+            frames = self._sent(k, telemetry)
+            yield (
+                tick_in,
+                TickOut(frames, mode, phase, action, telemetry, events, self._hash.digest()),
+            )
+
+    def _closing(self, fraction: float) -> float:
+        """Return how far the hand is closed at a fraction of the run, from 0 to 1."""
+        up = float(np.clip((fraction - 0.08) / 0.32, 0, 1))
+        down = float(np.clip((fraction - 0.85) / 0.13, 0, 1))
+        return (up * up * (3 - 2 * up)) * (1 - down * down * (3 - 2 * down))
+
+    def _telemetry(self, k: int, fraction: float) -> Telemetry:
+        run, period = self.run, self.run.period_ns * 1e-9
+        goal = np.full(len(run.joints), 1.2 * self._closing(fraction))
+        stop = 0.75 + 0.1 * np.array(self._digit_of)
+        q = np.minimum(goal, stop) + 2e-4 * self._random.standard_normal(len(goal))
+        before = np.minimum(1.2 * self._closing(fraction - 1 / self.ticks), stop)
+        dq = (np.minimum(goal, stop) - before) / period
+        pressing = np.array(
+            [
+                max(0.0, 1.2 * self._closing(fraction) - (0.75 + 0.1 * d))
+                for d in range(len(run.digits))
+            ]
+        )
+        tension = 6.0 + 3.0 * np.sin(2 * np.pi * 2 * fraction) + 60.0 * pressing[self._tendon_digit]
+        noise = self._random.standard_normal(len(tension))
+        raw = np.round((tension + 0.3 * noise + 6) / 0.0625) * 0.0625 - 6
+        excursion = self._arms @ q
+        motor = excursion[: len(run.motors)] / 0.005 + tension / 1e5 / 0.005
+        phase = DrivePhase.READY if fraction < 0.02 else DrivePhase.ENABLED
+        warm = 30 + 15 * fraction * (np.arange(len(run.motors)) == 0)
+        values: dict[str, np.ndarray] = {
+            "q": q, "dq": dq, "q_goal": goal, "dq_goal": dq, "joint_torque": self._arms.T @ tension,
+            "joint_encoder": q.round(3) if k % 4 == 0 else np.full(len(q), np.nan),
+            "excursion": excursion, "excursion_rate": self._arms @ dq, "tension": tension,
+            "tension_sigma": np.full(len(tension), 0.25) + 0.1 * (k < 20), "tension_raw": raw,
+            "tension_goal": tension + 0.5, "stretch_offset": 1e-5 * np.sin(fraction) * np.ones(len(tension)),
+            "innovation": raw - tension, "nis": ((raw - tension) / 0.3) ** 2,
+            "external_tension": 60.0 * pressing[self._tendon_digit], "motor_position": motor,
+            "motor_velocity": np.gradient(motor), "motor_torque": 0.005 * tension,
+            "motor_torque_goal": 0.005 * (tension + 0.5), "motor_temperature": warm,
+            "motor_age": np.full(len(motor), period), "drive_phase": np.full(len(motor), float(phase)),
+            "tip_force": 3.0 * pressing, "contact": (pressing > 0.01).astype(float),
+            "q_sigma": 0.002 + 0.3 * pressing[np.array(self._digit_of)], "tip_force_sigma": 0.1 + 0.5 * pressing,
+        }  # fmt: skip
+        return Telemetry(**{name: np.asarray(values[name], float) for name in TELEMETRY_AXES})
+
+    def _tick_in(self, k: int, telemetry: Telemetry) -> TickIn:
+        t_ns, frames = k * self.run.period_ns, []
+        if k:
+            before = t_ns - self.run.period_ns
+            for index, motor in enumerate(telemetry.motor_position):
+                word = int(np.clip((motor + 12.5) / 25 * 65535, 0, 65535))
+                data = bytes((index + 1, word >> 8, word & 255, 0x80, 0, 0x80, 30, 30))
+                frames.append(Frame(0x11 + index, data, 0, 0, before + 150_000 + 120_000 * index))
+            raw = int(np.clip((telemetry.tension_raw[0] + 6) / 0.0625, 0, 4095))
+            frames.append(Frame(0x1A0, raw.to_bytes(7, "little"), 0, 0, before + 90_000))
+        io_events = (IoEvent("enobufs", self.run.buses[0], 3),) if k == self.ticks // 2 else ()
+        requests = ('{"do": "arm"}',) if k == 5 else ()
+        return TickIn(
+            k, t_ns, int(self._random.integers(0, 40_000)), tuple(frames), io_events, requests
+        )
+
+    def _sent(self, k: int, telemetry: Telemetry) -> tuple[Frame, ...]:
+        frames = [Frame(0x080, bytes((k & 0xFF,)))]
+        for index, torque in enumerate(telemetry.motor_torque_goal):
+            word = int(np.clip((torque + 0.8) / 1.6 * 4095, 0, 4095))
+            frames.append(
+                Frame(index + 1, bytes((0x7F, 0xFF, 0x7F, 0xF0, 0, 0, word >> 8, word & 255)))
+            )
+        return tuple(frames)
+
+
+def write_synthetic_run(
+    path: Path, run: RunHeader, seconds: float, seed: int = 0
+) -> dict[str, object]:
+    """Record a synthetic run with a real recorder, and return the recorder's summary."""
+    recorder = Recorder.start(path, run)
+    for tick_in, out in SyntheticTicks(run, seconds, seed):
+        recorder.record(pack_tick_record(tick_in, out))
+    return recorder.close("finished")
+
+
+def main() -> None:
+    """Write the log of a synthetic run, as the command line asks."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("path", type=Path, help="log to write")
+    parser.add_argument("--hand", default="jamia", help="packaged hand (default: jamia)")
+    parser.add_argument(
+        "--seconds", type=float, default=10.0, help="duration of the run [s] (default: 10)"
+    )
+    parser.add_argument("--rate", type=int, default=500, help="control rate [Hz] (default: 500)")
+    options = parser.parse_args()
+    print(
+        write_synthetic_run(
+            options.path, synthetic_header(options.hand, options.rate), options.seconds
+        )
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,45 @@
+"""Compare a grasp and its repetition on a hand, from the logs of both."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.hand.hand_loading import load_hand
+from handctl.log.read.reader import RunLog
+from handctl.replay.compare import resampled_field
+from handctl.replay.motion_replay import active_interval
+from handctl.report.summary import mean_angles
+
+SETTLED_S = 0.4
+"""Time from the start of a hold until the grasp is at rest [s]."""
+
+
+def mean_angle_differences(before: RunLog, after: RunLog) -> NDArray[np.float64]:
+    """Return the difference of both runs in the mean joint angle of each digit (times, digits) [deg]."""
+    start, end = active_interval(before)
+    times = np.arange(0.0, end - start, 0.005)
+    hand = load_hand(before.header.metadata["hand"])
+    old, new = (
+        mean_angles(hand, resampled_field(log, "q", start, times))
+        for log, start in ((before, start), (after, start_of_repetition_s(after)))
+    )
+    return np.degrees(np.abs(new - old))
+
+
+def tensions_held(before: RunLog, after: RunLog) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the mean tensions (tendons,) [N] of both runs in the time in which the grasp is at rest."""
+    starts = {change.name: change.t_ns * 1e-9 for change in before.phases}
+    start, _ = active_interval(before)
+    at_rest = starts["hold"] + SETTLED_S - start, starts["release"] - start
+    return _mean_tension(before, start, *at_rest), _mean_tension(
+        after, start_of_repetition_s(after), *at_rest
+    )
+
+
+def start_of_repetition_s(log: RunLog) -> float:
+    """Return the time in a log at which the repetition of the recorded motion starts [s]."""
+    return next(change.t_ns * 1e-9 for change in log.phases if change.name == "playback")
+
+
+def _mean_tension(log: RunLog, start_s: float, from_s: float, end_s: float) -> NDArray[np.float64]:
+    at = (log.times >= start_s + from_s) & (log.times <= start_s + end_s)
+    return np.asarray(log.field("tension")[at].mean(axis=0), np.float64)

@@ -1,0 +1,196 @@
+"""Short runs in lockstep, and the golden logs. `python tests/replay/short_runs.py logs/golden` writes them anew."""
+
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from handctl.controller.controller_state import ControllerState
+from handctl.controller.run_setup import make_controller
+from handctl.core.gains.gains import Gains
+from handctl.core.tick_types import IoEvent, TickIn, TickOut
+from handctl.drives.frame import Frame
+from handctl.hand.hand_loading import hand_path, load_hand
+from handctl.log.record import pack_tick_record
+from handctl.log.write.recorder import Recorder
+from handctl.programs.program import Program
+from handctl.programs.task import load_task
+from handctl.programs.task_program import TaskProgram
+from handctl.runtime.clocks.lockstep import LockstepBus, LockstepClock, LockstepPeer, load_peer
+from handctl.runtime.loop import ControlLoop
+from handctl.session.header import run_header
+from handctl.session.plan import RunPlan
+from handctl.session.run import snapshot_recorder
+
+SHORT_GRASP_TASK = """schema = 1
+name = "short grasp"
+description = "Close, hold, let go, as fast as it goes"
+[[phase]]
+kind = "move"
+name = "preshape"
+angle_deg = { index = 18.0, middle = 18.0, ring = 18.0, thumb = 3.0 }
+duration_s = 0.4
+[[phase]]
+kind = "close"
+angle_deg = 85.0
+speed_deg_s = 80.0
+contact_tension_N = 14.0
+[[phase]]
+kind = "hold"
+tension_N = 24.0
+rate_N_per_s = 80.0
+duration_s = 0.8
+[[phase]]
+kind = "release"
+tension_N = 9.0
+rate_N_per_s = 120.0
+"""
+
+CYLINDER_SCENE = """name = "cylinder"
+[object]
+shape = "cylinder"
+diameter_m = 0.035
+length_m = 0.093
+mass_kg = 0.15
+friction = {friction}
+position_m = [0.0195, 0.0, 0.0]
+[support]
+drop_when = "grasped"
+drop_hold_s = 0.1
+sink_speed_m_s = 0.2
+"""
+
+
+@dataclass
+class PeerWithLostReplies:
+    """A lockstep peer whose replies with one identifier are lost from some time on.
+
+    Attributes:
+        peer: the peer without lost replies.
+        can_id: identifier of the lost replies.
+        since_ns: start of the loss [ns].
+    """
+
+    peer: LockstepPeer
+    can_id: int
+    since_ns: int
+
+    def step(self, t_ns: int, frames: list[Any]) -> list[Any]:
+        """Step the peer, and return its replies without the lost ones."""
+        replies = self.peer.step(t_ns, frames)
+        return [
+            reply
+            for reply in replies
+            if t_ns < self.since_ns or Frame(*reply).can_id != self.can_id
+        ]
+
+    def close(self) -> None:
+        """Close the peer without lost replies."""
+        self.peer.close()
+
+
+def short_task(folder: Path) -> TaskProgram:
+    """Return the program of the short grasp of these runs. Its task is written into a folder."""
+    path = folder / "task.toml"
+    path.write_text(SHORT_GRASP_TASK)
+    return TaskProgram(load_task(path))
+
+
+def record_lockstep_run(
+    log: Path,
+    program: Program,
+    *,
+    hand: str = "jamia",
+    rate_hz: float = 250.0,
+    friction: float = 0.5,
+    seed: int = 0,
+    spoil: Callable[[LockstepPeer], LockstepPeer] = lambda peer: peer,
+    io_events: dict[int, tuple[IoEvent, ...]] | None = None,
+    requests: dict[int, tuple[str, ...]] | None = None,
+    truth: Path | None = None,
+) -> ControllerState:
+    """Run a program in lockstep on a simulated hand that closes on a cylinder, and record a log.
+
+    Args:
+        log: path of the log. It contains nothing about the machine and the date.
+        program: the program to run.
+        hand, rate_hz, seed: name of the hand, control rate [Hz], and seed of the simulator.
+        friction: friction coefficient of the cylinder.
+        spoil: function that wraps the simulator in a peer with a fault.
+        io_events, requests: events of buses and host, and requests, by the number of the tick.
+        truth: path of the truth file, None for none.
+    """
+    described = load_hand(hand)
+    plan = RunPlan(described, Gains(), rate_hz, ())
+    with tempfile.TemporaryDirectory() as folder:
+        scene = Path(folder) / "scene.toml"
+        scene.write_text(CYLINDER_SCENE.format(friction=friction))
+        options: dict[str, object] = {
+            "hand_path": str(hand_path(hand)),
+            "scene": str(scene),
+            "seed": seed,
+            "homed": True,
+        }
+        options["truth_path"] = str(truth) if truth else None
+        peer = load_peer(
+            "firmware_sim.lockstep_hand:LockstepHand", **options, period_ns=plan.period_ns
+        )
+    clock = LockstepClock(spoil(peer), plan.period_ns)
+    controller = make_controller(described, plan.gains, rate_hz, program, None, arm_at_once=True)
+    header = run_header(plan, controller, None, lockstep=True)
+    attachments = {
+        name: data for name, data in header.attachments.items() if name != "pip-freeze.txt"
+    }
+    recorder = Recorder.start(log, replace(header, wall={}, attachments=attachments))
+
+    def record(entry: TickIn, out: TickOut) -> None:
+        recorder.record(pack_tick_record(entry, out))
+
+    loop = ControlLoop(
+        clock,
+        plan.period_ns,
+        [LockstepBus(clock)],
+        controller.begin_tick,
+        controller.cut_frames(),
+        lambda: (requests or {}).get(clock.k, ()),
+        lambda: [*recorder.events(), *(io_events or {}).get(clock.k, ())],
+        record,
+        lambda entry, out: None,
+        snapshot_recorder(recorder),
+    )
+    try:
+        return loop.run(controller.initial_state())
+    finally:
+        recorder.close("done")
+        peer.close()
+
+
+def peer_with_silent_index(peer: LockstepPeer) -> LockstepPeer:
+    """Return a peer whose index motor sends no replies from 2.2 s on. This is during the hold."""
+    return PeerWithLostReplies(peer, 0x11, 2_200_000_000)
+
+
+def write_golden_logs(folder: Path) -> None:
+    """Write new golden logs."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as scratch:
+        task = short_task(Path(scratch))
+    for old in folder.glob("*.mcap"):
+        old.unlink()
+    record_lockstep_run(folder / "jamia-grasp.mcap", task, rate_hz=200.0)
+    record_lockstep_run(folder / "jamia-lost.mcap", task, rate_hz=200.0, friction=0.02)
+    events = {400: (IoEvent("dropped", "main", 3),)}
+    record_lockstep_run(
+        folder / "jamia-fault.mcap",
+        task,
+        rate_hz=200.0,
+        spoil=peer_with_silent_index,
+        io_events=events,
+    )
+    record_lockstep_run(folder / "jamia11-grasp.mcap", task, hand="jamia11", rate_hz=200.0)
+
+
+if __name__ == "__main__":
+    write_golden_logs(Path(sys.argv[1]))

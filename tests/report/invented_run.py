@@ -1,0 +1,81 @@
+"""Invented runs and truths for tests of the report. Their numbers can be checked by hand."""
+
+import json
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+
+from handctl.core.tick_types import TELEMETRY_AXES, HandMode
+from handctl.hand.description import Hand
+from handctl.hand.hand_loading import load_hand
+from handctl.log.read.timeline import PhaseChange
+from handctl.report.truth import TruthRecord
+
+PERIOD_NS = 10_000_000
+
+
+class InventedLog:
+    """The parts of a `RunLog` that the report uses. All telemetry is NaN until a test sets it."""
+
+    def __init__(self, hand: Hand, ticks: int, phases: dict[int, str]) -> None:
+        sizes = {
+            "joint": len(hand.joints),
+            "tendon": len(hand.tendon),
+            "motor": len(hand.motor),
+            "digit": len(hand.digit),
+        }
+        self.header = SimpleNamespace(period_ns=PERIOD_NS, tendons=hand.tendon_names)
+        self.k = np.arange(ticks)
+        self.late_ns = np.zeros(ticks, np.int64)
+        self.mode = np.full(ticks, int(HandMode.ACTIVE), np.uint8)
+        self.fields = {
+            name: np.full((ticks, sizes[axis]), np.nan) for name, axis in TELEMETRY_AXES.items()
+        }
+        self.fields["contact"][:] = 0.0
+        self.phases = [PhaseChange(k, k * PERIOD_NS, name) for k, name in phases.items()]
+        self.events: list[object] = []
+
+    def __len__(self) -> int:
+        return len(self.k)
+
+    @property
+    def t_ns(self) -> np.ndarray:
+        return self.k * PERIOD_NS
+
+    @property
+    def times(self) -> np.ndarray:
+        return self.t_ns * 1e-9
+
+    def field(self, name: str) -> np.ndarray:
+        return self.fields[name]
+
+
+def zero_truth(hand: Hand, ticks: int, offset_ns: int = 0) -> TruthRecord:
+    """Create a truth with one row of zeros per tick. It has two rows more than the run at each end."""
+    columns = [f"tension/{name}" for name in hand.tendon_names]
+    columns += [f"q/{name}" for name in hand.joints]
+    columns += [f"contact_force/{name}/{axis}" for name in hand.digit_names for axis in "xyz"]
+    columns += ["object/x", "object/y", "object/z"]
+    t_ns = offset_ns + np.arange(-2, ticks + 2) * PERIOD_NS
+    return TruthRecord({}, t_ns, np.zeros((len(t_ns), len(columns))), tuple(columns))
+
+
+def set_truth_column(truth: TruthRecord, name: str, values: np.ndarray | float) -> None:
+    """Set a column of a truth over the ticks of the run.
+
+    The rows outside the run get the first and the last value.
+    """
+    column = truth.values[:, truth.columns.index(name)]
+    column[2:-2] = values
+    column[:2], column[-2:] = column[2], column[-3]
+
+
+def write_truth(path: Path, truth: TruthRecord) -> None:
+    """Write a truth to a file in the form in which a simulator writes it."""
+    rows = np.zeros(len(truth.t_ns), [("t_ns", "<i8"), ("v", "<f8", (len(truth.columns),))])
+    rows["t_ns"], rows["v"] = truth.t_ns, truth.values
+    path.write_bytes(json.dumps({"columns": list(truth.columns)}).encode() + b"\n" + rows.tobytes())
+
+
+JAMIA = load_hand("jamia")

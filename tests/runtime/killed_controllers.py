@@ -1,0 +1,350 @@
+"""Start controllers one after the other, and kill or stop each at a random time. The simulated hand goes on.
+
+Each controller is a process that is forked from this one, which saves its imports. Its recorder and
+the simulator are processes as in any run. The truth file of the simulator shows how the drives
+react.
+"""
+
+import json
+import os
+import random
+import signal
+import socket
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from handctl.controller.bus_load import bus_loads
+from handctl.controller.tick import Controller
+from handctl.core.gains.gains import Gains
+from handctl.hand.hand_loading import load_hand
+from handctl.log.read.reader import RunLog
+from handctl.programs.calibration import load_calibration
+from handctl.programs.task_program import TaskProgram
+from handctl.report.truth import TruthRecord, read_truth
+from handctl.runtime.paths import faults_path, local_bus_path, run_dir
+from handctl.session.plan import RunPlan, bus_specs
+from handctl.session.run import make_controller, run_live
+from handctl.session.tasks import load_task
+from tests.runtime.processes import (
+    LOCAL_BUS,
+    LONG_TASK,
+    end_process,
+    start_hand,
+    time_scale_options,
+    write_homed_calibration,
+)
+
+SYNC_ID = 0x080
+"""CAN identifier of the SYNC frame, whose first byte is the tick count."""
+FRAME_RECORD_BYTES = 72
+"""Size of the record of a frame on the local bus [bytes]."""
+RATE_HZ = 500.0
+WATCHDOG_MS = 50.0
+"""Timeout of the drives' watchdog in the hand file. No torque may be left after this time and ``DECAY_MS`` [ms]."""
+DECAY_MS = 4.0
+"""Time in which the current of a disabled motor decays [ms]."""
+MIN_TORQUE_N_M = 1e-3
+"""Motor torque above which a motor counts as driven [N m]."""
+MIN_TAUT_N = 8.0
+"""Tension above which a tendon counts as pulled [N]."""
+RELEASE_S = 0.3
+"""Time in which the fingers open after the watchdogs have removed the torque [s]."""
+MAX_DELAY_S = 1.8
+"""Longest time from the first SYNC of a controller to the signal that disturbs it [s].
+
+In this time a run arms the hand, bends its fingers and holds them.
+"""
+PROCESS_TIMEOUT_S = 60.0
+"""Longest time that a test waits for a process [s]."""
+
+
+class DisturbedRun(NamedTuple):
+    """Record of one run of a controller that was disturbed by a signal.
+
+    Attributes:
+        sent_signal: signal that was sent to the controller.
+        before_signal_ns: time of the simulator before the signal [ns].
+        after_signal_ns: time of the simulator after the signal [ns].
+        slipped_ns: time after the signal in which the simulator with its drives did not run [ns].
+        bus_sync_counts: tick counts of the SYNC frames that were on the bus.
+        log_sync_counts: tick counts of the SYNC frames that are in the log.
+        warning: text about a damaged or incomplete log file, empty for none.
+    """
+
+    sent_signal: signal.Signals
+    before_signal_ns: int
+    after_signal_ns: int
+    slipped_ns: int
+    bus_sync_counts: bytes
+    log_sync_counts: bytes
+    warning: str
+
+
+class KillVerdict(NamedTuple):
+    """A disturbed run compared with the truth file of the simulator.
+
+    Attributes:
+        run: record of the run.
+        was_taut: whether a tendon was under tension at the signal.
+        was_driven: whether a motor made torque at the signal.
+        max_torque_off_ms: time from before the signal until no motor made torque [ms].
+        min_torque_off_ms: time from after the signal until no motor made torque [ms].
+        tension_left_N: largest tension after the fingers have had time to open [N].
+    """
+
+    run: DisturbedRun
+    was_taut: bool
+    was_driven: bool
+    max_torque_off_ms: float
+    min_torque_off_ms: float
+    tension_left_N: float
+
+    @property
+    def torque_ended_in_time(self) -> bool:
+        """Return True if no motor made torque after the watchdog time of the drives."""
+        return self.min_torque_off_ms <= WATCHDOG_MS + DECAY_MS
+
+    @property
+    def has_complete_log(self) -> bool:
+        """Return True if the log contains every tick on the bus.
+
+        The last tick may be missing if its SYNC was just sent.
+        """
+        on_bus = self.run.bus_sync_counts
+        in_log = self.run.log_sync_counts
+        return (
+            not self.run.warning
+            and len(on_bus) - len(in_log) in (0, 1)
+            and on_bus.startswith(in_log)
+        )
+
+
+class KillTestHand:
+    """A simulated hand, and the plan from which each controller beside it starts."""
+
+    def __init__(self, folder: Path, scale: float) -> None:
+        """Start the simulator with a time scale. Its truth file and the logs are written to a folder."""
+        self.folder = folder
+        self.time_scale = scale
+        hand = load_hand("jamia")
+        task = folder / "long.toml"
+        calibration = folder / "c.toml"
+        task.write_text(LONG_TASK)
+        write_homed_calibration(calibration, hand)
+        load = tuple(one.load_at(RATE_HZ) for one in bus_loads(hand))
+        self.plan = RunPlan(
+            hand, Gains(), RATE_HZ, load, bus_specs(hand, [LOCAL_BUS]), time_scale=scale, clear=True
+        )
+        self.controller: Controller = make_controller(
+            self.plan,
+            TaskProgram(load_task(task)),
+            load_calibration(calibration, hand),
+            arm_at_once=True,
+        )
+        self.truth = folder / "hand.truth"
+        self.simulator = start_hand(self.truth, "--hand", "jamia", *time_scale_options(scale))
+
+    def now_ns(self) -> tuple[int, int]:
+        """Return the time of the simulator, and the part of this time in which it did not run [ns]."""
+        reply_path = run_dir() / f"kills-{os.getpid()}"
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as link:
+            link.bind(str(reply_path))
+            link.settimeout(PROCESS_TIMEOUT_S)
+            link.sendto(b'{"list": true}', str(faults_path(LOCAL_BUS)))
+            answer = json.loads(link.recv(1 << 16))
+        reply_path.unlink()
+        return int(answer["t_ns"]), int(answer["slip_ns"])
+
+    def start_controller(self, log: Path) -> int:
+        """Fork a controller and return its process number."""
+        child = os.fork()
+        if child:
+            return child
+        code = 70
+        try:
+            devnull = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(devnull, 1)
+            os.dup2(devnull, 2)
+            code = int(run_live(self.plan, self.controller, log).exit_code)
+        finally:
+            os._exit(code)
+
+    def disturb_controller(self, number: int, how: signal.Signals, delay_s: float) -> DisturbedRun:
+        """Start a controller, send it a signal ``delay_s`` after its first SYNC, and return the record of its run."""
+        log = self.folder / f"{number}.mcap"
+        with SyncListener() as listener:
+            child = self.start_controller(log)
+            try:
+                listener.wait_for_sync(child)
+                listener.listen(delay_s / self.time_scale)
+                before_ns, slip_ns = self.now_ns()
+                os.kill(child, how)
+                after_ns, _ = self.now_ns()
+                listener.listen((WATCHDOG_MS * 1e-3 + RELEASE_S) / self.time_scale)
+                slipped_ns = self.now_ns()[1] - slip_ns
+                if how == signal.SIGSTOP:
+                    os.kill(child, signal.SIGCONT)
+                wait_for_end(child, listener)
+            finally:
+                with suppress(ProcessLookupError, ChildProcessError):
+                    os.kill(child, signal.SIGKILL)
+                    os.waitpid(child, 0)
+            listener.listen(0.0)
+        warning, logged = read_syncs(log)
+        log.unlink()
+        return DisturbedRun(
+            how, before_ns, after_ns, slipped_ns, bytes(listener.syncs), logged, warning
+        )
+
+    def kill_verdicts(self, runs: list[DisturbedRun]) -> list[KillVerdict]:
+        """Compare the runs with the truth file of the simulator. The simulator must have ended."""
+        truth = read_truth(self.truth)
+        return [verdict_of_kill(truth, run) for run in runs]
+
+
+class SyncListener:
+    """A further node on the bus that collects the tick counts of all SYNC frames of the controller.
+
+    Attributes:
+        syncs: tick counts of the SYNC frames, one byte each.
+    """
+
+    def __init__(self) -> None:
+        """Join the bus with an empty list of SYNC frames."""
+        self.syncs = bytearray()
+        self._partial = b""
+
+    def __enter__(self) -> "SyncListener":
+        self.link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self.link.connect(str(local_bus_path(LOCAL_BUS.partition(":")[2])))
+        self.link.setblocking(False)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.link.close()
+
+    def listen(self, seconds: float) -> None:
+        """Wait for a time [s] and read the bus meanwhile, because a full socket would lose frames."""
+        until = time.monotonic() + seconds
+        while True:
+            self._read_bus()
+            left = until - time.monotonic()
+            if left <= 0.0:
+                return
+            time.sleep(min(left, 0.02))
+
+    def _read_bus(self) -> None:
+        with suppress(BlockingIOError):
+            while data := self.link.recv(1 << 18):
+                self._partial += data
+        end = len(self._partial) // FRAME_RECORD_BYTES * FRAME_RECORD_BYTES
+        for at in range(0, end, FRAME_RECORD_BYTES):
+            if int.from_bytes(self._partial[at : at + 4], "little") == SYNC_ID:
+                self.syncs.append(self._partial[at + 8])
+        self._partial = self._partial[end:]
+
+    def wait_for_sync(self, child: int) -> None:
+        """Wait until the process of a controller has sent its first SYNC."""
+        until = time.monotonic() + PROCESS_TIMEOUT_S
+        while not self.syncs:
+            assert os.waitpid(child, os.WNOHANG) == (0, 0), "the controller ended before the signal"
+            assert time.monotonic() < until, "the controller sent no SYNC"
+            self.listen(0.004)
+
+
+def wait_for_end(child: int, listener: SyncListener) -> None:
+    """Wait for the end of a controller process. Terminate it if it does not end without a signal."""
+    until = time.monotonic() + 3.0
+    while os.waitpid(child, os.WNOHANG) == (0, 0):
+        if time.monotonic() > until:
+            os.kill(child, signal.SIGTERM)
+            until += PROCESS_TIMEOUT_S
+        listener.listen(0.02)
+
+
+def read_syncs(path: Path) -> tuple[str, bytes]:
+    """Read a log after its recorder has ended. Return its warning and the tick counts of its SYNC frames."""
+    until = time.monotonic() + 20.0
+    while True:
+        with RunLog(path) as log:
+            if not log.warning or time.monotonic() > until:
+                frames = (frame for tick in log.ticks() for frame in tick.frames)
+                return log.warning, bytes(
+                    frame.data[0] for frame in frames if frame.can_id == SYNC_ID
+                )
+        time.sleep(0.05)
+
+
+def verdict_of_kill(truth: TruthRecord, run: DisturbedRun) -> KillVerdict:
+    """Judge how the drives reacted to the signal in one run."""
+    torque = truth.values[
+        :, [i for i, name in enumerate(truth.columns) if name.startswith("torque/")]
+    ]
+    tension = truth.values[
+        :, [i for i, name in enumerate(truth.columns) if name.startswith("tension/")]
+    ]
+    begin = np.searchsorted(truth.t_ns, run.before_signal_ns)
+    over = np.searchsorted(truth.t_ns, run.after_signal_ns + run.slipped_ns + int(RELEASE_S * 1e9))
+    driven = np.flatnonzero(np.abs(torque[begin:over]).max(axis=1) > MIN_TORQUE_N_M)
+    last_ns = (
+        int(truth.t_ns[begin + driven[-1]]) - run.slipped_ns
+        if len(driven)
+        else run.before_signal_ns
+    )
+    return KillVerdict(
+        run,
+        was_taut=bool(tension[begin].max() > MIN_TAUT_N),
+        was_driven=bool(np.abs(torque[begin]).max() > MIN_TORQUE_N_M),
+        max_torque_off_ms=(last_ns - run.before_signal_ns) * 1e-6,
+        min_torque_off_ms=(last_ns - run.after_signal_ns) * 1e-6,
+        tension_left_N=float(tension[min(over, len(tension) - 1)].max()),
+    )
+
+
+def disturb_controllers(folder: Path, times: int, seed: int, scale: float) -> list[KillVerdict]:
+    """Disturb ``times`` controllers of one simulated hand, by SIGKILL and SIGSTOP in turn."""
+    chance = random.Random(seed)
+    place = KillTestHand(folder, scale)
+    runs: list[DisturbedRun] = []
+    try:
+        for number in range(times):
+            how = signal.SIGKILL if number % 2 == 0 else signal.SIGSTOP
+            runs.append(place.disturb_controller(number, how, chance.uniform(0.0, MAX_DELAY_S)))
+    finally:
+        end_process(place.simulator)
+    return place.kill_verdicts(runs)
+
+
+CONTROLLERS_PER_SIMULATOR = 25
+"""Number of controllers beside one simulator. Its truth file is read after each batch and then deleted."""
+
+
+def disturb_in_batches(times: int, seed: int, scale: float) -> Iterator[list[KillVerdict]]:
+    """Disturb ``times`` controllers. Each simulator has ``CONTROLLERS_PER_SIMULATOR`` of them one after the other."""
+    for first in range(0, times, CONTROLLERS_PER_SIMULATOR):
+        with tempfile.TemporaryDirectory(prefix="h-") as folder:
+            os.environ["HANDCTL_RUN_DIR"] = folder
+            yield disturb_controllers(
+                Path(folder), min(CONTROLLERS_PER_SIMULATOR, times - first), seed + first, scale
+            )
+
+
+def kill_summary(runs: list[KillVerdict]) -> str:
+    """Summarise disturbed runs in one line of text."""
+    safe = sum(run.torque_ended_in_time for run in runs)
+    complete = sum(run.has_complete_log for run in runs)
+    pulled = sum(run.was_taut for run in runs)
+    driven = sum(run.was_driven for run in runs)
+    latest = max(run.max_torque_off_ms for run in runs)
+    tension = max(run.tension_left_N for run in runs)
+    return (
+        f"{len(runs)} controllers: {safe} times without torque in time, at most {latest:.1f} ms after the signal; "
+        f"{complete} logs complete; {driven} disturbed under torque, {pulled} with a taut tendon; "
+        f"at most {tension:.1f} N left 0.3 s later"
+    )
