@@ -90,7 +90,7 @@ def run_with_fault(simulation: SimulatedRun, text: str) -> dict[str, Any]:
     The result has the identifiers of the reported faults, the delay of the reaction [ms], and the
     largest true tension [N].
     """
-    simulation.peer.inject(text)
+    simulation.simulated_hand.inject(text)
     start = simulation.k
     detected = []
     reacted = -1.0
@@ -99,8 +99,8 @@ def run_with_fault(simulation: SimulatedRun, text: str) -> dict[str, Any]:
     watched, end = (round(s * 1e9 / simulation.period_ns) for s in (FAULT_S, FAULT_S + STOPPED_S))
     for i in range(end):
         stops = i == watched and reacted < 0
-        out = simulation.tick(requests=(STOP,) if stops else ())
-        effect = simulation.peer.fault_states()[-1]
+        out = simulation.run_tick(requests=(STOP,) if stops else ())
+        effect = simulation.simulated_hand.fault_states()[-1]
         effect_ns = effect["first_ns"] if effect["first_ns"] >= 0 else start * simulation.period_ns
         detected += [
             e.text.split()[0] for e in out.events if e.name == "fault" and e.level != "info"
@@ -111,13 +111,13 @@ def run_with_fault(simulation: SimulatedRun, text: str) -> dict[str, Any]:
             and (out.action >= Action.RELAX or out.mode in (Mode.RELAX, Mode.CUT))
         ):
             reacted = (simulation.k * simulation.period_ns - effect_ns) * 1e-6
-        largest = max(simulation.peer.truth()["tension"])
+        largest = max(simulation.simulated_hand.truth()["tension"])
         tension = max(tension, largest)
         stopped = max(stopped, largest) if i >= watched else stopped
         if out.mode == Mode.DONE:
             break
     return {"found": list(dict.fromkeys(detected)), "ms": reacted, "tension": tension, "stopped": stopped,
-            "felt": bool(simulation.peer.fault_states()[-1]["felt"])}  # fmt: skip
+            "felt": bool(simulation.simulated_hand.fault_states()[-1]["felt"])}  # fmt: skip
 
 
 def rows(hand_name: str, protocol: str, seed: int, selected_fault: str) -> Iterator[dict[str, Any]]:
@@ -138,7 +138,7 @@ def rows(hand_name: str, protocol: str, seed: int, selected_fault: str) -> Itera
         for stage in STAGES:
             first = 0
             for _ in range(round(15.0 * rate)):
-                out = simulation.tick()
+                out = simulation.run_tick()
                 first += out.phase == "free"
                 if is_at_stage(stage, out, first):
                     break

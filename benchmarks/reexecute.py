@@ -69,10 +69,10 @@ def once(log: RunLog, controller: Controller) -> dict:
     """
     cpu = time.process_time
     began = cpu()
-    for _ in zip(log.ticks(), log.packed(), strict=True):
+    for _ in zip(log.ticks(), log.packed_telemetry(), strict=True):
         pass  # The outputs are not kept, as in a re-execution.
     read = cpu() - began
-    logged = list(zip(log.ticks(), log.packed(), strict=True))
+    logged = list(zip(log.ticks(), log.packed_telemetry(), strict=True))
     state = controller.initial()
     outs = []
     took = []

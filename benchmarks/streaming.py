@@ -496,7 +496,7 @@ def _states(hand: HandClient, seconds: float) -> list[float]:
         now_ns = time.monotonic_ns()
         seen = hand.observe()
         reader = hand._open_reader()
-        record = reader.read(reader.seen - 1 - (seen.k - line["k"]))
+        record = reader.read_record(reader.last_read_number - 1 - (seen.k - line["k"]))
         if record is not None and line["k"] != last and int(record["k"]) == line["k"]:
             ages.append((now_ns - int(record["published_ns"])) / 1e6)
         last = line["k"]

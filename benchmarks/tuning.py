@@ -130,7 +130,8 @@ def compare(
             for gains in (detuned, packaged, _best(detuned, searches), _best(detuned, informed))
         ]
         scores = [
-            GainScore(**score) for _, score in sorted(crew.scores(jobs), key=lambda pair: pair[0])
+            GainScore(**score)
+            for _, score in sorted(crew.compute_scores(jobs), key=lambda pair: pair[0])
         ]
     finally:
         crew.close()
@@ -138,7 +139,7 @@ def compare(
     if fitted:
         names.append("tuned_as_identified")
         scores.append(_with_model(hand, HandModel.of(twin, _best(detuned, fitted), rate)))
-    costs = [score.cost(scores[0]) for score in scores]
+    costs = [score.relative_cost(scores[0]) for score in scores]
     return {
         "hand": hand_name,
         "rate_hz": rate,
@@ -161,7 +162,7 @@ def _searched(plan: SearchPlan, storage: Path, crew: SearchWorkers) -> tuple[Sea
     began = time.monotonic()
 
     def show(result: SearchResult) -> None:
-        best = f"{result.cost(result.best):.3f}" if result.best else "none good yet"
+        best = f"{result.relative_cost(result.best):.3f}" if result.best else "none good yet"
         print(
             f"\r{storage.name}: trial {len(result.trials)} of {plan.trials}, best {best}   ",
             end="",
@@ -189,7 +190,7 @@ def _judged(plan: SearchPlan, gains: Gains) -> dict[str, Any]:
         "seed": JUDGE_SEED,
         "must_keep_margins": False,
     }
-    return plan.job(0, {}) | table
+    return plan.trial_job(0, {}) | table
 
 
 def _with_model(hand: Hand, model: HandModel) -> GainScore:

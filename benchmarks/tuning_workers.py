@@ -54,8 +54,8 @@ def timed(count: int, work: list[Row]) -> tuple[Row, list[Row]]:
     began = time.monotonic()
     crew = ProcessPool(count)
     try:
-        scores = dict(crew.scores(work))
-        spent = [cpu_s(pid) for pid in crew.pids]
+        scores = dict(crew.compute_scores(work))
+        spent = [cpu_s(pid) for pid in crew.process_ids]
     finally:
         crew.close()
     row = {

@@ -11,7 +11,7 @@ from handctl.core.gains.gains import Gains
 from handctl.hand.load import hand_path, load_hand
 from handctl.programs.default_task import default_task
 from handctl.programs.grasp import TaskProgram
-from handctl.session.simulate import SimulatorSettings, simulate
+from handctl.session.simulate import SimulatorSettings, simulate_controller
 
 mine = Path("mine.toml")
 text = hand_path("jamia").read_text("utf-8").replace('name = "jamia"', 'name = "mine"', 1)
@@ -37,6 +37,6 @@ def see(entry, out):
     touching.update(event.where for event in out.events if event.name == "contact")
 
 
-state = simulate(controller, SimulatorSettings(hand, "cylinder", homed=True), see)
+state = simulate_controller(controller, SimulatorSettings(hand, "cylinder", homed=True), see)
 print("in contact:", ", ".join(sorted(touching)))
 print("result:", state.failure or "complete, relaxed and disarmed")

@@ -12,7 +12,7 @@ from filterpy.kalman import KalmanFilter
 
 from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.load import load_hand
-from handctl.runtime.clocks.priority import take_priority
+from handctl.runtime.clocks.priority import request_priority
 
 ENABLE = b"\xff" * 7 + b"\xfc"
 DISABLE = b"\xff" * 7 + b"\xfd"
@@ -109,7 +109,7 @@ class BaselineLoop:
 def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, log: Path):
     """Run the hand-written loop for some time, and return results like those of ``ours.run``."""
     loop = BaselineLoop(hand_name, bus_name, log)
-    take_priority()
+    request_priority()
     loop.send_all(ENABLE)
     start = time.monotonic()
     ticks = 0

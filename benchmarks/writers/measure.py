@@ -71,13 +71,15 @@ def ours(path: Path, run: Any, ticks: list[Any]) -> dict[str, float]:
     records: list[bytes] = []
     packing = _spent(lambda: records.extend(pack_tick_record(*tick) for tick in ticks))
     recorder = Recorder.start(path.with_suffix(".pipe.mcap"), run)
-    handing = _spent(lambda: [(recorder.record(record), recorder.events()) for record in records])
+    handing = _spent(
+        lambda: [(recorder.send_record(record), recorder.take_events()) for record in records]
+    )
     recorder.close("finished")
     writer = LogWriter(path, run, print, 1)
 
     def write() -> None:
         for record in records:
-            writer.add(record[RECORD_FRAMING_STRUCT.size :])
+            writer.add_tick(record[RECORD_FRAMING_STRUCT.size :])
         writer.finish("finished", 0)
 
     writing = _spent(write)

@@ -23,7 +23,7 @@ from handctl.drives.records import Frames, frames_as_records
 from handctl.log.read.reader import RunLog
 from handctl.log.record import pack_tick_record
 from handctl.log.write.recorder import Recorder
-from handctl.runtime.clocks.priority import restore_priority, take_priority
+from handctl.runtime.clocks.priority import request_priority, restore_priority
 from handctl.runtime.clocks.real import RealClock
 from handctl.runtime.loop import ControlLoop, LoopStats
 
@@ -55,7 +55,9 @@ def sustained(path: Path, seconds: float) -> dict[str, Any]:
         before = _loop(seconds / 2, granted, ticks, lambda entry, out: None, list)
         spent = _processor_s(recorder._child.pid)
         start = time.perf_counter()
-        logged = _loop(seconds, granted, ticks, _into(recorder), lambda: list(recorder.events()))
+        logged = _loop(
+            seconds, granted, ticks, _into(recorder), lambda: list(recorder.take_events())
+        )
         fraction = (_processor_s(recorder._child.pid) - spent) / (time.perf_counter() - start)
         after = _loop(seconds / 2, granted, ticks, lambda entry, out: None, list)
     summary = recorder.close("finished")
@@ -95,7 +97,7 @@ def _on_separate_cores(recorder: int) -> Iterator[bool]:
         os.sched_setaffinity(recorder, {max(cores)})
         os.sched_setaffinity(0, {min(cores)})
     try:
-        yield take_priority().realtime
+        yield request_priority().realtime
     finally:
         restore_priority()
         if cores:
@@ -158,7 +160,7 @@ def _loop(
         out = ticks[state % len(ticks)][1]
         return _ReadyTick(state + 1, out._replace(mode=Mode.DONE) if entry.k >= last else out)
 
-    clock = RealClock(PERIOD_NS, spin=spin)
+    clock = RealClock(PERIOD_NS, busy_wait=spin)
     loop = ControlLoop(
         clock, PERIOD_NS, [_Ready(ticks)], begin, (), tuple, events, record, lambda entry, out: None
     )
@@ -170,7 +172,7 @@ def _into(recorder: Recorder) -> Callable[[TickIn, TickOut], None]:
     """Return a function that packs a tick and passes it to the recorder."""
 
     def record(entry: TickIn, out: TickOut) -> None:
-        recorder.record(pack_tick_record(entry, out))
+        recorder.send_record(pack_tick_record(entry, out))
 
     return record
 
@@ -183,8 +185,10 @@ def _processor_s(pid: int) -> float:
 
 def _marks(*parts: LoopStats) -> dict[str, float]:
     """Return percentiles of the lateness [us] and the fraction of missed deadlines."""
-    us = np.concatenate([np.array(part.late_ns) for part in parts]) / 1e3
-    missed = sum(part.missed for part in parts) / sum(part.ticks + part.missed for part in parts)
+    us = np.concatenate([np.array(part.tick_lateness_ns) for part in parts]) / 1e3
+    missed = sum(part.missed_ticks for part in parts) / sum(
+        part.ticks + part.missed_ticks for part in parts
+    )
     return {name: float(np.percentile(us, mark)) for name, mark in MARKS.items()} | {
         "missed_share": missed
     }

@@ -28,8 +28,8 @@ class TerminationFlag:
     """Flag that SIGTERM sets. A program that checks the flag completes the step in progress."""
 
     def __init__(self) -> None:
-        self.asked = False
+        self.requested = False
 
     def __call__(self, number: int, frame: object) -> None:
         """Handle the signal: set the flag."""
-        self.asked = True
+        self.requested = True

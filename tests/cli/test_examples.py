@@ -24,14 +24,14 @@ EXAMPLES = {
 }
 FINDINGS = {"doctor", "bus doctor"}
 """Commands whose exit code may be 1, because they find a defect of the test's machine."""
-ALONE = sorted(words for words, example in EXAMPLES.items() if not example.beside)
+ALONE = sorted(words for words, example in EXAMPLES.items() if not example.parallel_commands)
 BESIDE_A_SIMULATOR = sorted(
     words
     for words, example in EXAMPLES.items()
-    if example.beside and RUNNING_HAND not in example.beside
+    if example.parallel_commands and RUNNING_HAND not in example.parallel_commands
 )
 BESIDE_A_RUN = sorted(
-    words for words, example in EXAMPLES.items() if RUNNING_HAND in example.beside
+    words for words, example in EXAMPLES.items() if RUNNING_HAND in example.parallel_commands
 )
 READY_S = 60.0
 """Longest time in which a simulator and a controller start [s], including compilation."""
@@ -51,7 +51,7 @@ def terminal():
 def paste(terminal, words):
     """Run the example of a command in a shell, and check that it worked."""
     how = {"shell": True, "capture_output": True, "text": True, "timeout": 280, "check": False}
-    ended = terminal(EXAMPLES[words].line, **how)
+    ended = terminal(EXAMPLES[words].command_line, **how)
     assert ended.returncode in ({0, 1} if words in FINDINGS else {0}), ended.stderr
     assert ended.stdout.strip()
     assert "Traceback" not in ended.stderr
@@ -93,7 +93,7 @@ def wait_for(terminal, command):
 
 @pytest.mark.realtime
 def test_examples_work_beside_a_simulator_and_a_running_hand(terminal, start_others, slower):
-    simulator, run = EXAMPLES["stop"].beside
+    simulator, run = EXAMPLES["stop"].parallel_commands
     start_others(f"{simulator} --time-scale {SCALE * slower:g}")
     wait_for(terminal, "handctl fault kinds --bus local:demo")
     for words in BESIDE_A_SIMULATOR:

@@ -62,7 +62,7 @@ def test_new_hand_grasps_holds_and_releases(
     forces = [name for name in truth.columns if name.startswith("contact_force/")]
     assert forces
     # At the end no digit touches anything, because the object lies on the table.
-    assert abs(truth.table(forces, truth.t_ns[-1:])).max() == 0.0
+    assert abs(truth.columns_at(forces, truth.t_ns[-1:])).max() == 0.0
 
 
 def test_the_object_suits_the_digits(place: Path) -> None:

@@ -35,7 +35,8 @@ def fake_search(monkeypatch):
     """Replace the search for gains by one that returns at once. Return the list of its trials."""
     trials = []
     monkeypatch.setattr(
-        "handctl.tune.search.search.run_search", lambda *words: SearchResult.of(tuple(trials))
+        "handctl.tune.search.search.run_search",
+        lambda *words: SearchResult.from_trials(tuple(trials)),
     )
     monkeypatch.setattr("handctl.cli.tuning.tune_search._designed_gains", lambda *words: ())
     return trials
@@ -229,7 +230,13 @@ def result_of_digit(digit, stiffness, blocked="", met="", names=("tendon_stiffne
     judged = SimpleNamespace(names=names, missing=())
     spectrum = (np.zeros(1), np.zeros(1))
     return TendonResult(
-        SimpleNamespace(digit=digit), fit, judged, 1.0, spectrum, blocked=blocked, contact=met
+        SimpleNamespace(digit=digit),
+        fit,
+        judged,
+        1.0,
+        spectrum,
+        blocked_event=blocked,
+        contact_text=met,
     )
 
 
@@ -276,7 +283,7 @@ def test_a_fit_of_a_blocked_digit_is_not_written(place, capsys, monkeypatch, oth
     made = Calibration(
         hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00", tendon=rows
     )
-    entry = result_of_digit("index", 9e4).identified(Path("a"), "t")
+    entry = result_of_digit("index", 9e4).calibration_entry(Path("a"), "t")
     before = made.model_copy(update={"identified": {"index_tendon": entry}})
     write_calibration(path, before)
     known = path.read_bytes()
@@ -453,17 +460,17 @@ def test_the_printed_next_command_has_the_options_of_the_same_hand(capsys):
 
 @pytest.mark.parametrize("fit", [None, Path("x.calibration.toml")])
 def test_plants_are_perturbed_unless_the_perturbed_hand_was_identified(fit):
-    from handctl.cli.tuning.tune_files import plants_of
+    from handctl.cli.tuning.tune_files import ensemble_of_tuned_hand
 
     args = Namespace(
         hand="jamia", perturb=["stiffness=0.5", "torque_constant=1.1"], plants=3, seed=0, fit=fit
     )
-    plain = plants_of(Namespace(**vars(args) | {"perturb": []}), {}, 8)
+    plain = ensemble_of_tuned_hand(Namespace(**vars(args) | {"perturb": []}), {}, 8)
     factors = {"stiffness": 0.5, "torque_constant": 1.1} if fit is None else {}
     wanted = tuple(
         one | {key: one.get(key, 1.0) * x for key, x in factors.items()} for one in plain
     )
-    assert plants_of(args, {}, 8) == wanted
+    assert ensemble_of_tuned_hand(args, {}, 8) == wanted
 
 
 @pytest.mark.nightly

@@ -120,15 +120,18 @@ def log(tmp_path_factory):
 
     hand = load_hand("jamia")
     path = tmp_path_factory.mktemp("log") / "run.mcap"
-    header = RunHeader.of_hand(hand.to_toml(), 2_000_000, offset_ns=0, deterministic=True)
+    header = RunHeader.from_hand(hand.to_toml(), 2_000_000, offset_ns=0, deterministic=True)
     recorder = Recorder.start(path, header)
     random = np.random.default_rng(0)
     for k in range(3000):
         numbers = Telemetry(
-            **{name: random.random(len(header.axis(axis))) for name, axis in TELEMETRY_AXES.items()}
+            **{
+                name: random.random(len(header.axis_names(axis)))
+                for name, axis in TELEMETRY_AXES.items()
+            }
         )
         out = TickOut((), Mode.ACTIVE, "hold", Action.PASS, numbers, (), bytes(8))
-        recorder.record(pack_tick_record(TickIn(k, k * 2_000_000), out))
+        recorder.send_record(pack_tick_record(TickIn(k, k * 2_000_000), out))
     assert recorder.close("done")["complete"]
     return path
 

@@ -63,11 +63,11 @@ def run_on_plant(
         wrong: factors on parameters of the plant. The controller does not know them.
     """
     result = PlantRun()
-    with SimulatorSettings(hand, scene, seed, wrong, homed=True).against(
+    with SimulatorSettings(hand, scene, seed, wrong, homed=True).begin_run(
         homed_controller(model_of(hand), program)
     ) as run:
-        plant, run.record = run.peer.world.plant, False
-        for entry, out in run.ticks(seconds):
+        plant, run.record_ticks = run.simulated_hand.world.plant, False
+        for entry, out in run.run_ticks(seconds):
             t = entry.k / RATE_HZ
             result.t.append(t)
             result.place.append(plant.engine.object_pose()[:3])

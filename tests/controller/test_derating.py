@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from handctl.campaign.scenarios import GRASP_STAGE
-from handctl.campaign.stage import advance_to, hand_with_protocol, homed_run
+from handctl.campaign.stage import advance_to_stage, hand_with_protocol, homed_run
 from handctl.controller.state import State
 from handctl.core import block as s
 from handctl.core import stages
@@ -90,8 +90,8 @@ def test_a_goal_has_no_speed_while_its_time_is_stopped(jamia: HandModel) -> None
 def warm_grasp():
     """Return a hand with MIT drives that holds a cylinder."""
     with homed_run(hand_with_protocol("jamia", "mit"), 250.0, 0) as begun:
-        advance_to(begun, GRASP_STAGE)
-        begun.until(lambda out: False, 0.6)  # the tensions settle
+        advance_to_stage(begun, GRASP_STAGE)
+        begun.run_until(lambda out: False, 0.6)  # the tensions settle
         yield begun
 
 

@@ -24,7 +24,7 @@ from handctl.hand.load import hand_path
 from handctl.programs.commission import CommissionProgram
 from handctl.programs.live import LiveProgram
 from handctl.programs.requests import parse_request
-from handctl.runtime.clocks.lockstep import load_peer
+from handctl.runtime.clocks.lockstep import load_simulator
 from handctl.safety.action import Action
 from tests.controller.bench import Bench, bench, controller
 from tests.controller.law_runs import limit_of
@@ -43,7 +43,7 @@ def noiseless_hand(model: HandModel) -> Bench:
     Its tendons are taut, and it waits for requests.
     """
     options = {"hand_path": str(hand_path("jamia")), "homed": True, "perturb": {"noise": 0.0}}
-    peer = load_peer("firmware_sim.rig:LockstepHand", **options)
+    peer = load_simulator("firmware_sim.rig:LockstepHand", **options)
     desk = Bench(controller(model, LiveProgram()), peer)
     desk.until(Mode.ACTIVE)
     while desk.state.progress.phase != "live":
@@ -99,7 +99,7 @@ def test_a_hand_that_is_commissioned_keeps_its_gains(jamia: HandModel) -> None:
     """A change of gains is refused while a hand is commissioned, because the next run would not have the new gains."""
     desk = Bench(
         controller(jamia, CommissionProgram()),
-        load_peer("firmware_sim.rig:LockstepHand", hand_path=str(hand_path("jamia"))),
+        load_simulator("firmware_sim.rig:LockstepHand", hand_path=str(hand_path("jamia"))),
     )
     desk.until(Mode.ACTIVE)
     out = desk.tick(change({"motion.force_N": 20.0}))

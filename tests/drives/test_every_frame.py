@@ -101,7 +101,7 @@ def test_simulated_drives_survive_every_frame(bench: Bench) -> None:
 def enabled(protocol: str) -> tuple[VirtualBench, DriveRig]:
     place = VirtualBench(protocol)
     rig = rig_on(place, protocol, LIMIT)
-    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 10.0)
+    assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 10.0)
     return place, rig
 
 

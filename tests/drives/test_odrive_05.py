@@ -73,7 +73,7 @@ def test_a_scan_names_odrive_05():
         bus.bench.advance(bus.bench.t_ns + round(for_s * 1e9))
         seen += bus.drain()
 
-    (found,) = scan_bus(place, listen=hear).found
+    (found,) = scan_bus(place, listen=hear).found_nodes
     assert (found.protocol, found.node_id, found.options) == ("odrive", NODE, OLD)
     assert "0.5" in found.notes[0]
 

@@ -46,11 +46,13 @@ def test_a_hand_on_two_buses_has_sync_on_both(tmp_path: Path) -> None:
     hand = load_hand(str(path))
     assert senders(hand) == ["thumb_motor"], "the last drive of the bus without the sensor node"
     model = HandModel.of(hand, Gains(), 250.0)
-    with SimulatorSettings(str(path), None, 0, homed=True).against(
+    with SimulatorSettings(str(path), None, 0, homed=True).begin_run(
         homed_controller(model, LiveProgram())
     ) as run:
-        assert run.until(lambda out: out.mode == Mode.ACTIVE, 5.0)
-        sent = [(frame.bus, len(frame.data)) for frame in run.out.frames if frame.can_id == SYNC]
+        assert run.run_until(lambda out: out.mode == Mode.ACTIVE, 5.0)
+        sent = [
+            (frame.bus, len(frame.data)) for frame in run.last_output.frames if frame.can_id == SYNC
+        ]
         assert sent == [(0, 1), (1, 0)], (
             "once on each bus: with the counter for the sensor node, else empty"
         )

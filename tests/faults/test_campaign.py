@@ -29,7 +29,7 @@ from handctl.campaign.scenarios import (
 from handctl.campaign.stage import (
     FAULT_DELAY_S,
     MIN_CONTROL_RATE_HZ,
-    advance_to,
+    advance_to_stage,
     hand_with_protocol,
     homed_run,
     run_in_branches,
@@ -63,7 +63,7 @@ def test_only_existing_load_cells_fail():
     for hand in (on_wrist("jamia"), load_hand("orca_like")):
         cells = set(hand.sensor_node.tendons)
         found = [*scenarios_of_hand(hand, "mit", 2.5), *fault_pairs(hand, "mit", 2.5)]
-        texts = [text for one in found for text in (one.fault, one.second) if "cell=" in text]
+        texts = [text for one in found for text in (one.fault, one.second_fault) if "cell=" in text]
         assert bool(texts) == bool(cells)
         assert {text.partition("cell=")[2].split()[0] for text in texts} <= cells
 
@@ -76,7 +76,7 @@ def test_every_scenario_takes_effect_and_is_answered_in_time(report):
 
 
 def test_the_report_has_its_sections(report):
-    figures = report.plain()
+    figures = report.as_json()
     assert figures["scenarios"] == len(report.all_results) == 12
     assert (figures["late"], figures["not_felt"], figures["false_alarms"]) == (0, 0, 0)
     assert 0 < figures["worst_ticks"] <= 6
@@ -119,10 +119,10 @@ def alarms_of_run(phase, *texts):
 
         def tick():
             simulation.k += 1
-            simulation.out = out
+            simulation.last_output = out
             return out
 
-        simulation.tick = tick
+        simulation.run_tick = tick
         yield simulation
 
     with pytest.MonkeyPatch.context() as patch:
@@ -145,9 +145,9 @@ def test_exchanged_drives_are_found_soon_after_the_fingers_touch_an_object(seed:
     """Regression: the large changes of the commands at the contact hid the exchange for 2.3 s."""
     hand = hand_with_protocol("t42", "mit")
     with homed_run(hand, RATE_HZ, seed) as simulation:
-        advance_to(simulation, GRASP_STAGE)
-        simulation.peer.inject("swap node=left_motor with=right_motor")
-        assert simulation.until(lambda out: out.mode == Mode.RELAX, 0.6)
+        advance_to_stage(simulation, GRASP_STAGE)
+        simulation.simulated_hand.inject("swap node=left_motor with=right_motor")
+        assert simulation.run_until(lambda out: out.mode == Mode.RELAX, 0.6)
         assert {mark.id for mark in simulation.state.latched} == {"N17"}
 
 
@@ -179,12 +179,14 @@ def test_a_missing_reaction_counts_as_late(tmp_path):
     This is its positive control.
     """
     hand = hand_with_protocol("jamia", "mit")
-    never = MatrixRow("B01", "drop node=index_motor p=0", Action.WARN, 3, rows=("B01",))
-    slow = MatrixRow("T04", "drift cell=index_tendon size=1", Action.RELAX, 3, rows=("T04",))
+    never = MatrixRow("B01", "drop node=index_motor p=0", Action.WARN, 3, accepted_faults=("B01",))
+    slow = MatrixRow(
+        "T04", "drift cell=index_tendon size=1", Action.RELAX, 3, accepted_faults=("T04",)
+    )
     results = []
     stored_log = tmp_path / "kept"
     with homed_run(hand, RATE_HZ, 0) as simulation:
-        simulation.tick()
+        simulation.run_tick()
         todo = [FaultScenario(row, row.fault, GRASP_STAGE) for row in (never, slow)]
         run_in_branches(
             simulation,
@@ -203,10 +205,10 @@ def test_a_missing_reaction_counts_as_late(tmp_path):
 
 def test_a_reaction_to_another_fault_does_not_count():
     """If a run ends because a drive has dropped out, this does not show that faults of load cells are detected."""
-    row = MatrixRow("T05", "error node=index_motor", Action.RELAX, 3, rows=("T05",))
+    row = MatrixRow("T05", "error node=index_motor", Action.RELAX, 3, accepted_faults=("T05",))
     with homed_run(hand_with_protocol("jamia", "mit"), RATE_HZ, 0) as simulation:
-        advance_to(simulation, ARMING_STAGE)
-        advance_to(simulation, FREE_STAGE)
+        advance_to_stage(simulation, ARMING_STAGE)
+        advance_to_stage(simulation, FREE_STAGE)
         result = run_scenario(simulation, FaultScenario(row, row.fault, FREE_STAGE), "mit")
     assert "T05" in result.problem
     assert not result.ok
@@ -215,9 +217,9 @@ def test_a_reaction_to_another_fault_does_not_count():
 @pytest.mark.parametrize(("name", "rate_hz"), [("jamia", RATE_HZ), ("jamia11", 200.0)])
 def test_a_free_motion_is_disturbed_while_it_moves(name, rate_hz):
     with homed_run(hand_with_protocol(name, "mit"), rate_hz, 0) as simulation:
-        advance_to(simulation, ARMING_STAGE)
-        advance_to(simulation, FREE_STAGE)
-        free = [out for _, out in simulation.recorded if out.phase == "free"]
+        advance_to_stage(simulation, ARMING_STAGE)
+        advance_to_stage(simulation, FREE_STAGE)
+        free = [out for _, out in simulation.recorded_ticks if out.phase == "free"]
         assert len(free) * simulation.period_ns == pytest.approx(
             FAULT_DELAY_S * 1e9, abs=2 * simulation.period_ns
         )
@@ -243,10 +245,10 @@ def test_silent_joint_encoders_are_detected(joint):
     every = hand_with_protocol("jamia11", "mit").sensor_node.joint_decimation
     for frames, found in ((3, ""), (4, f"N02b {joint}")):
         fault = f"mute joint={joint} for={5 * every * frames}ms"
-        row = MatrixRow("N02", fault, Action.RELAX, 4 * every, rows=("N02",))
+        row = MatrixRow("N02", fault, Action.RELAX, 4 * every, accepted_faults=("N02",))
         with homed_run(hand_with_protocol("jamia11", "mit"), 200.0, 0) as simulation:
-            advance_to(simulation, ARMING_STAGE)
-            advance_to(simulation, FREE_STAGE)
+            advance_to_stage(simulation, ARMING_STAGE)
+            advance_to_stage(simulation, FREE_STAGE)
             result = run_scenario(simulation, FaultScenario(row, fault, FREE_STAGE), "mit")
         assert (result.effects, result.detected_by) == (frames, found)
         assert result.ok == bool(found), result.problem
@@ -256,8 +258,8 @@ def test_a_node_that_answers_every_second_tick_does_not_make_the_hand_swing():
     """Regression: with steady filter gains, the tension rose to 171 N while 7 N were commanded."""
     row = next(row for row in FAULT_MATRIX if row.id == "N15" and "cia402" in row.protocols)
     with homed_run(hand_with_protocol("jamia11", "cia402"), 200.0, 0) as simulation:
-        advance_to(simulation, ARMING_STAGE)
-        advance_to(simulation, FREE_STAGE)
+        advance_to_stage(simulation, ARMING_STAGE)
+        advance_to_stage(simulation, FREE_STAGE)
         result = run_scenario(
             simulation, FaultScenario(row, "slow node=index_m1 size=2", FREE_STAGE), "cia402"
         )
@@ -275,10 +277,13 @@ def test_runaway_drive_stays_below_the_tension_of_its_limit_and_momentum():
     """
     hand = hand_with_protocol("jamia", "mit")
     with homed_run(hand, RATE_HZ, 0) as simulation:
-        advance_to(simulation, GRASP_STAGE)
+        advance_to_stage(simulation, GRASP_STAGE)
         space = simulation.controller.model.space
-        at = simulation.peer.truth()["tension"][0]
-        v = abs(float(simulation.out.telemetry.motor_velocity[0]) * float(space.spool[0])) + 0.01
+        at = simulation.simulated_hand.truth()["tension"][0]
+        v = (
+            abs(float(simulation.last_output.telemetry.motor_velocity[0]) * float(space.spool[0]))
+            + 0.01
+        )
         row = next(row for row in FAULT_MATRIX if row.fault == "runaway node={node} size=1 seed=1")
         scenario = FaultScenario(row, row.fault.replace("{node}", hand.motor[0].name), GRASP_STAGE)
         result = run_scenario(simulation, scenario, "mit")
@@ -298,14 +303,14 @@ def test_a_drive_that_does_not_relax_is_cut_although_its_load_cell_is_saturated(
     hand = hand_with_protocol("jamia_bench", "odrive")
     row = next(row for row in FAULT_MATRIX if row.fault == "runaway node={node} size=1 seed=1")
     with homed_run(hand, 400.0, 0) as simulation:
-        advance_to(simulation, GRASP_STAGE)
+        advance_to_stage(simulation, GRASP_STAGE)
         result = run_scenario(
             simulation,
             FaultScenario(row, row.fault.replace("{node}", "thumb_motor"), GRASP_STAGE),
             "odrive",
         )
     assert result.ok, result.problem
-    assert result.safe_ticks <= 400.0 * RELAXED_S + row.ticks + 5
+    assert result.safe_ticks <= 400.0 * RELAXED_S + row.max_ticks + 5
 
 
 def test_instances_are_the_first_and_the_last():
@@ -332,7 +337,7 @@ def test_quick_samples_of_consecutive_seeds_are_the_whole_campaign():
     hand = hand_with_protocol("jamia11", "mit")
     samples = [
         campaign.campaign_scenarios(hand, "mit", 200.0, quick=True, seed=seed)
-        for seed in range(campaign.QUICK_EVERY)
+        for seed in range(campaign.QUICK_SCENARIO_STEP)
     ]
     whole = campaign.campaign_scenarios(hand, "mit", 200.0, quick=False)
     assert sorted(one.name for sample in samples for one in sample) == sorted(
@@ -353,7 +358,7 @@ def test_the_quick_sample_passes_with_every_seed(hand: str, seed: int):
     assert [
         (result.scenario, result.problem) for result in report.all_results if not result.ok
     ] == []
-    assert report.alarms == {protocol: []}
+    assert report.false_alarms == {protocol: []}
 
 
 @pytest.mark.nightly
@@ -372,4 +377,4 @@ def test_every_scenario_of_the_matrix_is_detected_in_time(hand: str, protocol: s
     assert [
         (result.scenario, result.problem) for result in report.all_results if not result.ok
     ] == []
-    assert report.alarms == {protocol: []}
+    assert report.false_alarms == {protocol: []}

@@ -13,7 +13,7 @@ import pytest
 
 from benchmarks import hidden
 from handctl.campaign.scenarios import FREE_STAGE, GRASP_STAGE
-from handctl.campaign.stage import CAMPAIGN_TASK, advance_to, hand_with_protocol, homed_run
+from handctl.campaign.stage import CAMPAIGN_TASK, advance_to_stage, hand_with_protocol, homed_run
 from handctl.controller.relaxing import SETPOINT_MARGIN_N
 from handctl.core import block as s
 from handctl.core.types import Mode
@@ -51,7 +51,7 @@ class Instant(NamedTuple):
 
 
 def observe_instant(simulation: SimulatedRun) -> Instant:
-    peer: Any = simulation.peer
+    peer: Any = simulation.simulated_hand
     spool = simulation.controller.model.space.spool
     motors = [
         peer.world.plant.motors[motor.name] for motor in simulation.controller.model.hand.motor
@@ -98,11 +98,11 @@ def test_relaxing_raises_no_command_and_no_tension(
     a, b = chance.sample([motor.name for motor in hand.motor], 2)
     fault = chance.choice(FAULTS).format(a=a, b=b, t=chance.choice(hand.tendon_names))
     with homed_run(hand, rate, seed, perturb, task) as simulation:
-        advance_to(simulation, chance.choice((FREE_STAGE, GRASP_STAGE)))
+        advance_to_stage(simulation, chance.choice((FREE_STAGE, GRASP_STAGE)))
         for _ in range(int(chance.uniform(0.0, 3.0) * rate)):
-            simulation.tick()
+            simulation.run_tick()
         if fault:
-            simulation.peer.inject(fault)
+            simulation.simulated_hand.inject(fault)
         stop_at = simulation.k + int(chance.uniform(0.02, 0.8) * rate)
         check_relaxing(simulation, stop_at, round(WINDOW_S * rate), fault)
 
@@ -113,7 +113,7 @@ def check_relaxing(simulation: SimulatedRun, stop_at: int, window: int, fault: s
     # them after it.
     commanded = [simulation.state.view("asked").copy()]
     while simulation.state.mode == Mode.ACTIVE:
-        simulation.tick(requests=(STOP_REQUEST,) if simulation.k == stop_at else ())
+        simulation.run_tick(requests=(STOP_REQUEST,) if simulation.k == stop_at else ())
         recent.append(observe_instant(simulation))
         commanded.append(simulation.state.view("asked").copy())
     decided = recent[-2]
@@ -127,7 +127,7 @@ def check_relaxing(simulation: SimulatedRun, stop_at: int, window: int, fault: s
         mode = simulation.state.mode
         if mode == Mode.DONE:
             break
-        simulation.tick()
+        simulation.run_tick()
         command = simulation.state.view("asked").copy()
         if simulation.state.mode == mode == Mode.RELAX:
             rises = command > np.maximum(last, 0.0)
@@ -158,17 +158,17 @@ def test_relaxing_after_a_doubtful_load_cell_begins_at_the_tension_of_a_moving_d
     hand = hand_with_protocol("jamia", "odrive")
     with homed_run(hand, 400.0, seed, task=hidden.task()) as simulation:
         free_ticks = 0
-        out = simulation.tick()
+        out = simulation.run_tick()
         while not hidden.is_at_stage("free", out, free_ticks := free_ticks + (out.phase == "free")):
-            out = simulation.tick()
-        simulation.peer.inject(fault)
-        assert simulation.until(lambda out: out.mode == Mode.RELAX, 2.0)
+            out = simulation.run_tick()
+        simulation.simulated_hand.inject(fault)
+        assert simulation.run_until(lambda out: out.mode == Mode.RELAX, 2.0)
         assert "T04b" in {mark.id for mark in simulation.state.latched}
         table, model = simulation.state.tendon, simulation.controller.model
         explained = np.maximum(table[s.TENSION], model.relaxed) + model.space.coulomb
         assert (simulation.state.view("asked") <= explained + SETPOINT_MARGIN_N).all()
         if fault.startswith("cross"):
             peak = 0.0
-            while simulation.tick().mode != Mode.DONE:
-                peak = max(peak, *simulation.peer.truth()["tension"])
+            while simulation.run_tick().mode != Mode.DONE:
+                peak = max(peak, *simulation.simulated_hand.truth()["tension"])
             assert peak < hand.tendon[0].tension_trip_N

@@ -26,7 +26,7 @@ from handctl.campaign.sequences import (
 )
 from handctl.campaign.stage import (
     RUN_STAGES,
-    advance_to,
+    advance_to_stage,
     hand_with_protocol,
     homed_run,
     run_in_branches,
@@ -42,7 +42,7 @@ NOBODY = {"on_progress": lambda done: None, "on_failure": lambda simulation, res
 def simulation():
     """Yield the simulation of a hand that is being armed at a low control rate. Each test uses a copy of it."""
     with homed_run(hand_with_protocol("jamia", "mit"), 200.0, 0) as simulation:
-        advance_to(simulation, ARMING_STAGE)
+        advance_to_stage(simulation, ARMING_STAGE)
         yield simulation
 
 

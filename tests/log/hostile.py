@@ -7,7 +7,7 @@ from pathlib import Path
 import lz4.frame
 import zstandard
 
-from handctl.log.container import MAGIC
+from handctl.log.container import MCAP_MAGIC
 from handctl.log.read.logfile import MAX_CHUNK_BYTES, LogFile
 from handctl.log.read.record_scan import RecordScan, scan_records
 
@@ -78,7 +78,7 @@ def hostile(small: Path) -> dict[str, bytes]:
         "a tick that lies": _with_chunks(small, _chunk("", tick, len(tick))),
         "a chunk larger than the file": _with_chunks(small, struct.pack("<BQ", 6, 2**63))
         + bytes(100)
-        + MAGIC,
+        + MCAP_MAGIC,
         "a huge attachment": _with_chunks(small, struct.pack("<BQ", 9, 17 << 20) + bytes(17 << 20)),
         "metadata that lies": _with_chunks(small, struct.pack("<BQ", 12, 20) + text * 5),
         "a million empty records": _with_chunks(small, struct.pack("<BQ", 0x90, 0) * 1_000_000),

@@ -49,7 +49,7 @@ def header(hand: str = "jamia", rate_hz: int = 500, **more: object) -> RunHeader
         "attachments": attachments,
         "deterministic": True,
     }
-    return RunHeader.of_hand(described.to_toml(), 10**9 // rate_hz, **(given | more))
+    return RunHeader.from_hand(described.to_toml(), 10**9 // rate_hz, **(given | more))
 
 
 def _phase(fraction: float) -> str:
@@ -171,7 +171,7 @@ def write(path: Path, run: RunHeader, seconds: float, seed: int = 0) -> dict[str
     """Record a synthetic run with a real recorder, and return the recorder's summary."""
     recorder = Recorder.start(path, run)
     for tick_in, out in Synthetic(run, seconds, seed):
-        recorder.record(pack_tick_record(tick_in, out))
+        recorder.send_record(pack_tick_record(tick_in, out))
     return recorder.close("finished")
 
 

@@ -19,7 +19,7 @@ def _written(
     left = iter(clocks)
     writer = LogWriter(path, run, lambda *what: None, 1, lambda: next(left))
     for tick in synthetic.Synthetic(run, seconds):
-        writer.add(pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :])
+        writer.add_tick(pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :])
     writer.finish("finished", 0)
     return path
 
@@ -28,7 +28,9 @@ def test_each_digest_is_that_of_the_tick_s_bytes_and_the_digest_before(small_log
     with RunLog(small_log) as log:
         before, digests = first_hash_of_run(log.header), list(log.tick_digests())
         assert len(digests) == len(log) == len(set(digests))
-        for message, numbers, digest in zip(log.messages(), log.packed(), digests, strict=True):
+        for message, numbers, digest in zip(
+            log.tick_messages(), log.packed_telemetry(), digests, strict=True
+        ):
             assert digest == tick_hash(before, message, numbers)
             before = digest
         assert log.end["chain"] == before.hex()

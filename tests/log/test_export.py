@@ -38,7 +38,7 @@ def log():  # type: ignore[no-untyped-def]
 
 
 def table_of(log: RunLog) -> np.ndarray:
-    return np.array([np.frombuffer(row, "<f8") for row in log.packed()])
+    return np.array([np.frombuffer(row, "<f8") for row in log.packed_telemetry()])
 
 
 def test_parquet_reads_back_bit_for_bit(log: RunLog, tmp_path: Path) -> None:

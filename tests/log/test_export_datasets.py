@@ -31,7 +31,7 @@ def log() -> Iterator[RunLog]:
 
 
 def table_of(log: RunLog) -> np.ndarray:
-    return np.array([np.frombuffer(row, "<f8") for row in log.packed()])
+    return np.array([np.frombuffer(row, "<f8") for row in log.packed_telemetry()])
 
 
 def frames_of(path: Path) -> polars.DataFrame:
@@ -305,7 +305,7 @@ def test_rerun_reads_the_dataset(log: RunLog, dataset: Path) -> None:
 
 
 def test_rerun_reads_the_recording(log: RunLog, tmp_path: Path) -> None:
-    write_rrd(GOLDEN, RunInfo.of(log.header, "x"), tmp_path / "x.rrd")
+    write_rrd(GOLDEN, RunInfo.from_header(log.header, "x"), tmp_path / "x.rrd")
     lines: dict[str, list[tuple[int, list[float]]]] = {}
     for chunk in RrdReader(tmp_path / "x.rrd").stream().to_chunks():
         field = str(chunk.entity_path).removeprefix("/controller/")

@@ -87,7 +87,7 @@ def test_names_from_a_log_cannot_control_the_terminal_or_write_files(
     run = synthetic.header(rate_hz=50, **more)
     writer = LogWriter(inner / "run.mcap", run, lambda *what: None, 1)
     for tick in synthetic.Synthetic(run, 0.5):
-        writer.add(pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :])
+        writer.add_tick(pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :])
     writer.finish(evil, 0)
     for words in (
         ["log", "info"],

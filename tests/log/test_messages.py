@@ -41,9 +41,9 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run = lively.header(deterministic=False)
     recorder = Recorder.start(path, run)
     for tick_in, out in lively.ticks(run):
-        assert recorder.record(pack_tick_record(tick_in, out))
+        assert recorder.send_record(pack_tick_record(tick_in, out))
         if tick_in.k in STATES:
-            assert recorder.record(pack_snapshot(tick_in, STATES[tick_in.k]))
+            assert recorder.send_record(pack_snapshot(tick_in, STATES[tick_in.k]))
     assert recorder.close("finished")["complete"]
     return path
 

@@ -35,7 +35,7 @@ def lively_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run = lively.header(deterministic=False)
     recorder = Recorder.start(path, run)
     for tick in lively.ticks(run):
-        assert recorder.record(pack_tick_record(*tick))
+        assert recorder.send_record(pack_tick_record(*tick))
         time.sleep(0.003)
     recorder.close("finished")
     return path
@@ -62,7 +62,7 @@ def test_every_field_comes_back_bit_for_bit(
         for name in TELEMETRY_FIELDS:
             expected = np.array([getattr(telemetry, name) for telemetry in recorded])
             assert log.field(name).tobytes() == expected.tobytes(), name
-            assert log.field(name).shape == (len(log), len(log.names(name)))
+            assert log.field(name).shape == (len(log), len(log.column_names(name)))
 
 
 def test_a_log_without_the_latest_fields_is_read(
@@ -97,7 +97,7 @@ def test_reader_returns_times_gaps_events_and_phases_as_written(lively_log: Path
         assert [(one.k, one.event) for one in log.events] == expected
         assert [one.name for one in log.phases] == ["idle", "close", "h\u00e4lt", ""]
         before = [a.k for (a, _), (b, _) in itertools.pairwise(ticks) if b.k - a.k > 1]
-        assert [gap.before for gap in log.gaps] == before
+        assert [gap.last_before for gap in log.gaps] == before
         assert len(before) == 7
         assert int(log.end["missed"]) == 21
 

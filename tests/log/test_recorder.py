@@ -154,7 +154,7 @@ def test_a_killed_recorder_loses_a_quarter_of_a_second(
     recorder, records = start(), _records(number)
     started = time.monotonic()
     for k, record in enumerate(records):
-        assert recorder.record(record)
+        assert recorder.send_record(record)
         time.sleep(max(0.0, started + (k + 1) * 0.001 - time.monotonic()))
     os.kill(recorder._child.pid, signal.SIGKILL)
     killed = time.monotonic()
@@ -165,9 +165,9 @@ def test_a_killed_recorder_loses_a_quarter_of_a_second(
         lost = len(records) - len(log)
         assert len(list(log.ticks())) == len(log)
     assert lost * 0.001 <= 0.25 + (killed - started - number * 0.001)
-    assert not recorder.record(records[0])
-    assert IoEvent("recorder", "gone") in recorder.events()
-    assert recorder.events() == ()
+    assert not recorder.send_record(records[0])
+    assert IoEvent("recorder", "gone") in recorder.take_events()
+    assert recorder.take_events() == ()
     summary = recorder.close("gone")
     assert not summary["complete"]
     assert summary["dropped"] == 1
@@ -177,21 +177,21 @@ def test_a_stalled_recorder_never_holds_up_the_controller(
     start: Callable[..., Recorder], tmp_path: Path
 ) -> None:
     recorder, records = start(), _records(3000)
-    recorder.record(records[0])
+    recorder.send_record(records[0])
     os.kill(recorder._child.pid, signal.SIGSTOP)
     taken, longest, events = [], 0.0, []
     for k, record in enumerate(records[1:], 1):
         started = time.perf_counter()
-        if recorder.record(record):
+        if recorder.send_record(record):
             taken.append(k)
         longest = max(longest, time.perf_counter() - started)
-        events += recorder.events()
+        events += recorder.take_events()
     os.kill(recorder._child.pid, signal.SIGCONT)
     assert longest < 0.05
     assert 100 < len(taken) < len(records) - 100
     assert [event.where for event in events][:2] == ["filling", "dropped"]
     assert sum(event.number for event in events if event.where == "dropped") == recorder.dropped
-    assert _until(lambda: recorder.record(records[-1]))
+    assert _until(lambda: recorder.send_record(records[-1]))
     summary = recorder.close("finished")
     with RunLog(tmp_path / "run.mcap") as log:
         assert log.k.tolist() == [0, *taken, len(records) - 1]
@@ -210,9 +210,9 @@ def test_a_deterministic_run_has_no_event_of_the_time_that_its_recorder_takes(
     for record in _records(1000):
         if sent > 0.52 * recorder._size:
             break
-        assert recorder.record(record)
+        assert recorder.send_record(record)
         sent += len(record)
-        events += recorder.events()
+        events += recorder.take_events()
     os.kill(recorder._child.pid, signal.SIGCONT)
     assert sent > recorder._size // 2
     assert events == []
@@ -230,7 +230,7 @@ def test_records_longer_than_an_atomic_write_stay_whole(
             os.kill(recorder._child.pid, signal.SIGCONT)
             time.sleep(0.1)
         text = chance.choice("ab") * chance.randrange(9_000, 30_000)
-        if recorder.record(pack_tick_record(tick_in._replace(requests=(text,)), out)):
+        if recorder.send_record(pack_tick_record(tick_in._replace(requests=(text,)), out)):
             taken.append((k, text))
     assert 0 < recorder.dropped < len(ticks) - 100
     recorder.close("finished")
@@ -242,9 +242,9 @@ def test_telemetry_of_another_shape_is_announced(start: Callable[..., Recorder])
     recorder = start()
     other = synthetic.header("jamia11", rate_hz=1000)
     for tick in synthetic.Synthetic(other, 0.01):
-        recorder.record(pack_tick_record(*tick))
+        recorder.send_record(pack_tick_record(*tick))
     events: list[IoEvent] = []
-    assert _until(lambda: bool(events.extend(recorder.events())) or bool(events))
+    assert _until(lambda: bool(events.extend(recorder.take_events())) or bool(events))
     assert events == [IoEvent("recorder", "misshapen", 1)]
 
 
@@ -252,7 +252,7 @@ def test_a_lockstep_run_waits_and_loses_nothing(
     start: Callable[..., Recorder], tmp_path: Path
 ) -> None:
     recorder, records = start(deterministic=True), _records(3000)
-    assert all(recorder.record(record) for record in records)
+    assert all(recorder.send_record(record) for record in records)
     summary = recorder.close("finished")
     assert (summary["ticks"], summary["dropped"], summary["complete"]) == (3000, 0, True)
 
@@ -265,7 +265,7 @@ def test_interrupts_do_not_reach_the_recorder(
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         os.kill(recorder._child.pid, number)
     for record in _records(10):
-        assert recorder.record(record)
+        assert recorder.send_record(record)
     assert recorder.close("stopped by hand")["ticks"] == 10
     with RunLog(tmp_path / "run.mcap") as log:
         assert log.end["reason"] == "stopped by hand"
@@ -321,12 +321,12 @@ def test_a_failed_write_is_announced_and_ends_the_file(
     resource.prlimit(recorder._child.pid, resource.RLIMIT_FSIZE, (LIMIT_BYTES, LIMIT_BYTES))
     events: list[IoEvent] = []
     for record in records:
-        recorder.record(record)
+        recorder.send_record(record)
         time.sleep(0.0002)
-        events += recorder.events()
+        events += recorder.take_events()
     assert _until(
         lambda: (
-            bool(events.extend(recorder.events()))
+            bool(events.extend(recorder.take_events()))
             or any(one.where == "disk_full" for one in events)
         )
     )
@@ -357,9 +357,9 @@ def test_a_full_disk_leaves_a_whole_file(
 ) -> None:
     recorder, records = start("disk/run.mcap", floor_bytes=floor_bytes), _records(3000)
     for record in records:
-        recorder.record(record)
+        recorder.send_record(record)
         time.sleep(0.0005)
-    assert _until(lambda: any(event.where == "disk_full" for event in recorder.events()))
+    assert _until(lambda: any(event.where == "disk_full" for event in recorder.take_events()))
     recorder.close("finished")
     _readable_prefix(tiny_disk / "run.mcap", len(records))
     with RunLog(tiny_disk / "run.mcap") as log:
@@ -374,7 +374,7 @@ def test_a_full_disk_has_reserved_space_for_the_end(tiny_disk: Path) -> None:
         tiny_disk / "run.mcap", synthetic.header(), lambda *what: events.append(what), 700_000
     )
     for record in _records(200):
-        writer.add(record[RECORD_FRAMING_STRUCT.size :])
+        writer.add_tick(record[RECORD_FRAMING_STRUCT.size :])
     writer.flush()
     with (tiny_disk / "other").open("wb", buffering=0) as other, suppress(OSError):
         while True:
@@ -392,7 +392,7 @@ def test_the_syncing_process_does_not_hold_the_reserved_space(tiny_disk: Path) -
         tiny_disk / "run.mcap", synthetic.header(), lambda *what: None, 1, to_disk=syncer
     )
     for record in _records(100):
-        writer.add(record[RECORD_FRAMING_STRUCT.size :])
+        writer.add_tick(record[RECORD_FRAMING_STRUCT.size :])
     writer.flush()
     writer.sync()
     with (tiny_disk / "other").open("wb", buffering=0) as other, suppress(OSError):
@@ -410,8 +410,8 @@ def test_recording_a_tick_is_fast(start: Callable[..., Recorder]) -> None:
     spent = []
     for k in range(300):
         started = time.perf_counter()
-        recorder.record(pack_tick_record(TickIn(k, k * 1_000_000, 0, tick_in.frames), out))
-        recorder.events()
+        recorder.send_record(pack_tick_record(TickIn(k, k * 1_000_000, 0, tick_in.frames), out))
+        recorder.take_events()
         spent.append(time.perf_counter() - started)
         time.sleep(0.0005)
     assert sorted(spent)[len(spent) // 2] < 200e-6
@@ -427,7 +427,7 @@ def test_the_recorder_needs_no_compiler(tmp_path: Path) -> None:
     recorder = Recorder.start(path, run, 1)
     size = path.stat().st_size
     for tick in lively.ticks(run):
-        recorder.record(pack_tick_record(*tick))
+        recorder.send_record(pack_tick_record(*tick))
     assert _until(lambda: path.stat().st_size > size)
     mapped = Path(f"/proc/{recorder._child.pid}/maps").read_text()
     assert recorder.close("finished")["complete"]

@@ -97,7 +97,7 @@ def test_a_recovered_file_is_readable_by_others_and_marked_as_recovered(
     raw, scan = small_log.read_bytes(), _scan(small_log)
     recovery, out = _recovered(raw[: scan.chunks[6].end + 5], tmp_path)
     assert recovery.status == RecoveryStatus.LOSSY
-    assert recovery.lost[-1][1] == scan.chunks[6].end + 5
+    assert recovery.lost_ranges[-1][1] == scan.chunks[6].end + 5
     recovered = messages(out)
     assert len(recovered) == recovery.messages
     last = max(one.log_time for one in recovered if one.topic == "/tick")
@@ -111,7 +111,11 @@ def test_a_recovered_file_is_readable_by_others_and_marked_as_recovered(
 
 def test_a_complete_file_is_copied_unchanged(small_log: Path, tmp_path: Path) -> None:
     recovery, out = _recovered(small_log.read_bytes(), tmp_path)
-    assert (recovery.status, recovery.lost, recovery.problem) == (RecoveryStatus.WHOLE, (), "")
+    assert (recovery.status, recovery.lost_ranges, recovery.problem) == (
+        RecoveryStatus.WHOLE,
+        (),
+        "",
+    )
     assert messages(out) == messages(small_log)
     with RunLog(out) as log, RunLog(small_log) as old:
         assert log.end == old.end
@@ -121,11 +125,11 @@ def test_a_complete_file_is_copied_unchanged(small_log: Path, tmp_path: Path) ->
 def test_one_damaged_chunk_is_left_out_and_the_rest_copied(small_log: Path, tmp_path: Path) -> None:
     raw, scan = bytearray(small_log.read_bytes()), _scan(small_log)
     hit = scan.chunks[4]
-    raw[hit.data + 50] ^= 0xFF
+    raw[hit.data_offset + 50] ^= 0xFF
     recovery, out = _recovered(bytes(raw), tmp_path)
     assert recovery.status == RecoveryStatus.LOSSY
     assert recovery.chunks == len(scan.chunks) - 1
-    assert recovery.lost[0] == (hit.offset, hit.end)
+    assert recovery.lost_ranges[0] == (hit.offset, hit.end)
     with RunLog(out) as log:
         assert len(log.gaps) == 1
         assert len(list(log.ticks())) == len(log)
@@ -146,7 +150,7 @@ def test_a_damaged_record_affects_no_other(small_log: Path, tmp_path: Path, what
     recovery, out = _recovered(bytes(raw), tmp_path)
     assert recovery.status == RecoveryStatus.LOSSY
     assert recovery.chunks == len(scan.chunks) - (what == "chunk's header")
-    start, end = recovery.lost[0]
+    start, end = recovery.lost_ranges[0]
     assert start < at < end
     recovered = _scan(out)
     assert not recovered.problem

@@ -39,7 +39,7 @@ def _write(
     problems: list[str] = []
     writer = LogWriter(path, run, lambda event, number: problems.append(event), 1)
     for index, body in enumerate(bodies):
-        writer.add(body)
+        writer.add_tick(body)
         if index in flush_at:
             writer.flush()
     writer.finish("finished", 0)

@@ -30,7 +30,7 @@ def _written(path: Path, run: synthetic.RunHeader, bodies: list[bytes]) -> None:
     path.unlink(missing_ok=True)
     writer = LogWriter(path, run, print, 1)
     for body in bodies:
-        writer.add(body)
+        writer.add_tick(body)
     writer.finish("finished", 0)
 
 
@@ -70,8 +70,8 @@ def _lockstep(path: Path, run: synthetic.RunHeader, records: list[bytes]) -> flo
     recorder = Recorder.start(path, run)
     start = time.perf_counter()
     for record in records:
-        recorder.record(record)
-        recorder.events()
+        recorder.send_record(record)
+        recorder.take_events()
     recorder.close("finished")
     return (time.perf_counter() - start) / len(records) * 1e6
 

@@ -18,7 +18,12 @@ from handctl.log.write.recorder import Recorder
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.program import Program
 from handctl.programs.task import load_task
-from handctl.runtime.clocks.lockstep import LockstepBus, LockstepClock, LockstepPeer, load_peer
+from handctl.runtime.clocks.lockstep import (
+    LockstepBus,
+    LockstepClock,
+    LockstepSimulator,
+    load_simulator,
+)
 from handctl.runtime.loop import ControlLoop
 from handctl.session.header import run_header
 from handctl.session.plan import RunPlan
@@ -73,7 +78,7 @@ class PeerWithLostReplies:
         since_ns: start of the loss [ns].
     """
 
-    peer: LockstepPeer
+    peer: LockstepSimulator
     can_id: int
     since_ns: int
 
@@ -106,7 +111,7 @@ def run(
     rate_hz: float = 250.0,
     friction: float = 0.5,
     seed: int = 0,
-    spoil: Callable[[LockstepPeer], LockstepPeer] = lambda peer: peer,
+    spoil: Callable[[LockstepSimulator], LockstepSimulator] = lambda peer: peer,
     io_events: dict[int, tuple[IoEvent, ...]] | None = None,
     requests: dict[int, tuple[str, ...]] | None = None,
     truth: Path | None = None,
@@ -134,7 +139,7 @@ def run(
             "homed": True,
         }
         options["truth_path"] = str(truth) if truth else None
-        peer = load_peer("firmware_sim.rig:LockstepHand", **options, period_ns=plan.period_ns)
+        peer = load_simulator("firmware_sim.rig:LockstepHand", **options, period_ns=plan.period_ns)
     clock = LockstepClock(spoil(peer), plan.period_ns)
     controller = make_controller(described, plan.gains, rate_hz, program, None, arm_at_once=True)
     header = run_header(plan, controller, None, lockstep=True)
@@ -144,7 +149,7 @@ def run(
     recorder = Recorder.start(log, replace(header, wall={}, attachments=attachments))
 
     def record(entry: TickIn, out: TickOut) -> None:
-        recorder.record(pack_tick_record(entry, out))
+        recorder.send_record(pack_tick_record(entry, out))
 
     loop = ControlLoop(
         clock,
@@ -153,7 +158,7 @@ def run(
         controller.begin,
         controller.cut_frames(),
         lambda: (requests or {}).get(clock.k, ()),
-        lambda: [*recorder.events(), *(io_events or {}).get(clock.k, ())],
+        lambda: [*recorder.take_events(), *(io_events or {}).get(clock.k, ())],
         record,
         lambda entry, out: None,
         snapshot_recorder(recorder),
@@ -165,7 +170,7 @@ def run(
         peer.close()
 
 
-def peer_with_silent_index(peer: LockstepPeer) -> LockstepPeer:
+def peer_with_silent_index(peer: LockstepSimulator) -> LockstepSimulator:
     """Return a peer whose index motor sends no replies from 2.2 s on. This is during the hold."""
     return PeerWithLostReplies(peer, 0x11, 2_200_000_000)
 

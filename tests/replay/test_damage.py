@@ -35,11 +35,13 @@ def _changed(path: Path, topic: str, k: int, at: int, fitting: bool) -> None:
     file, scan = _chunks(path)
     names = {
         name: number
-        for number, _, name, _, _ in schemas_and_channels(file.content(scan.chunks[0])).channels
+        for number, _, name, _, _ in schemas_and_channels(
+            file.chunk_content(scan.chunks[0])
+        ).channels
     }
     for chunk in scan.chunks:
-        content = file.content(chunk)
-        for one in iter_messages(content, chunk.end - chunk.data, frozenset([names[topic]])):
+        content = file.chunk_content(chunk)
+        for one in iter_messages(content, chunk.end - chunk.data_offset, frozenset([names[topic]])):
             hit = [i for i, sequence in enumerate(one.sequence().tolist()) if sequence == k]
             if hit:
                 bent = bytearray(content)
@@ -53,7 +55,7 @@ def _put(path: Path, scan: RecordScan, chunk: ChunkLocation, bent: bytes, fittin
     """Write a log in which a chunk has other bytes. The file ends without its last checksum."""
     raw = path.read_bytes()
     packed = lz4.frame.compress(bent)
-    head = bytearray(raw[chunk.offset : chunk.data])
+    head = bytearray(raw[chunk.offset : chunk.data_offset])
     head[1:9] = (len(head) - 9 + len(packed)).to_bytes(8, "little")
     if fitting:
         head[33:37] = zlib.crc32(bent).to_bytes(4, "little")
@@ -89,7 +91,7 @@ def test_log_check_reports_any_changed_byte_of_a_chunk(
     _, scan = _chunks(log)
     chunk = scan.chunks[5]
     raw = bytearray(log.read_bytes())
-    raw[(chunk.data + chunk.end) // 2] ^= 1
+    raw[(chunk.data_offset + chunk.end) // 2] ^= 1
     log.write_bytes(raw)
     assert main(["log", "check", str(log), "--json"]) == 1
     findings = json.loads(capsys.readouterr().out)["findings"]

@@ -94,16 +94,16 @@ def test_a_hand_follows_an_episode_in_lockstep(dataset: Path) -> None:
     program = PlaybackProgram(find_episode(dataset, 1, HAND, jamia.period, 200.0))
     controller = homed_controller(jamia, program)
     errors, faults = [], set()
-    with SimulatorSettings("jamia", homed=True).against(controller) as run:
-        for _, out in run.ticks(40.0):
+    with SimulatorSettings("jamia", homed=True).begin_run(controller) as run:
+        for _, out in run.run_ticks(40.0):
             faults |= {event.text for event in out.events if event.name == "fault"}
             if out.phase == "playback":
-                true = run.peer.world.plant.engine.q
+                true = run.simulated_hand.world.plant.engine.q
                 errors.append(
                     np.degrees(true[:9] - out.telemetry.q_goal[:9]).reshape(3, 3).mean(axis=1)
                 )
-        assert run.out is not None
-        assert run.out.mode == Mode.DONE
+        assert run.last_output is not None
+        assert run.last_output.mode == Mode.DONE
     assert faults == set()
     assert run.state.progress.finished
     assert len(errors) * jamia.period == pytest.approx(len(actions(dataset, 1)) / 200.0, abs=0.1)

@@ -59,7 +59,7 @@ def test_the_driven_run_can_be_executed_again(replayed: Path) -> None:
     with RunLog(replayed) as log:
         names = [change.name for change in log.phases]
         assert names.index("approach") < names.index("playback")
-        assert execute_log(log).differing == 0
+        assert execute_log(log).differing_ticks == 0
 
 
 def test_a_replay_moves_slowly_to_the_first_pose(replayed: Path) -> None:

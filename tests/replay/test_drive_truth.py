@@ -50,8 +50,8 @@ class Pair:
         )
         return (
             t_ns / 1e9,
-            first.table(list(names), t_ns + int(recorded_start * 1e9)),
-            second.table(list(names), t_ns + start),
+            first.columns_at(list(names), t_ns + int(recorded_start * 1e9)),
+            second.columns_at(list(names), t_ns + start),
         )
 
     def at_rest(self) -> tuple[float, float]:

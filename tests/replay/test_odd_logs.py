@@ -24,7 +24,7 @@ from handctl.replay.motion_replay import (
     active_interval,
     compare_replay,
     count_missing_ticks,
-    driven_duration,
+    followed_duration_s,
     playback_program,
     recorded_targets,
 )
@@ -47,7 +47,7 @@ def grasp(golden: Path) -> tuple[RunHeader, Ticks]:
 def written(path: Path, header: RunHeader, ticks: Ticks) -> Path:
     writer = LogWriter(path, header, lambda *what: None, 1)
     for entry, out in ticks:
-        writer.add(pack_tick_record(entry, out)[RECORD_FRAMING_STRUCT.size :])
+        writer.add_tick(pack_tick_record(entry, out)[RECORD_FRAMING_STRUCT.size :])
     writer.finish("finished", 0)
     return path
 
@@ -112,14 +112,14 @@ def test_a_stopped_replay_is_compared_up_to_its_end(golden: Path, tmp_path: Path
             started = next(
                 change.t_ns * 1e-9 for change in after.phases if change.name == "playback"
             )
-            assert driven_duration(before, after) == pytest.approx(
+            assert followed_duration_s(before, after) == pytest.approx(
                 1000 / rate - started, abs=2 / rate
             )
-            assert 0.2 < driven_duration(before, after) < end - start - 0.5
+            assert 0.2 < followed_duration_s(before, after) < end - start - 0.5
             result = compare_replay(before, after)
         assert max(row["rms"] for row in result["tendon_N"].values()) < 1.0
         with RunLog(tmp_path / "early.mcap") as after:
-            assert (driven_duration(before, after), compare_replay(before, after)) == (0.0, {})
+            assert (followed_duration_s(before, after), compare_replay(before, after)) == (0.0, {})
 
 
 def with_event(event: TickEvent) -> Callable[[TickOut], TickOut]:
@@ -150,11 +150,11 @@ def test_every_difference_is_named(
         events=(TickEvent("info", "phase", "", "hold"),), frames=(out.frames[0]._replace(can_id=1),)
     )
     with RunLog(written(tmp_path / "one.mcap", header, [(entry, base)])) as log:
-        logged, numbers = next(log.ticks()), next(log.packed())
+        logged, numbers = next(log.ticks()), next(log.packed_telemetry())
     now = changed(base)
     assert are_outputs_equal(logged, numbers, base)
     assert not are_outputs_equal(logged, numbers, now)
-    (result,) = differing_fields(TelemetryColumns.of(header), logged, numbers, now)
+    (result,) = differing_fields(TelemetryColumns.from_header(header), logged, numbers, now)
     assert result.logged != result.computed
 
 

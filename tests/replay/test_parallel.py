@@ -90,7 +90,7 @@ def test_a_snapshot_restores_the_state_unchanged(fresh: Path) -> None:
 def test_a_snapshot_restores_the_state_of_every_protocol(protocol: str) -> None:
     with homed_run(hand_with_protocol("jamia", protocol), 250.0, 0) as simulation:
         seen = set()
-        for _ in simulation.ticks(limit_s=10.0):
+        for _ in simulation.run_ticks(limit_s=10.0):
             if simulation.state.mode == Mode.ACTIVE:
                 break
             seen.add(simulation.state.mode)
@@ -110,14 +110,14 @@ def test_a_log_has_a_snapshot_every_second(fresh: Path) -> None:
 def test_three_processes_find_no_difference_where_one_finds_none(both: Both) -> None:
     one, three = both()
     assert findings(three) == findings(one)
-    assert (one.differing, three.differing) == (0, 0)
+    assert (one.differing_ticks, three.differing_ticks) == (0, 0)
 
 
 @pytest.mark.parametrize("at", [150, 199, 200, 201, 330])
 def test_three_processes_find_the_first_difference_wherever_it_is(both: Both, at: int) -> None:
     """A field changes in the part of each process, and at the border between two parts."""
     one, three = both(spoil("travel", at))
-    assert one.first is not None
+    assert one.first_difference is not None
     assert findings(three) == findings(one)
 
 
@@ -127,8 +127,11 @@ def test_the_first_field_of_the_state_that_differs_is_named(both: Both) -> None:
             before.view("nis_mean")[1] += 1e-6
 
     one, _ = both(change)
-    assert one.state is not None
-    assert (one.state.field, one.state.k) == ("state nis_mean", 200)
+    assert one.first_state_difference is not None
+    assert (one.first_state_difference.field, one.first_state_difference.k) == (
+        "state nis_mean",
+        200,
+    )
 
 
 def test_a_decision_that_differs_is_named(fresh: Path) -> None:
@@ -160,7 +163,7 @@ def test_a_wrong_snapshot_is_not_used_as_a_start(
 ) -> None:
     monkeypatch.setattr(parallel, "MIN_TICKS", 50)
     with RunLog(fresh) as log:
-        runner = courses.LogRunner.of(log)
+        runner = courses.LogRunner.from_log(log)
         assert len(parallel.split_log(runner, 3)) == 3
         bent = {
             k: data[:100] + bytes([data[100] ^ 1]) + data[101:]
@@ -170,7 +173,7 @@ def test_a_wrong_snapshot_is_not_used_as_a_start(
         other = dict.fromkeys(runner.snapshots, b"x" * 40)
         assert len(parallel.split_log(replace(runner, snapshots=other), 3)) == 1
         monkeypatch.setattr(RunLog, "snapshots", bent)
-        assert execute_log(log, workers=3).differing == 0
+        assert execute_log(log, workers=3).differing_ticks == 0
 
 
 @pytest.mark.parametrize(

@@ -132,7 +132,13 @@ class Range:
         write_homed(calibration, hand)
         load = tuple(one.at(RATE_HZ) for one in bus_loads(hand))
         self.plan = RunPlan(
-            hand, Gains(), RATE_HZ, load, bus_specs(hand, [BUS]), time_scale=scale, clear=True
+            hand,
+            Gains(),
+            RATE_HZ,
+            load,
+            bus_specs(hand, [BUS]),
+            time_scale=scale,
+            clear_faults=True,
         )
         self.controller: Controller = make_controller(
             self.plan,

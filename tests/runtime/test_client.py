@@ -82,7 +82,7 @@ def test_replies_to_other_programs_are_ignored(alone, monkeypatch, theirs):
     with pytest.raises(ConfigError, match="the hand is not ready yet"):
         alone.move(index=3, wait=False)
     assert len({one["by"] for one in sent}) == 2
-    alone._commands = False
+    alone._has_commanded = False
 
 
 def test_a_goal_without_a_digit_is_refused(alone):

@@ -21,7 +21,7 @@ def store(tmp_path: Path) -> GainsStore:
 
 
 def present(store: GainsStore) -> float:
-    file = store.present()
+    file = store.present_gains()
     return file.gains.motion.force_N if file else Gains().motion.force_N
 
 
@@ -45,57 +45,65 @@ def test_a_gains_file_without_provenance_is_accepted(tmp_path: Path) -> None:
 
 
 def test_repeated_rollbacks_go_back_to_the_packaged_gains(store: GainsStore) -> None:
-    assert store.present() is None
+    assert store.present_gains() is None
     for newtons in (21.0, 22.0, 23.0):
-        store.apply(force(newtons), GainsProvenance())
+        store.apply_gains(force(newtons), GainsProvenance())
     seen = []
     for _ in range(3):
-        store.rollback()
+        store.roll_back()
         seen.append(present(store))
     assert seen == [22.0, 21.0, Gains().motion.force_N]
     with pytest.raises(ConfigError, match="no gains precede the packaged gains"):
-        store.rollback()
-    assert store.rollback(to=3).gains == force(23.0)
-    assert [entry.number for entry in store.entries()] == list(range(1, 8))
+        store.roll_back()
+    assert store.roll_back(to=3).gains == force(23.0)
+    assert [entry.number for entry in store.history_entries()] == list(range(1, 8))
 
 
 def test_a_rollback_after_a_rollback_and_a_change_skips_the_undone_gains(store: GainsStore) -> None:
     for newtons in (21.0, 22.0):
-        store.apply(force(newtons), GainsProvenance())
-    store.rollback()
-    store.apply(force(24.0), GainsProvenance())
-    assert store.rollback().gains == force(21.0)
+        store.apply_gains(force(newtons), GainsProvenance())
+    store.roll_back()
+    store.apply_gains(force(24.0), GainsProvenance())
+    assert store.roll_back().gains == force(21.0)
 
 
 def test_gains_edited_by_hand_are_kept(store: GainsStore) -> None:
-    store.apply(force(21.0), GainsProvenance())
+    store.apply_gains(force(21.0), GainsProvenance())
     store.path.write_text(store.path.read_text().replace("force_N = 21.0", "force_N = 77.0"))
-    store.apply(force(22.0), GainsProvenance())
-    assert [entry.file.gains.motion.force_N for entry in store.entries()] == [21.0, 77.0, 22.0]
-    assert store.entries()[1].file.provenance.note == EDITED_BY_HAND_NOTE
-    assert store.rollback().gains == force(77.0)
+    store.apply_gains(force(22.0), GainsProvenance())
+    assert [entry.file.gains.motion.force_N for entry in store.history_entries()] == [
+        21.0,
+        77.0,
+        22.0,
+    ]
+    assert store.history_entries()[1].file.provenance.note == EDITED_BY_HAND_NOTE
+    assert store.roll_back().gains == force(77.0)
 
 
 def test_copied_gains_follow_the_newest_entry(store: GainsStore, tmp_path: Path) -> None:
-    store.apply(force(21.0), GainsProvenance())
+    store.apply_gains(force(21.0), GainsProvenance())
     store.path.write_text(gains_text(force(55.0), GainsProvenance()))
-    assert store.rollback().gains == force(21.0)
-    assert [entry.file.gains.motion.force_N for entry in store.entries()] == [21.0, 55.0, 21.0]
-    assert store.entries()[1].file.provenance.replaces == 1
+    assert store.roll_back().gains == force(21.0)
+    assert [entry.file.gains.motion.force_N for entry in store.history_entries()] == [
+        21.0,
+        55.0,
+        21.0,
+    ]
+    assert store.history_entries()[1].file.provenance.replaces == 1
 
 
 def test_a_damaged_file_is_set_aside_and_not_lost(store: GainsStore) -> None:
-    store.apply(force(21.0), GainsProvenance())
+    store.apply_gains(force(21.0), GainsProvenance())
     assert store.set_aside() is None
     renamed = []
     for text in ("schema = [", "nonsense = 1"):
         store.path.write_text(text)
         with pytest.raises(ConfigError):
-            store.rollback()
+            store.roll_back()
         aside = store.set_aside()
         assert aside is not None
         renamed.append((aside.name, aside.read_text()))
-        assert store.rollback(to=1).gains == force(21.0)
+        assert store.roll_back(to=1).gains == force(21.0)
     assert renamed == [
         ("jamia.gains.damaged.toml", "schema = ["),
         ("jamia.gains.damaged1.toml", "nonsense = 1"),
@@ -104,16 +112,18 @@ def test_a_damaged_file_is_set_aside_and_not_lost(store: GainsStore) -> None:
 
 def test_a_history_with_a_gap_is_not_used_for_a_rollback(store: GainsStore) -> None:
     for newtons in (21.0, 22.0, 23.0):
-        store.apply(force(newtons), GainsProvenance())
-    store.rollback()
-    (store.history / "0002.toml").unlink()
+        store.apply_gains(force(newtons), GainsProvenance())
+    store.roll_back()
+    (store.history_folder / "0002.toml").unlink()
     with pytest.raises(ConfigError, match="number 2 is not in the history"):
-        store.rollback()
-    assert store.rollback(to=1).gains == force(21.0)
+        store.roll_back()
+    assert store.roll_back(to=1).gains == force(21.0)
 
 
 def test_provenance_says_who_when_and_for_which_hand(store: GainsStore) -> None:
-    provenance = store.apply(force(21.0), GainsProvenance(study="s.db", log=("a.mcap",))).provenance
+    provenance = store.apply_gains(
+        force(21.0), GainsProvenance(study="s.db", log=("a.mcap",))
+    ).provenance
     assert (
         provenance.study,
         provenance.log,
@@ -133,16 +143,16 @@ def test_provenance_says_who_when_and_for_which_hand(store: GainsStore) -> None:
 
 def test_a_rollback_without_history_is_refused(store: GainsStore) -> None:
     with pytest.raises(ConfigError, match="nothing was applied"):
-        store.rollback()
+        store.roll_back()
     with pytest.raises(ConfigError, match="no gains number 9"):
-        store.rollback(to=9)
+        store.roll_back(to=9)
 
 
 @pytest.mark.parametrize("fails", ["replace", "link", "fsync"])
 def test_a_change_that_fails_leaves_the_present_gains(
     store: GainsStore, monkeypatch: pytest.MonkeyPatch, fails: str
 ) -> None:
-    store.apply(force(21.0), GainsProvenance())
+    store.apply_gains(force(21.0), GainsProvenance())
     before = store.path.read_bytes()
 
     def raise_disk_full(*_: object, **__: object) -> None:
@@ -150,9 +160,9 @@ def test_a_change_that_fails_leaves_the_present_gains(
 
     monkeypatch.setattr(os, fails, raise_disk_full)
     with pytest.raises(ConfigError, match="No space left"):
-        store.apply(force(22.0), GainsProvenance())
+        store.apply_gains(force(22.0), GainsProvenance())
     monkeypatch.undo()
     assert store.path.read_bytes() == before
     assert present(store) == 21.0
-    store.apply(force(23.0), GainsProvenance())
+    store.apply_gains(force(23.0), GainsProvenance())
     assert present(store) == 23.0

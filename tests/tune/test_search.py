@@ -208,13 +208,13 @@ def test_a_damaged_journal_is_refused_and_keeps_what_it_holds(
 def test_a_killed_worker_loses_no_result(plan: SearchPlan, found: SearchResult) -> None:
     workers = ProcessPool(1)
     try:
-        os.kill(workers.pids[0], signal.SIGKILL)
-        jobs = [plan.job(i, one.values) for i, one in enumerate(found.trials)]
+        os.kill(workers.process_ids[0], signal.SIGKILL)
+        jobs = [plan.trial_job(i, one.values) for i, one in enumerate(found.trials)]
         scores = {}
-        for i, result in workers.scores(jobs):
+        for i, result in workers.compute_scores(jobs):
             scores[i] = GainScore(**result)
             if i == 1:
-                os.kill(workers.pids[0], signal.SIGKILL)
+                os.kill(workers.process_ids[0], signal.SIGKILL)
     finally:
         workers.close()
     assert [scores[i] for i in range(TRIALS)] == [one.score for one in found.trials]
@@ -273,10 +273,10 @@ def test_only_good_trials_are_chosen() -> None:
         trial(4, 0.1, 0.1, 0.1, 60.0, -1.0, failure="not taut"),
     )
     beaten = trial(5, 1.1, 2.1, 11.0, 60.0, -0.1)
-    found = SearchResult.of((first, best, front, short, failed, beaten))
+    found = SearchResult.from_trials((first, best, front, short, failed, beaten))
     assert found.best == best
-    assert found.front == (1, 2)
-    assert found.cost(first) == pytest.approx(1.0)
+    assert found.pareto_front == (1, 2)
+    assert found.relative_cost(first) == pytest.approx(1.0)
 
 
 def test_costs_are_those_of_the_first_good_trial_if_the_first_failed() -> None:
@@ -285,15 +285,17 @@ def test_costs_are_those_of_the_first_good_trial_if_the_first_failed() -> None:
         SearchTrial(1, {}, GainScore(1.0, 2.0, 3.0, 60.0, -0.1)),
         SearchTrial(2, {}, GainScore(0.5, 1.0, 1.5, 60.0, -0.1)),
     ]
-    found = SearchResult.of((lost, *feasible))
-    assert [found.cost(one) for one in feasible] == pytest.approx([1.0, 0.5])
+    found = SearchResult.from_trials((lost, *feasible))
+    assert [found.relative_cost(one) for one in feasible] == pytest.approx([1.0, 0.5])
     assert found.best == feasible[1]
 
 
 def test_first_trial_keeps_gains_outside_the_search_space(plan: SearchPlan) -> None:
     bold = replace(plan, gains=Gains(motion=MotionGains(speed_error_m_s=0.01)))
     assert bold.gains_of(0, clamped_gains(bold.gains)) == bold.gains
-    assert bold.job(0, clamped_gains(bold.gains))["gains"] == bold.gains.model_dump(by_alias=True)
+    assert bold.trial_job(0, clamped_gains(bold.gains))["gains"] == bold.gains.model_dump(
+        by_alias=True
+    )
     assert (
         bold.gains_of(1, clamped_gains(bold.gains)).motion.speed_error_m_s
         == GAIN_RANGES["motion.speed_error_m_s"].low

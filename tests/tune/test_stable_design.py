@@ -210,7 +210,7 @@ def test_gains_that_are_not_stable_do_not_come_to_rest() -> None:
     """The rest test finds unstable gains. An earlier version wrote such gains and claimed infinite margins."""
     model = with_force(393.0)
     assert not margins_of_loop(open_loop(model, 0, LoopKind.TENSION)).stable
-    assert not simulate_swing(model.hand, model, {}, 0).at_rest
+    assert not simulate_swing(model.hand, model, {}, 0).is_at_rest
 
 
 def rest_test_of(model: HandModel) -> RestTest:
@@ -224,7 +224,7 @@ def test_closing_spool_pairs_are_not_reported_as_torn_tendons() -> None:
     model = HandModel.of(load_hand("orca_like"), Gains(), RATES["orca_like"])
     swing = simulate_swing(model.hand, model, {}, 0)
     assert swing.failure == ""
-    assert swing.at_rest
+    assert swing.is_at_rest
 
 
 @pytest.mark.parametrize("hand", QUICK)

@@ -21,7 +21,7 @@ from handctl.view import feed
 from handctl.view.scene import palette
 from handctl.view.scene.frame_load import LOAD_WINDOW_NS
 from handctl.view.scene.run_info import RunInfo
-from handctl.view.scene.topic_converters import FORCE_SCALE
+from handctl.view.scene.topic_converters import ARROW_LENGTH_M_PER_N
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def test_every_number_of_the_controller_is_there_under_its_name(
         one = recorded[f"/controller/{name}"]
         np.testing.assert_array_equal(one.times, log.t_ns)
         np.testing.assert_array_equal(one.table("Scalars:scalars"), log.field(name))
-        assert tuple(one.static["SeriesLines:names"]) == log.names(name)
+        assert tuple(one.static["SeriesLines:names"]) == log.column_names(name)
 
 
 def test_tension_has_its_band_command_and_limit(recorded: dict[str, Entity], log: RunLog) -> None:
@@ -82,7 +82,9 @@ def test_arrows_are_the_forces_of_the_object_on_the_tips(
         one = recorded[f"/force/{digit}"]
         vectors = one.table("Arrows3D:vectors")[:, 0]
         force = np.where(forces[:, index] >= 0.05, forces[:, index], 0.0)
-        np.testing.assert_allclose(vectors, force[:, None] * (0, -FORCE_SCALE, 0), atol=1e-7)
+        np.testing.assert_allclose(
+            vectors, force[:, None] * (0, -ARROW_LENGTH_M_PER_N, 0), atol=1e-7
+        )
         at = int(force.argmax())
         assert one.rows["Arrows3D:labels"][at] == [f"{force[at]:.1f} N"]
         assert one.static["CoordinateFrame:frame"] == [f"{digit}_tip"]
@@ -228,6 +230,6 @@ def test_a_log_whose_hand_is_no_hand_or_another_is_refused(jamia_path: Path) -> 
     header = run_info_of(jamia_path).header
     for text in ("[[", "schema = 1\n"):
         with pytest.raises(ConfigError, match=r"hand\.toml"):
-            RunInfo.of(replace(header, hand_toml=text), "run")
+            RunInfo.from_header(replace(header, hand_toml=text), "run")
     with pytest.raises(LogError, match="names differ"):
-        RunInfo.of(replace(header, digits=("a", "b", "c", "d")), "run")
+        RunInfo.from_header(replace(header, digits=("a", "b", "c", "d")), "run")

@@ -19,9 +19,9 @@ table { border-collapse: collapse; font-size: .9em; } td, th { padding: .15em .8
 td.n { text-align: right; font-variant-numeric: tabular-nums; } .bad { color: #b00020; font-weight: 600; }
 .bar { display: inline-block; height: .7em; background: #3b6fb6; } .bar.bad { background: #b00020; }
 """
-BAR_EM = 6.0
+BAR_WIDTH_EM = 6.0
 """Width of a bar for a reaction time equal to the largest allowed time [em]."""
-TABLE_HEAD = (
+TABLE_TITLES = (
     "row",
     "fault",
     "tried",
@@ -41,7 +41,7 @@ FAULT_TITLES = {entry.id: entry.title for entry in FAULT_CATALOGUE}
 
 def write_page(path: Path, report: CampaignReport) -> None:
     """Write the report of a campaign as an HTML page."""
-    figures = report.plain()
+    figures = report.as_json()
     title = f"Fault campaign: {html.escape(report.hand)}"
     head = "".join(
         f"<tr><th>{html.escape(label)}</th><td class=n>{value}</td></tr>"
@@ -58,7 +58,7 @@ def write_page(path: Path, report: CampaignReport) -> None:
     )
     parts = [f"<h1>{title}</h1><table>{head}</table>"]
     for protocol, results in report.results.items():
-        rate = report.rates[protocol]
+        rate = report.control_rates_hz[protocol]
         number = Counter(result.id for result in results)
         title_ = f"{protocol}, {rate:g} Hz: each row by its slowest scenario"
         parts.append(f"<h2>{title_}</h2>{_html_table(_slowest_of_rows(results), rate, number)}")
@@ -94,14 +94,14 @@ def bound_fraction(result: ScenarioResult) -> float:
 
 
 def _html_table(results: Iterable[ScenarioResult], rate: float, number: Counter[str]) -> str:
-    head = "".join(f"<th>{name}" for name in TABLE_HEAD)
+    head = "".join(f"<th>{name}" for name in TABLE_TITLES)
     rows = "".join(_html_row(result, rate, number[result.id]) for result in results)
     return f"<table><tr>{head}</tr>{rows}</table>"
 
 
 def _html_row(result: ScenarioResult, rate: float, number: int) -> str:
     bad = "" if result.ok else " bad"
-    width = BAR_EM * min(bound_fraction(result), 1.0)
+    width = BAR_WIDTH_EM * min(bound_fraction(result), 1.0)
     scenario = result.scenario.removeprefix(result.id).strip()
     took = f"{result.ticks * 1e3 / rate:g} ms" if result.ticks >= 0 else "never"
     cells = [
@@ -117,7 +117,7 @@ def _html_row(result: ScenarioResult, rate: float, number: int) -> str:
 
 def summary_lines(report: CampaignReport) -> list[str]:
     """Return the summary of a campaign's report as lines for a terminal."""
-    figures = report.plain()
+    figures = report.as_json()
     summary = [
         f"{figures['scenarios']} scenarios, {figures['late']} failed, {figures['not_felt']} without effect",
         f"slowest reaction {figures['worst_ticks']} ticks, {100 * figures['worst_share_of_bound']:.0f} % of its bound",

@@ -35,13 +35,13 @@ MIN_LATE_MS = 7.0
 """Smallest value that the place holder {late} in a fault text gets [ms]."""
 MIN_LATE_TICKS = 1.5
 """Smallest value that the place holder {late} in a fault text gets [control periods]."""
-JUMP_RAD = 1.0
+POSITION_JUMP_RAD = 1.0
 """Step of the position that no drive can make within two control periods [rad]."""
-JUMP_MS = 5.0
+POSITION_JUMP_MS = 5.0
 """Control period above which the impossible position step grows in proportion to the period [ms]."""
-NOISE_RAD = 0.04
+POSITION_NOISE_RAD = 0.04
 """Noise of the position that no drive can cause by motion within a control period [rad]."""
-NOISE_MS = 5.0
+POSITION_NOISE_MS = 5.0
 """Control period above which the impossible position noise grows with the square of the period [ms]."""
 MAX_READABLE_TRIP_N = 0.9 * TENSION_RAIL_N
 """Largest trip tension that a load cell can read without looking saturated (fault T06) [N]."""
@@ -61,9 +61,9 @@ class MatrixRow(NamedTuple):
             control rate [ms]. {jump} and {rough} are a step and a noise that no drive can make at
             the control rate [rad].
         action: weakest reaction to the fault that is sufficient.
-        ticks: time limit for the reaction [control periods]. ``ms`` is added to this limit.
-        ms: addition to the time limit ``ticks`` [ms].
-        rows: prefixes of the fault ids that are accepted as a detection. The row's own fault comes
+        max_ticks: time limit for the reaction [control periods]. ``max_extra_ms`` is added to this limit.
+        max_extra_ms: addition to the time limit ``max_ticks`` [ms].
+        accepted_faults: prefixes of the fault ids that are accepted as a detection. The row's own fault comes
             first.
         stages: stages of a run in which the fault is tested.
         protocols: drive protocols with which the fault is tested.
@@ -75,19 +75,21 @@ class MatrixRow(NamedTuple):
     id: str
     fault: str
     action: Action
-    ticks: int
-    ms: float = 0.0
-    rows: tuple[str, ...] = ()
+    max_ticks: int
+    max_extra_ms: float = 0.0
+    accepted_faults: tuple[str, ...] = ()
     stages: tuple[str, ...] = MOVING_STAGES
     protocols: tuple[str, ...] = ALL_PROTOCOLS
     extra_ms: dict[str, float] = {}  # noqa: RUF012 - read only
     extra_ticks: dict[str, int] = {}  # noqa: RUF012 - read only
 
-    def bound(self, protocol: str, period_ms: float) -> int:
+    def bound_ticks(self, protocol: str, period_ms: float) -> int:
         """Return the time limit of the row for drives of a given protocol [ticks]."""
         extra = self.extra_ticks.get(protocol, 0)
         return (
-            self.ticks + extra + math.ceil((self.ms + self.extra_ms.get(protocol, 0.0)) / period_ms)
+            self.max_ticks
+            + extra
+            + math.ceil((self.max_extra_ms + self.extra_ms.get(protocol, 0.0)) / period_ms)
         )
 
 
@@ -98,13 +100,13 @@ class FaultScenario(NamedTuple):
         row: row of the fault matrix.
         fault: fault text of the row, in which the place holders are filled in.
         stage: stage of the run at which the fault is injected.
-        second: text of the second fault of a pair. The text is empty for a single fault.
+        second_fault: text of the second fault of a pair. The text is empty for a single fault.
     """
 
     row: MatrixRow
     fault: str
     stage: str
-    second: str = ""
+    second_fault: str = ""
 
     @property
     def id(self) -> str:
@@ -116,7 +118,7 @@ class FaultScenario(NamedTuple):
         """Return a description of the scenario for reports."""
         return (
             f"{self.row.id} {self.fault}"
-            + (f" + {self.second}" if self.second else "")
+            + (f" + {self.second_fault}" if self.second_fault else "")
             + f", {self.stage}"
         )
 
@@ -136,66 +138,66 @@ _EXCHANGED_DRIVE_FAULTS = ("N14", "N05", "N06", "T04", "T02", "N04", "T03")
 """Faults that may be detected earlier than N17 if two drives are exchanged, in motion or at unequal tensions."""
 
 FAULT_MATRIX: tuple[MatrixRow, ...] = (
-    MatrixRow("B01", "drop node={node} for=2500us", WARN, 2, rows=("B01", "N02"), stages=ALL_STAGES),
+    MatrixRow("B01", "drop node={node} for=2500us", WARN, 2, accepted_faults=("B01", "N02"), stages=ALL_STAGES),
     MatrixRow("B02", "drop bus={bus}", RELAX, 1, 30.0, ("B02", "N02", "B17"), ALL_STAGES),
     MatrixRow("B03", "drop node={node} p=0.3 seed=3", HOLD, 102, 0.0, ("B03", "B17", "N02"),
         protocols=ONE_ANSWER_PROTOCOLS),
     MatrixRow("B03", "drop node={node} p=0.6 seed=3", HOLD, 102, 0.0, ("B03", "B17", "N02", "N11"),
         protocols=(ODRIVE,)),
     MatrixRow("B03", "replay node=sensors size=16", RELAX, 102, 0.0, ("B03", "N02", "B04")),
-    MatrixRow("B04", "delay node=sensors size={late} for=20ms", WARN, 4, rows=("B04",)),
-    MatrixRow("B05", "duplicate node={node}", WARN, 2, rows=("B05", "N13", "B06"), protocols=ONE_ANSWER_PROTOCOLS),
-    MatrixRow("B05", "duplicate node=sensors", WARN, 2, rows=("B05",)),
-    MatrixRow("B06", "twin node={node}", RELAX, 2, rows=("B06",), protocols=ONE_ANSWER_PROTOCOLS),
-    MatrixRow("B06", "twin node=sensors", RELAX, 2, rows=("B06",)),
-    MatrixRow("B07", "reorder node=sensors", WARN, 2, rows=("B07",)),
-    MatrixRow("B08", "shorten node={node}", RELAX, 4, rows=("B08", "B17")),
-    MatrixRow("B09", "shorten node={node} for=3ms", WARN, 2, rows=("B09",)),
-    MatrixRow("B09", "extend node={node} for=3ms", WARN, 2, rows=("B09",), protocols=SHORT_ID_PROTOCOLS),
+    MatrixRow("B04", "delay node=sensors size={late} for=20ms", WARN, 4, accepted_faults=("B04",)),
+    MatrixRow("B05", "duplicate node={node}", WARN, 2, accepted_faults=("B05", "N13", "B06"), protocols=ONE_ANSWER_PROTOCOLS),
+    MatrixRow("B05", "duplicate node=sensors", WARN, 2, accepted_faults=("B05",)),
+    MatrixRow("B06", "twin node={node}", RELAX, 2, accepted_faults=("B06",), protocols=ONE_ANSWER_PROTOCOLS),
+    MatrixRow("B06", "twin node=sensors", RELAX, 2, accepted_faults=("B06",)),
+    MatrixRow("B07", "reorder node=sensors", WARN, 2, accepted_faults=("B07",)),
+    MatrixRow("B08", "shorten node={node}", RELAX, 4, accepted_faults=("B08", "B17")),
+    MatrixRow("B09", "shorten node={node} for=3ms", WARN, 2, accepted_faults=("B09",)),
+    MatrixRow("B09", "extend node={node} for=3ms", WARN, 2, accepted_faults=("B09",), protocols=SHORT_ID_PROTOCOLS),
     MatrixRow("B10", "unknown bus={bus}", WARN, 2, 51.0, ("B10",), ALL_STAGES),
-    MatrixRow("B11", "flood bus={bus} size=100", RELAX, 3, rows=("B11",)),
-    MatrixRow("B11", "flood bus={bus} size=101", CUT, 11, rows=("B11b", "B11a")),
-    MatrixRow("B12", HOST_PREFIX + "io bus_off", CUT, 1, rows=("B12",), stages=ALL_STAGES),
-    MatrixRow("B13", HOST_PREFIX + "io error_warning", WARN, 1, rows=("B13a",)),
-    MatrixRow("B13", HOST_PREFIX + "io error_passive lasting", RELAX, 21, rows=("B13b",)),
-    MatrixRow("B14", HOST_PREFIX + "io enetdown", CUT, 1, rows=("B14",), stages=ALL_STAGES),
-    MatrixRow("B15", HOST_PREFIX + "io enobufs lasting", RELAX, 3, rows=("B15",)),
-    MatrixRow("B16", HOST_PREFIX + "io enodev", CUT, 1, rows=("B16",), stages=ALL_STAGES),
-    MatrixRow("B17", "deaf node={node}", RELAX, 4, rows=("B17", "N08", "B02", "B03"),
+    MatrixRow("B11", "flood bus={bus} size=100", RELAX, 3, accepted_faults=("B11",)),
+    MatrixRow("B11", "flood bus={bus} size=101", CUT, 11, accepted_faults=("B11b", "B11a")),
+    MatrixRow("B12", HOST_PREFIX + "io bus_off", CUT, 1, accepted_faults=("B12",), stages=ALL_STAGES),
+    MatrixRow("B13", HOST_PREFIX + "io error_warning", WARN, 1, accepted_faults=("B13a",)),
+    MatrixRow("B13", HOST_PREFIX + "io error_passive lasting", RELAX, 21, accepted_faults=("B13b",)),
+    MatrixRow("B14", HOST_PREFIX + "io enetdown", CUT, 1, accepted_faults=("B14",), stages=ALL_STAGES),
+    MatrixRow("B15", HOST_PREFIX + "io enobufs lasting", RELAX, 3, accepted_faults=("B15",)),
+    MatrixRow("B16", HOST_PREFIX + "io enodev", CUT, 1, accepted_faults=("B16",), stages=ALL_STAGES),
+    MatrixRow("B17", "deaf node={node}", RELAX, 4, accepted_faults=("B17", "N08", "B02", "B03"),
         protocols=CONFIRMING_PROTOCOLS,
         extra_ms={ODRIVE: 160.0}),
-    MatrixRow("B17", "drop node={node}", RELAX, 4, rows=("B17",)),
-    MatrixRow("N01", "reset node={node}", RELAX, 2, rows=("N01", "N11", "B17"),
+    MatrixRow("B17", "drop node={node}", RELAX, 4, accepted_faults=("B17",)),
+    MatrixRow("N01", "reset node={node}", RELAX, 2, accepted_faults=("N01", "N11", "B17"),
         extra_ms=REPORT_DELAY_MS, extra_ticks=RESTART_TICKS),
-    MatrixRow("N01", "reset node={node}", RELAX, 2, rows=("N01", "N11", "B17"), stages=(ARMING_STAGE,),
+    MatrixRow("N01", "reset node={node}", RELAX, 2, accepted_faults=("N01", "N11", "B17"), stages=(ARMING_STAGE,),
         protocols=(MIT, CIA402, ROBSTRIDE),
         extra_ticks=RESTART_TICKS),
     MatrixRow("N02", "drop node=sensors", RELAX, 1, 30.0, ("N02",), ALL_STAGES),
-    MatrixRow("N02", "off node={node}", RELAX, 5, rows=("B17", "B02", "N01"), stages=ALL_STAGES),
+    MatrixRow("N02", "off node={node}", RELAX, 5, accepted_faults=("B17", "B02", "N01"), stages=ALL_STAGES),
     MatrixRow("N04", "stuck encoder={node}", RELAX, 2, 500.0, ("N04", "T04", "N05", "N06"), (FREE_STAGE,)),
     MatrixRow("N04", "stuck joint={joint}", RELAX, 2, 500.0, ("N04", "N06", "T08"), (FREE_STAGE,)),
-    MatrixRow("N05", "offset encoder={node} size={jump}", RELAX, 3, rows=("N05",)),
+    MatrixRow("N05", "offset encoder={node} size={jump}", RELAX, 3, accepted_faults=("N05",)),
     MatrixRow("N06", "drift joint={joint} size=0.8", RELAX, 4, 900.0, ("N06", "T08")),
     MatrixRow("N07", "noise encoder={node} size={rough}", HOLD, 4, 60.0, ("N07", "N05")),
-    MatrixRow("N08", "watchdog node={node}", RELAX, 2, rows=("N08",), stages=ALL_STAGES,
+    MatrixRow("N08", "watchdog node={node}", RELAX, 2, accepted_faults=("N08",), stages=ALL_STAGES,
         protocols=(MIT, ODRIVE, CIA402, MOTEUS),
         extra_ms=REPORT_DELAY_MS),
-    MatrixRow("N08", "watchdog node={node}", RELAX, 2, rows=("N08", "N01"), stages=ALL_STAGES,
+    MatrixRow("N08", "watchdog node={node}", RELAX, 2, accepted_faults=("N08", "N01"), stages=ALL_STAGES,
         protocols=(ROBSTRIDE,)),
-    MatrixRow("N09", "hot node={node} size=95", RELAX, 22, rows=("N09b",), protocols=CONFIRMING_PROTOCOLS,
+    MatrixRow("N09", "hot node={node} size=95", RELAX, 22, accepted_faults=("N09b",), protocols=CONFIRMING_PROTOCOLS,
         extra_ms={ODRIVE: 200.0}),
-    MatrixRow("N09", "hot node={node} size=80", WARN, 22, rows=("N09a",), protocols=CONFIRMING_PROTOCOLS,
+    MatrixRow("N09", "hot node={node} size=80", WARN, 22, accepted_faults=("N09a",), protocols=CONFIRMING_PROTOCOLS,
         extra_ms={ODRIVE: 200.0}),
-    MatrixRow("N10", "voltage node={node}", RELAX, 2, rows=("N10",), stages=ALL_STAGES,
+    MatrixRow("N10", "voltage node={node}", RELAX, 2, accepted_faults=("N10",), stages=ALL_STAGES,
         extra_ms=REPORT_DELAY_MS),
-    MatrixRow("N11", "error node={node}", RELAX, 2, rows=("N11",), stages=ALL_STAGES,
+    MatrixRow("N11", "error node={node}", RELAX, 2, accepted_faults=("N11",), stages=ALL_STAGES,
         extra_ms=REPORT_DELAY_MS),
-    MatrixRow("N11", "error node={node} size=3", CUT, 2, rows=("N11b",), protocols=(MIT,)),
-    MatrixRow("N11", "error node={node} size=0xff01", CUT, 2, rows=("N11b",), protocols=(CIA402,)),
-    MatrixRow("N11", "error node={node} size=0x20000000", CUT, 2, rows=("N11b",), protocols=(ODRIVE,),
+    MatrixRow("N11", "error node={node} size=3", CUT, 2, accepted_faults=("N11b",), protocols=(MIT,)),
+    MatrixRow("N11", "error node={node} size=0xff01", CUT, 2, accepted_faults=("N11b",), protocols=(CIA402,)),
+    MatrixRow("N11", "error node={node} size=0x20000000", CUT, 2, accepted_faults=("N11b",), protocols=(ODRIVE,),
         extra_ms=REPORT_DELAY_MS),
-    MatrixRow("N11", "error node={node} size=60", CUT, 2, rows=("N11b",), protocols=(MOTEUS,)),
-    MatrixRow("N11", "error node={node} size=0x4000", CUT, 2, rows=("N11b",), protocols=(ROBSTRIDE,)),
+    MatrixRow("N11", "error node={node} size=60", CUT, 2, accepted_faults=("N11b",), protocols=(MOTEUS,)),
+    MatrixRow("N11", "error node={node} size=0x4000", CUT, 2, accepted_faults=("N11b",), protocols=(ROBSTRIDE,)),
     MatrixRow("N12", "forget node={node}", CUT, 4, 1000.0, ("N12",), protocols=(MIT, ODRIVE, CIA402, ROBSTRIDE)),
     # Every command of this protocol contains torque limit and watchdog. The position limits, which
     # the drive forgets, remove its torque. N14 detects this.
@@ -203,15 +205,15 @@ FAULT_MATRIX: tuple[MatrixRow, ...] = (
     # A restart before the first answer to the enable command looks like a lost command. The lost
     # settings reveal it.
     MatrixRow("N12", "reset node={node}", RELAX, 4, 1000.0, ("N12", "N01", "N14"), (ARMING_STAGE,), (MOTEUS,)),
-    MatrixRow("N13", "twin node={node} seed=1", RELAX, 2, rows=("B06", "N13"), protocols=ONE_ANSWER_PROTOCOLS),
-    MatrixRow("N13", "duplicate node={node} seed=1", RELAX, 4, rows=("N13", "B06"), protocols=ONE_ANSWER_PROTOCOLS),
-    MatrixRow("N14", "disobey node={node} size=0", RELAX, 22, rows=("N14", "T02", "T04"),
+    MatrixRow("N13", "twin node={node} seed=1", RELAX, 2, accepted_faults=("B06", "N13"), protocols=ONE_ANSWER_PROTOCOLS),
+    MatrixRow("N13", "duplicate node={node} seed=1", RELAX, 4, accepted_faults=("N13", "B06"), protocols=ONE_ANSWER_PROTOCOLS),
+    MatrixRow("N14", "disobey node={node} size=0", RELAX, 22, accepted_faults=("N14", "T02", "T04"),
         stages=(GRASP_STAGE,), protocols=ONE_ANSWER_PROTOCOLS),
-    MatrixRow("N14", "runaway node={node}", RELAX, 10, rows=("N14", "T03", "N05", "T04")),
+    MatrixRow("N14", "runaway node={node}", RELAX, 10, accepted_faults=("N14", "T03", "N05", "T04")),
     MatrixRow("N14", "ripple node={node} size=0.2 hz=20", RELAX, 22, 600.0,
         ("N14b", "T03", "N07", "T01"), (GRASP_STAGE,)),
-    MatrixRow("N15", "slow node={node} size=2", WARN, 22, rows=("N15",), protocols=ONE_ANSWER_PROTOCOLS),
-    MatrixRow("N15", "slow node={node} size=4", WARN, 4, rows=("B01",), protocols=(ODRIVE,)),
+    MatrixRow("N15", "slow node={node} size=2", WARN, 22, accepted_faults=("N15",), protocols=ONE_ANSWER_PROTOCOLS),
+    MatrixRow("N15", "slow node={node} size=4", WARN, 4, accepted_faults=("B01",), protocols=(ODRIVE,)),
     MatrixRow("N16", "hold_on node={node}", CUT, 2, 100.0, ("N16",), (GRASP_STAGE,)),
     MatrixRow("N17", "swap node={node} with={other}", RELAX, 2, 1000.0, ("N17", *_EXCHANGED_DRIVE_FAULTS),
         protocols=ONE_ANSWER_PROTOCOLS),
@@ -224,33 +226,33 @@ FAULT_MATRIX: tuple[MatrixRow, ...] = (
         (FREE_STAGE,), (ODRIVE,)),
     MatrixRow("N17", "cross node={node} with={other}", RELAX, 2, 2000.0, ("N17", *_EXCHANGED_DRIVE_FAULTS),
         (FREE_STAGE,), (ODRIVE,)),
-    MatrixRow("T01", "snap tendon={tendon}", RELAX, 10, rows=("T01",), stages=(GRASP_STAGE,)),
+    MatrixRow("T01", "snap tendon={tendon}", RELAX, 10, accepted_faults=("T01",), stages=(GRASP_STAGE,)),
     MatrixRow("T02", "snap tendon={tendon}", WARN, 4, 110.0, ("T02", "T01", "N04"), (FREE_STAGE,)),
-    MatrixRow("T02", "slack tendon={tendon} size=30", WARN, 10, rows=("T02", "T01"), stages=(GRASP_STAGE,)),
-    MatrixRow("T03", "offset cell={tendon} size={trip}", RELAX, 2, rows=("T03",), stages=(GRASP_STAGE,)),
-    MatrixRow("T03", "offset cell={tendon} size={limit}", CUT, 2, rows=("T03b",), stages=(GRASP_STAGE,)),
-    MatrixRow("T03", "runaway node={node} size=1 seed=1", RELAX, 10, rows=("T03", "N14", "T06"),
+    MatrixRow("T02", "slack tendon={tendon} size=30", WARN, 10, accepted_faults=("T02", "T01"), stages=(GRASP_STAGE,)),
+    MatrixRow("T03", "offset cell={tendon} size={trip}", RELAX, 2, accepted_faults=("T03",), stages=(GRASP_STAGE,)),
+    MatrixRow("T03", "offset cell={tendon} size={limit}", CUT, 2, accepted_faults=("T03b",), stages=(GRASP_STAGE,)),
+    MatrixRow("T03", "runaway node={node} size=1 seed=1", RELAX, 10, accepted_faults=("T03", "N14", "T06"),
         stages=(GRASP_STAGE,)),
     MatrixRow("T04", "drift cell={tendon} size=60", RELAX, 2, 500.0, ("T04", "T03", "N14", "T02"),
         (GRASP_STAGE,)),
     MatrixRow("T04", "drift cell={tendon} size=-60", RELAX, 2, 500.0, ("T04", "T02", "T01"), (GRASP_STAGE,)),
     MatrixRow("T05", "stuck cell={tendon}", RELAX, 42, 300.0, ("T05", "T04"), (GRASP_STAGE,)),
-    MatrixRow("T05", "old cell={tendon} size=16", RELAX, 20, rows=("T05b",)),
-    MatrixRow("T05", "old cell={tendon} size=50", RELAX, 20, rows=("T05b",)),
-    MatrixRow("T06", "saturate cell={tendon} size=1", RELAX, 4, rows=("T06",), stages=ALL_STAGES),
-    MatrixRow("T06", "saturate cell={tendon} size=-1", RELAX, 4, rows=("T06", "T01"), stages=ALL_STAGES),
+    MatrixRow("T05", "old cell={tendon} size=16", RELAX, 20, accepted_faults=("T05b",)),
+    MatrixRow("T05", "old cell={tendon} size=50", RELAX, 20, accepted_faults=("T05b",)),
+    MatrixRow("T06", "saturate cell={tendon} size=1", RELAX, 4, accepted_faults=("T06",), stages=ALL_STAGES),
+    MatrixRow("T06", "saturate cell={tendon} size=-1", RELAX, 4, accepted_faults=("T06", "T01"), stages=ALL_STAGES),
     MatrixRow("T08", "offset joint={joint} size=0.5", RELAX, 8, 400.0, ("T08", "N06", "N05")),
-    MatrixRow("H01", HOST_PREFIX + "late 0.4", Action.PASS, 1, rows=("H01",)),
-    MatrixRow("H02", HOST_PREFIX + "skip 1", WARN, 1, rows=("H02",)),
-    MatrixRow("H03", HOST_PREFIX + "skip 14", RELAX, 1, rows=("H03",)),
-    MatrixRow("H04", HOST_PREFIX + "io suspended", RELAX, 1, rows=("H04",)),
-    MatrixRow("H06", HOST_PREFIX + "ask stop", RELAX, 1, rows=("",), stages=ALL_STAGES),
-    MatrixRow("H06", HOST_PREFIX + "ask cut", CUT, 1, rows=("",), stages=ALL_STAGES),
-    MatrixRow("H08", HOST_PREFIX + "io recorder disk_full", WARN, 1, rows=("H08",)),
-    MatrixRow("H09", HOST_PREFIX + "io recorder dropped", WARN, 1, rows=("H09",)),
-    MatrixRow("H10", HOST_PREFIX + "io recorder gone", WARN, 1, rows=("H10",)),
-    MatrixRow("H13", "foreign node={node}", RELAX, 2, rows=("H13",), stages=ALL_STAGES),
-    MatrixRow("I07", HOST_PREFIX + "ask nonsense 3", RELAX, 1, rows=("I07b",)),
+    MatrixRow("H01", HOST_PREFIX + "late 0.4", Action.PASS, 1, accepted_faults=("H01",)),
+    MatrixRow("H02", HOST_PREFIX + "skip 1", WARN, 1, accepted_faults=("H02",)),
+    MatrixRow("H03", HOST_PREFIX + "skip 14", RELAX, 1, accepted_faults=("H03",)),
+    MatrixRow("H04", HOST_PREFIX + "io suspended", RELAX, 1, accepted_faults=("H04",)),
+    MatrixRow("H06", HOST_PREFIX + "ask stop", RELAX, 1, accepted_faults=("",), stages=ALL_STAGES),
+    MatrixRow("H06", HOST_PREFIX + "ask cut", CUT, 1, accepted_faults=("",), stages=ALL_STAGES),
+    MatrixRow("H08", HOST_PREFIX + "io recorder disk_full", WARN, 1, accepted_faults=("H08",)),
+    MatrixRow("H09", HOST_PREFIX + "io recorder dropped", WARN, 1, accepted_faults=("H09",)),
+    MatrixRow("H10", HOST_PREFIX + "io recorder gone", WARN, 1, accepted_faults=("H10",)),
+    MatrixRow("H13", "foreign node={node}", RELAX, 2, accepted_faults=("H13",), stages=ALL_STAGES),
+    MatrixRow("I07", HOST_PREFIX + "ask nonsense 3", RELAX, 1, accepted_faults=("I07b",)),
 )  # fmt: skip
 """Rows for all faults that the simulator or the control loop can inject while the hand is armed."""
 
@@ -319,8 +321,8 @@ def texts_of_fault(hand: Hand, fault: str, period_ms: float) -> list[str]:
         return [fault]
     sizes = {
         "late": max(MIN_LATE_MS, MIN_LATE_TICKS * period_ms),
-        "jump": JUMP_RAD * max(1.0, period_ms / JUMP_MS),
-        "rough": NOISE_RAD * max(1.0, (period_ms / NOISE_MS) ** 2),
+        "jump": POSITION_JUMP_RAD * max(1.0, period_ms / POSITION_JUMP_MS),
+        "rough": POSITION_NOISE_RAD * max(1.0, (period_ms / POSITION_NOISE_MS) ** 2),
     }
     words = {name: f"{size:g}" for name, size in sizes.items()}
     return [fault.format(**words, **instance) for instance in _instance_values(hand, fault)]

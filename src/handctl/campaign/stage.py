@@ -22,13 +22,13 @@ from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
-from handctl.processes import run_in_copy
+from handctl.processes import run_in_forked_copy
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
 from handctl.session.plan import default_rate
 from handctl.session.simulate import SimulatedRun, SimulatorSettings
 
-FIRST_NODE = 0x10
+FIRST_NODE_NUMBER = 0x10
 """Node id of the first motor in a hand whose drives have been replaced."""
 DATA_BITRATE = 5_000_000
 """Bit rate of the data phase on the buses of a hand whose drives need CAN FD [bit/s]."""
@@ -75,7 +75,7 @@ def with_drives(hand: Hand, protocol: str) -> Hand:
         motor.model_copy(
             update={
                 "protocol": protocol,
-                "node_id": FIRST_NODE + i,
+                "node_id": FIRST_NODE_NUMBER + i,
                 "options": dict(traits.options),
             }
         )
@@ -118,11 +118,13 @@ def homed_run(
     controller = make_controller(
         hand, packaged_gains(hand.name), rate_hz, program, None, arm_at_once=True
     )
-    with SimulatorSettings(hand, "cylinder", seed, perturb, homed=True).against(controller) as run:
+    with SimulatorSettings(hand, "cylinder", seed, perturb, homed=True).begin_run(
+        controller
+    ) as run:
         yield run
 
 
-def advance_to(simulation: SimulatedRun, stage: str) -> None:
+def advance_to_stage(simulation: SimulatedRun, stage: str) -> None:
     """Simulate a run up to a given stage.
 
     Raises:
@@ -144,7 +146,7 @@ def advance_to(simulation: SimulatedRun, stage: str) -> None:
         )
         return bool(free if stage == FREE_STAGE else holds)
 
-    if not simulation.until(reached, STAGE_TIMEOUT_S):
+    if not simulation.run_until(reached, STAGE_TIMEOUT_S):
         failure = simulation.state.failure or simulation.state.mode.name
         raise ConfigError(
             f"the simulated hand does not reach stage {stage}: {failure}",
@@ -181,9 +183,9 @@ T = TypeVar("T", bound=StagedRun)
 def run_experiments(
     hand: Hand,
     rate_hz: float,
-    todo: Sequence[T],
+    experiments: Sequence[T],
     jobs: int,
-    attempt: Callable[[SimulatedRun, T], ScenarioResult],
+    run_experiment: Callable[[SimulatedRun, T], ScenarioResult],
     on_result: Callable[[ScenarioResult], None],
     on_failure: Callable[[SimulatedRun, ScenarioResult], None],
     seed: int = 0,
@@ -194,19 +196,21 @@ def run_experiments(
     """
     with homed_run(hand, rate_hz, seed) as simulation:
         for stage in RUN_STAGES:
-            experiments_at_stage = [experiment for experiment in todo if experiment.stage == stage]
+            experiments_at_stage = [
+                experiment for experiment in experiments if experiment.stage == stage
+            ]
             if experiments_at_stage:
-                advance_to(simulation, stage)
+                advance_to_stage(simulation, stage)
                 run_in_branches(
-                    simulation, experiments_at_stage, jobs, attempt, on_result, on_failure
+                    simulation, experiments_at_stage, jobs, run_experiment, on_result, on_failure
                 )
 
 
 def run_in_branches(
     simulation: SimulatedRun,
-    todo: Sequence[T],
+    experiments: Sequence[T],
     jobs: int,
-    attempt: Callable[[SimulatedRun, T], ScenarioResult],
+    run_experiment: Callable[[SimulatedRun, T], ScenarioResult],
     on_result: Callable[[ScenarioResult], None],
     on_failure: Callable[[SimulatedRun, ScenarioResult], None],
 ) -> None:
@@ -217,21 +221,21 @@ def run_in_branches(
 
     Args:
         simulation: simulation at the stage of the experiments. The simulation stays unchanged.
-        todo: experiments to run.
+        experiments: experiments to run.
         jobs: number of copies that run at the same time.
-        attempt: function that runs an experiment in a copy and returns the result.
+        run_experiment: function that runs an experiment in a copy and returns the result.
         on_result: function called in this process with each result.
         on_failure: function called in the copy of a failed experiment, with simulation and result.
     """
     running: dict[int, tuple[int, T]] = {}
-    waiting = list(todo)
+    waiting = list(experiments)
     while waiting or running:
         while waiting and len(running) < jobs:
             experiment = waiting.pop(0)
-            child, reading = run_in_copy(
+            child, reading = run_in_forked_copy(
                 partial(
-                    _run_one,
-                    partial(attempt, simulation, experiment),
+                    _run_to_json,
+                    partial(run_experiment, simulation, experiment),
                     partial(on_failure, simulation),
                 )
             )
@@ -242,11 +246,11 @@ def run_in_branches(
             on_result(_read_result(reading, experiment, status))
 
 
-def _run_one(
-    attempt: Callable[[], ScenarioResult], on_failure: Callable[[ScenarioResult], None]
+def _run_to_json(
+    run_experiment: Callable[[], ScenarioResult], on_failure: Callable[[ScenarioResult], None]
 ) -> str:
     """Run an experiment, call `on_failure` if the result is not ok, and return the result as JSON."""
-    result = attempt()
+    result = run_experiment()
     if not result.ok:
         on_failure(result)
     return json.dumps(asdict(result))

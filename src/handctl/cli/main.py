@@ -236,7 +236,9 @@ def verb_parser(name: str) -> VerbParser:
     text = VERB_HELP[name]
     example = _import_arguments(name).EXAMPLES[name]
     parser = VerbParser(
-        prog=f"handctl {name}", description=f"{text[0].upper()}{text[1:]}.", epilog=example.epilog()
+        prog=f"handctl {name}",
+        description=f"{text[0].upper()}{text[1:]}.",
+        epilog=example.help_epilog(),
     )
     getattr(_import_arguments(name), name)(parser)
     return parser

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS, TELEMETRY_FIRST
 from handctl.log.header import RunHeader
 from handctl.log.record import (
-    FRAME_SIZE,
+    FRAME_RECORD_BYTES,
     TICK_HEAD_STRUCT,
     TICK_SIZES_STRUCT,
     TickRecord,
@@ -52,13 +52,13 @@ class FrameBatch(NamedTuple):
 
     Attributes:
         frames: (m,) the frames, as FRAME_DTYPE.
-        tick: (m,) index of the tick of each frame.
+        tick_indexes: (m,) index of the tick of each frame.
         long_data: payload bytes after the eighth of all frames longer than eight bytes, in the
             order of the frames.
     """
 
     frames: NDArray[np.void]
-    tick: NDArray[np.intp]
+    tick_indexes: NDArray[np.intp]
     long_data: bytes
 
 
@@ -105,7 +105,7 @@ def row_fields(header: RunHeader, width: int) -> tuple[str, ...]:
 
 def column_count(header: RunHeader, fields: tuple[str, ...]) -> int:
     """Return the number of columns that the given telemetry fields need."""
-    return sum(len(header.axis(TELEMETRY_AXES[name])) for name in fields)
+    return sum(len(header.axis_names(TELEMETRY_AXES[name])) for name in fields)
 
 
 def columns_of_fields(
@@ -120,7 +120,7 @@ def columns_of_fields(
     slices = {}
     start = 0
     for name in fields:
-        size = len(header.axis(TELEMETRY_AXES[name]))
+        size = len(header.axis_names(TELEMETRY_AXES[name]))
         slices[name] = slice(start, start + size)
         start += size
     return slices
@@ -140,7 +140,7 @@ class _FrameCollector:
     counts: list[int] = field(default_factory=list)
     long_parts: list[bytes] = field(default_factory=list)
 
-    def frames(self) -> FrameBatch:
+    def collected_frames(self) -> FrameBatch:
         """Return the collected frames of all ticks."""
         tick = np.repeat(np.arange(len(self.counts)), self.counts)
         return FrameBatch(
@@ -149,10 +149,10 @@ class _FrameCollector:
 
 
 class TickBatcher:
-    """Collector for tick records. Method `take` returns the collected ticks as a batch.
+    """Collector for tick records. Method `take_batch` returns the collected ticks as a batch.
 
     Attributes:
-        misshapen: number of ticks whose telemetry does not have the shape described in the header.
+        misshapen_ticks: number of ticks whose telemetry does not have the shape described in the header.
         size: total length of the records collected so far [bytes].
     """
 
@@ -163,11 +163,11 @@ class TickBatcher:
             header: header of the run, with the number of telemetry columns.
         """
         self._sizes = tuple(
-            len(header.axis(name)) for name in ("joint", "tendon", "motor", "digit")
+            len(header.axis_names(name)) for name in ("joint", "tendon", "motor", "digit")
         )
-        self._width = sum(len(header.axis(axis)) for axis in TELEMETRY_AXES.values())
+        self._width = sum(len(header.axis_names(axis)) for axis in TELEMETRY_AXES.values())
         self._phase_of_tail: dict[bytes, str] = {}
-        self.misshapen = 0
+        self.misshapen_ticks = 0
         self._clear()
 
     def _clear(self) -> None:
@@ -183,10 +183,10 @@ class TickBatcher:
         """Return the number of ticks in the batch."""
         return len(self._messages)
 
-    def add(self, body: bytes) -> int:
+    def add_tick(self, body: bytes) -> int:
         """Add one tick, and return the time of the tick since the start of the run [ns].
 
-        Telemetry of a wrong shape becomes NaN, and `misshapen` counts the tick.
+        Telemetry of a wrong shape becomes NaN, and `misshapen_ticks` counts the tick.
 
         Args:
             body: body of a tick record, see `handctl.log.record`.
@@ -195,7 +195,7 @@ class TickBatcher:
         message = body[TICK_SIZES_STRUCT.size : TICK_SIZES_STRUCT.size + size]
         numbers = body[TICK_SIZES_STRUCT.size + size :]
         if tuple(sizes) != self._sizes or len(numbers) != 8 * self._width:
-            self.misshapen += 1
+            self.misshapen_ticks += 1
             numbers = np.full(self._width, np.nan).tobytes()
         self._numbers.append(numbers)
         self._add_frames(message)
@@ -208,10 +208,10 @@ class TickBatcher:
         parts = message_layout(message)
         for direction, part in ((self._received, parts.received), (self._sent, parts.sent)):
             direction.parts.append(message[part])
-            direction.counts.append((part.stop - part.start) // FRAME_SIZE)
+            direction.counts.append((part.stop - part.start) // FRAME_RECORD_BYTES)
         if parts.long_data.stop > parts.long_data.start:
             self._add_long(message[parts.long_data])
-        self._add_tail(message, parts.tail)
+        self._add_tail(message, parts.tail_offset)
 
     def _add_long(self, data: bytes) -> None:
         """Divide the payload bytes after the eighth between the received and the sent frames of the tick."""
@@ -243,7 +243,7 @@ class TickBatcher:
                 self._phase_of_tail[tail] = phase
         self._phases.append(phase)
 
-    def take(self) -> TickBatch:
+    def take_batch(self) -> TickBatch:
         """Return the batch of all ticks added since the last call, and begin another batch."""
         # Four bytes of CDR encapsulation precede the part of constant length in each message.
         fixed = np.frombuffer(
@@ -253,7 +253,7 @@ class TickBatcher:
         numbers = np.frombuffer(b"".join(self._numbers), "<f8").reshape(len(fixed), self._width)
         batch = TickBatch(
             self._messages, fixed["k"], fixed["t_ns"], fixed["late_ns"], fixed["mode"], fixed["action"], self._phases,
-            numbers, self._received.frames(), self._sent.frames(), self._ticks_with_events,
+            numbers, self._received.collected_frames(), self._sent.collected_frames(), self._ticks_with_events,
         )  # fmt: skip
         self._clear()
         return batch

@@ -49,7 +49,7 @@ from handctl.drives.records import (
     RecordArray,
     frames_as_records,
 )
-from handctl.log.cdr import ENCAPSULATION, CdrReader, CdrWriter
+from handctl.log.cdr import ENCAPSULATION_HEADER, CdrReader, CdrWriter
 from handctl.safety.action import Action
 
 RECORD_FRAMING_STRUCT = struct.Struct("<II")
@@ -73,25 +73,27 @@ TICK_SIZES_STRUCT = struct.Struct("<IHHHH")
 """Layout of the start of the body of a tick's record: size of the Tick message, lengths of the telemetry axes."""
 TICK_HEAD_STRUCT = struct.Struct("<qqq8sBB2xI")
 """Layout of a Tick message's first part: k, t_ns, late_ns, state hash, mode, action, number of received frames."""
-FRAME_SIZE = SHORT_RECORD_BYTES
+FRAME_RECORD_BYTES = SHORT_RECORD_BYTES
 """Size of a CAN frame in a Tick message [bytes]: the first part of a record, with eight data bytes."""
 _SHORT_FRAME_DTYPE = np.dtype(f"V{SHORT_RECORD_BYTES}")
 """numpy type of a frame in a Tick message, as raw bytes."""
-_LENGTH_AT = 15
+_LENGTH_OFFSET = 15
 """Offset of the length byte in a frame of a Tick message."""
-_DATA_AT = 16
+_DATA_OFFSET = 16
 """Offset of the data bytes in a frame of a Tick message."""
-_DATA_WORD = np.dtype("<u8")
+_DATA_WORD_DTYPE = np.dtype("<u8")
 """numpy type of the eight data bytes of a frame, as one word."""
-_SHORT_DATA = 8
+_SHORT_DATA_BYTES = 8
 """Number of data bytes in a frame of a Tick message."""
 _MAX_DATA_BYTES = 64
 """Number of data bytes in the longest CAN FD frame."""
-_DATA_MASKS = np.array([(1 << 8 * length) - 1 for length in range(_SHORT_DATA + 1)], np.uint64)
+_DATA_MASKS = np.array(
+    [(1 << 8 * length) - 1 for length in range(_SHORT_DATA_BYTES + 1)], np.uint64
+)
 """Mask of the used bytes in the data word, for each payload length from 0 to 8 bytes."""
-_LONG_INDEX = np.arange(_SHORT_DATA, _MAX_DATA_BYTES)
+_LONG_DATA_INDEXES = np.arange(_SHORT_DATA_BYTES, _MAX_DATA_BYTES)
 """Indexes of the payload bytes after the eighth."""
-_FRAMES_AT = TICK_HEAD_STRUCT.size + 4
+_FRAMES_OFFSET = TICK_HEAD_STRUCT.size + 4
 """Offset of the received frames in a Tick message [bytes]."""
 _TickHead = tuple[int, int, int, bytes, int, int, int]
 """Values of the first part of a Tick message."""
@@ -137,12 +139,12 @@ def _long_mask(records: RecordArray) -> NDArray[np.bool_]:
 
     True marks a byte of the payload.
     """
-    return np.asarray(records["length"][:, np.newaxis] > _LONG_INDEX)
+    return np.asarray(records["length"][:, np.newaxis] > _LONG_DATA_INDEXES)
 
 
 def _long_data(records: RecordArray) -> bytes:
     """Return the payload bytes after the eighth of all frames, in order."""
-    return bytes(records["data"][:, _SHORT_DATA:][_long_mask(records)].tobytes())
+    return bytes(records["data"][:, _SHORT_DATA_BYTES:][_long_mask(records)].tobytes())
 
 
 @functools.lru_cache(maxsize=64)
@@ -152,9 +154,9 @@ def _tail_without_events(phase: str) -> bytes:
     At every offset divisible by four the bytes are the same. Therefore the result is cached.
     """
     out = CdrWriter()
-    out.text(phase)
+    out.put_string(phase)
     for _ in range(3):
-        out.count(0)
+        out.put_length(0)
     return bytes(out.data)
 
 
@@ -168,17 +170,17 @@ def _message_end(start: int, phase: str, tick_in: TickIn, events: tuple[TickEven
         events: events of the tick.
     """
     out = CdrWriter(start)
-    out.text(phase)
-    out.count(len(tick_in.io_events))
+    out.put_string(phase)
+    out.put_length(len(tick_in.io_events))
     for kind, where, number in tick_in.io_events:
-        out.text(kind)
-        out.text(where)
-        out.put("q", number)
-    out.texts(tick_in.requests)
-    out.count(len(events))
+        out.put_string(kind)
+        out.put_string(where)
+        out.put_number("q", number)
+    out.put_strings(tick_in.requests)
+    out.put_length(len(events))
     for event in events:
         for text in event:
-            out.text(text)
+            out.put_string(text)
     return bytes(out.data)
 
 
@@ -206,8 +208,8 @@ def pack_tick(tick_in: TickIn, out: TickOut) -> bytes:
     long_part = _NO_LONG_DATA
     # The slice with a stride reads the length bytes of all frames, without decoding the frames.
     if (
-        max(b"".join([part[_LENGTH_AT::FRAME_SIZE] for part in beginnings]), default=0)
-        > _SHORT_DATA
+        max(b"".join([part[_LENGTH_OFFSET::FRAME_RECORD_BYTES] for part in beginnings]), default=0)
+        > _SHORT_DATA_BYTES
     ):
         long_data = _long_data(received) + _long_data(sent)
         long_part = _COUNT_STRUCT.pack(len(long_data)) + long_data + bytes(-len(long_data) % 4)
@@ -215,7 +217,7 @@ def pack_tick(tick_in: TickIn, out: TickOut) -> bytes:
     # sequence has no padding.
     padding = b"\0\0\0\0" if len(sent) else b""
     parts = [
-        ENCAPSULATION,
+        ENCAPSULATION_HEADER,
         fixed,
         beginnings[0],
         _COUNT_STRUCT.pack(len(sent)),
@@ -268,13 +270,13 @@ class MessageLayout(NamedTuple):
     Attributes:
         received, sent: slice of the received and of the sent frames.
         long_data: slice of the payload bytes after the eighth of all frames.
-        tail: offset of the phase [bytes]. The lists of events and requests follow the phase.
+        tail_offset: offset of the phase [bytes]. The lists of events and requests follow the phase.
     """
 
     received: slice
     sent: slice
     long_data: slice
-    tail: int
+    tail_offset: int
 
 
 def message_layout(message: bytes) -> MessageLayout:
@@ -285,11 +287,11 @@ def message_layout(message: bytes) -> MessageLayout:
     """
     (received,) = _COUNT_STRUCT.unpack_from(message, TICK_HEAD_STRUCT.size)
     start = TICK_HEAD_STRUCT.size + 4
-    end = TICK_HEAD_STRUCT.size + 4 + FRAME_SIZE * received
+    end = TICK_HEAD_STRUCT.size + 4 + FRAME_RECORD_BYTES * received
     (sent,) = _COUNT_STRUCT.unpack_from(message, end)
     # Padding to 8 bytes precedes the sent frames. An empty sequence of frames has no padding.
     sent_start = end + 8 if sent else end + 4
-    sent_end = sent_start + FRAME_SIZE * sent
+    sent_end = sent_start + FRAME_RECORD_BYTES * sent
     (size,) = _COUNT_STRUCT.unpack_from(message, sent_end)
     long_data = slice(sent_end + 4, sent_end + 4 + size)
     # The long bytes may end at any offset. The text that follows them is aligned to 4 bytes.
@@ -308,8 +310,8 @@ def _decode_frames(beginnings: bytes, long_data: bytes) -> tuple[Frames, bytes]:
     Raises:
         ValueError: a payload is too long, or some of its bytes are missing.
     """
-    lengths = beginnings[_LENGTH_AT::FRAME_SIZE]
-    count = len(beginnings) // FRAME_SIZE
+    lengths = beginnings[_LENGTH_OFFSET::FRAME_RECORD_BYTES]
+    count = len(beginnings) // FRAME_RECORD_BYTES
     if not count:
         return NO_FRAMES, long_data
     records = np.zeros(count, FRAME_RECORD_DTYPE)
@@ -317,28 +319,30 @@ def _decode_frames(beginnings: bytes, long_data: bytes) -> tuple[Frames, bytes]:
     longest = max(lengths)
     if longest > _MAX_DATA_BYTES:
         raise ValueError(f"payload of {longest} bytes, expected at most {_MAX_DATA_BYTES}")
-    if lengths.count(_SHORT_DATA) < count:
+    if lengths.count(_SHORT_DATA_BYTES) < count:
         _zero_unused_bytes(records)
-    if longest > _SHORT_DATA:
+    if longest > _SHORT_DATA_BYTES:
         long_mask = _long_mask(records)
         size = int(long_mask.sum())
         if size > len(long_data):
             raise ValueError("less data than frames")
-        records["data"][:, _SHORT_DATA:][long_mask] = np.frombuffer(long_data[:size], np.uint8)
+        records["data"][:, _SHORT_DATA_BYTES:][long_mask] = np.frombuffer(
+            long_data[:size], np.uint8
+        )
         long_data = long_data[size:]
     return Frames(records), long_data
 
 
 def _zero_unused_bytes(records: RecordArray) -> None:
     """Set the unused data bytes of short payloads to zero, because a bad file may have any values there."""
-    words = records.getfield(_DATA_WORD, _DATA_AT)
-    words &= _DATA_MASKS[np.minimum(records["length"], _SHORT_DATA)]
+    words = records.getfield(_DATA_WORD_DTYPE, _DATA_OFFSET)
+    words &= _DATA_MASKS[np.minimum(records["length"], _SHORT_DATA_BYTES)]
 
 
 @functools.lru_cache(maxsize=256)
 def _phase_without_events(tail: bytes) -> str | None:
     """Return the phase if the end of a Tick message has no events. Otherwise return None."""
-    phase = CdrReader(ENCAPSULATION + tail).text()
+    phase = CdrReader(ENCAPSULATION_HEADER + tail).read_string()
     return phase if _tail_without_events(phase) == tail else None
 
 
@@ -348,7 +352,7 @@ def unpack_tick(message: bytes) -> TickRecord:
     Raises:
         ValueError: the bytes are not a Tick message.
     """
-    if message[:4] != ENCAPSULATION:
+    if message[:4] != ENCAPSULATION_HEADER:
         raise ValueError("not little-endian CDR")
     try:
         parts = message_layout(message)
@@ -357,7 +361,11 @@ def unpack_tick(message: bytes) -> TickRecord:
         if rest:
             raise ValueError("more data than frames")
         return _build_tick(
-            TICK_HEAD_STRUCT.unpack_from(message, 4), frames_in, frames_out, message, parts.tail
+            TICK_HEAD_STRUCT.unpack_from(message, 4),
+            frames_in,
+            frames_out,
+            message,
+            parts.tail_offset,
         )
     except struct.error as error:
         raise ValueError(f"the message ends early: {error}") from None
@@ -380,15 +388,18 @@ def _build_tick(
         return _tick_without_events(fixed, received, sent, phase)
     k, t_ns, late_ns, state_hash, mode, action, _ = fixed
     reader = CdrReader(message)
-    reader.take(tail - 4)
-    phase = reader.text()
+    reader.read_bytes(tail - 4)
+    phase = reader.read_string()
     io_events = tuple(
-        IoEvent(reader.text(), reader.text(), reader.i64()) for _ in range(reader.count())
+        IoEvent(reader.read_string(), reader.read_string(), reader.read_int64())
+        for _ in range(reader.read_length())
     )
-    requests = tuple(reader.text() for _ in range(reader.count()))
+    requests = tuple(reader.read_string() for _ in range(reader.read_length()))
     events = tuple(
-        TickEvent(reader.text(), reader.text(), reader.text(), reader.text())
-        for _ in range(reader.count())
+        TickEvent(
+            reader.read_string(), reader.read_string(), reader.read_string(), reader.read_string()
+        )
+        for _ in range(reader.read_length())
     )
     tick_in = TickIn(k, t_ns, late_ns, received, io_events, requests)
     return TickRecord(tick_in, sent, Mode(mode), phase, Action(action), events, state_hash)
@@ -428,27 +439,27 @@ def _unpack_short(messages: list[bytes]) -> list[TickRecord] | None:
     tails = list[int]()
     end = 0
     for message in messages:
-        if message[:4] != ENCAPSULATION:
+        if message[:4] != ENCAPSULATION_HEADER:
             return None
         try:
             constant_part = TICK_HEAD_STRUCT.unpack_from(message, 4)
-            sent_count = _FRAMES_AT + FRAME_SIZE * constant_part[6]
+            sent_count = _FRAMES_OFFSET + FRAME_RECORD_BYTES * constant_part[6]
             (sent,) = _COUNT_STRUCT.unpack_from(message, sent_count)
         except struct.error:
             return None
         start = sent_count + 8 if sent else sent_count + 4
-        long_count = start + FRAME_SIZE * sent
+        long_count = start + FRAME_RECORD_BYTES * sent
         if message[long_count : long_count + 4] != _NO_LONG_DATA:
             return None
         # The frames of all messages are joined and decoded in one call. Then the frames are divided
         # again at `ends`.
-        parts += message[_FRAMES_AT:sent_count], message[start:long_count]
+        parts += message[_FRAMES_OFFSET:sent_count], message[start:long_count]
         ends += end + constant_part[6], end + constant_part[6] + sent
         end = ends[-1]
         fixed.append(constant_part)
         tails.append(long_count + 4)
     beginnings = b"".join(parts)
-    if max(beginnings[_LENGTH_AT::FRAME_SIZE], default=0) > _SHORT_DATA:
+    if max(beginnings[_LENGTH_OFFSET::FRAME_RECORD_BYTES], default=0) > _SHORT_DATA_BYTES:
         return None
     records = _decode_frames(beginnings, b"")[0].records
     frames = [Frames(records[first:last]) for first, last in pairwise(ends)]

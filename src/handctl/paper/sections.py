@@ -154,7 +154,7 @@ def _bench_section(measured: Mapping[str, Any]) -> PageSection:
         "Force and displacement, measured (section 5, Fig. 5)",
         (
             "Two fingers of the simulator's bench hand are clamped, and the controller pulls their tendons to "
-            f"{force_displacement.PULL_N:g} N over the simulated bus. The encoders of the motors measure the "
+            f"{force_displacement.MAX_PULL_N:g} N over the simulated bus. The encoders of the motors measure the "
             "displacement, and the load cells measure the force. One tendon has the knee of section 5, and the "
             "other has the knee of the abstract. The "
             "softening beyond the knee is a parameter of the simulator, because the paper prints no data.",

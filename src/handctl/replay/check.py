@@ -33,7 +33,7 @@ def _check_end(log: RunLog) -> Iterator[str]:
         yield f"{len(log)} ticks, but the end record states {log.end['ticks']}"
     if int(log.end.get("dropped", 0)):
         yield f"the recorder dropped {log.end['dropped']} ticks"
-    rows = sum(1 for _ in log.packed())
+    rows = sum(1 for _ in log.packed_telemetry())
     if rows != len(log):
         yield f"{len(log)} ticks, but telemetry of {rows} ticks"
 
@@ -44,9 +44,9 @@ def _check_counters(log: RunLog) -> Iterator[str]:
     if (steps < 1).any():
         yield f"tick {int(log.k[1:][steps < 1][0])} follows a later tick"
     for gap in log.gaps:
-        if gap.after <= gap.before:
+        if gap.first_after <= gap.last_before:
             continue
-        yield f"gap: {gap.after - gap.before - 1} ticks are missing between {gap.before} and {gap.after}"
+        yield f"gap: {gap.first_after - gap.last_before - 1} ticks are missing between {gap.last_before} and {gap.first_after}"
 
 
 def _check_clock(log: RunLog) -> Iterator[str]:
@@ -92,7 +92,13 @@ def _check_chain(log: RunLog) -> Iterator[str]:
     """Check the hash chain of the log, and name the first tick with a wrong hash."""
     before = first_hash_of_run(log.header)
     broken = list[int]()
-    ticks = zip(log.k.tolist(), log.messages(), log.packed(), log.tick_digests(), strict=False)
+    ticks = zip(
+        log.k.tolist(),
+        log.tick_messages(),
+        log.packed_telemetry(),
+        log.tick_digests(),
+        strict=False,
+    )
     for k, message, numbers, digest in ticks:
         if tick_hash(before, message, numbers) != digest:
             broken.append(k)

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 MAX_DELAY_S = 0.2
 """Largest delay between two signals that the comparison can find [s]."""
-MIN_MOTION = 0.05
+MIN_SIGNAL_SPAN = 0.05
 """Smallest range of a signal from which a delay is computed, as a fraction of the signal's largest value."""
 MAX_UNEXPLAINED_FRACTION = 0.1
 """Largest fraction of the first signal's variance that may remain as a difference after the shift by the delay.
@@ -101,7 +101,7 @@ def signal_delay(before: Array, after: Array, period: float) -> float:
     if np.isnan(before).any() or np.isnan(after).any():
         return float("nan")
     reach = min(round(MAX_DELAY_S / period), len(before) // 4)
-    if reach < 1 or not np.ptp(before) > MIN_MOTION * np.abs(before).max():
+    if reach < 1 or not np.ptp(before) > MIN_SIGNAL_SPAN * np.abs(before).max():
         return float("nan")
     inner = slice(reach, len(before) - reach)
     # `roll` moves rows from one end of the signal to the other end. `inner` excludes these rows.
@@ -157,7 +157,7 @@ def compare_runs(
             factor * resampled_field(*run, times)
             for run in ((a, field, start_a), (b, field, start_b))
         )
-        result[f"{axis}_{unit}"] = compare_signals(a.header.axis(axis), before, after, period)
+        result[f"{axis}_{unit}"] = compare_signals(a.header.axis_names(axis), before, after, period)
     return result
 
 

@@ -28,8 +28,8 @@ class _StoredTick(NamedTuple):
 
     k: int
     message: bytes
-    numbers: bytes
-    digest: bytes
+    telemetry: bytes
+    chain_hash: bytes
 
 
 def first_damage(path: Path) -> str:
@@ -51,21 +51,22 @@ def first_damage(path: Path) -> str:
         for chunk in scan.chunks:
             content, defect = _intact_content(file, chunk)
             try:
-                with LogErrorContext(file.at(chunk.offset)):
+                with LogErrorContext(file.position_text(chunk.offset)):
                     channels = channels or _channel_ids(content)
                     ticks = list(_chunk_ticks(content, chunk, channels))
             except LogError as error:
-                return f"{error}; its chunk begins {_position_text(before)}"
+                return f"{error}; its chunk begins {_last_intact_tick_text(before)}"
             for tick in ticks:
                 if (
                     before
-                    and tick.digest
-                    and tick_hash(before[-HASH_SIZE:], tick.message, tick.numbers) != tick.digest
+                    and tick.chain_hash
+                    and tick_hash(before[-HASH_SIZE:], tick.message, tick.telemetry)
+                    != tick.chain_hash
                 ):
                     return f"tick {tick.k} was changed after it was written" + (
                         f": {defect}" if defect else ""
                     )
-                before = tick.k.to_bytes(8, "little") + tick.digest
+                before = tick.k.to_bytes(8, "little") + tick.chain_hash
             if defect:
                 where = _tick_range_text(ticks)
                 return f"{defect}; its ticks are intact, the topics derived from them are damaged: {where}"
@@ -77,11 +78,11 @@ def first_damage(path: Path) -> str:
 def _intact_content(file: LogFile, chunk: ChunkLocation) -> tuple[bytes, str]:
     """Return the part of a chunk that can be decompressed, and a description of the chunk's defect."""
     try:
-        return file.content(chunk), ""
+        return file.chunk_content(chunk), ""
     except LogError as error:
         defect = str(error)
     try:
-        return file.content(chunk, checked=False), defect
+        return file.chunk_content(chunk, checked=False), defect
     except LogError:
         return b"", defect
 
@@ -106,7 +107,9 @@ def _chunk_ticks(
     if not content:
         raise ValueError("a chunk that cannot be unpacked")
     parts: dict[int, list[bytes]] = {channel: [] for channel in channels}
-    for rows_of_channel in iter_messages(content, chunk.end - chunk.data, frozenset(channels)):
+    for rows_of_channel in iter_messages(
+        content, chunk.end - chunk.data_offset, frozenset(channels)
+    ):
         parts[rows_of_channel.channel] += [row.tobytes() for row in rows_of_channel.data()]
     messages, values_of, digests = (parts[channel] for channel in channels)
     if channels[2] == NO_CHANNEL:
@@ -119,7 +122,7 @@ def _chunk_ticks(
         )
 
 
-def _position_text(before: bytes) -> str:
+def _last_intact_tick_text(before: bytes) -> str:
     """Return a text about the last intact tick before the damage."""
     return (
         f"after tick {int.from_bytes(before[:8], 'little', signed=True)}"

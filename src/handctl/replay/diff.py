@@ -20,12 +20,12 @@ class PhaseSpan(NamedTuple):
 
     Attributes:
         name: name of the phase.
-        start, end: times of the start and the end, since the start of the run [s].
+        start_s, end_s: times of the start and the end, since the start of the run [s].
     """
 
     name: str
-    start: float
-    end: float
+    start_s: float
+    end_s: float
 
 
 def phase_spans(log: RunLog) -> list[PhaseSpan]:
@@ -79,9 +79,9 @@ def compare_logs(a: RunLog, b: RunLog, where: str) -> dict[str, Any]:
         if name not in second:
             continue
         other = second[name]
-        lasted = (part.end - part.start, other.end - other.start)
+        lasted = (part.end_s - part.start_s, other.end_s - other.start_s)
         moves = part.name not in PASSIVE_PHASES and min(lasted) > 0
-        shared = compare_runs(a, part.start, b, other.start, min(lasted)) if moves else {}
+        shared = compare_runs(a, part.start_s, b, other.start_s, min(lasted)) if moves else {}
         phases[name] = {"duration_s": list(lasted), **shared}
     gains = a.header.gains.keys() | b.header.gains.keys()
     return {

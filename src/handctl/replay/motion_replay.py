@@ -136,12 +136,16 @@ def compare_replay(before: RunLog, after: RunLog) -> dict[str, Any]:
         {}
         if replay_start is None
         else compare_runs(
-            before, active_interval(before)[0], after, replay_start, driven_duration(before, after)
+            before,
+            active_interval(before)[0],
+            after,
+            replay_start,
+            followed_duration_s(before, after),
         )
     )
 
 
-def driven_duration(before: RunLog, after: RunLog) -> float:
+def followed_duration_s(before: RunLog, after: RunLog) -> float:
     """Return for how long a replay followed the recording [s]."""
     start, end = active_interval(before)
     replay_start = _playback_start(after)

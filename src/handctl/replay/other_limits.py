@@ -48,7 +48,7 @@ class LimitStop(NamedTuple):
         instance: motor, tendon or bus that has the fault.
         value: reading that exceeds the limit, in the unit of the limit.
         action: the safety action of the fault.
-        logged: True if the limits of the run itself raised the same fault in this tick.
+        in_logged_run: True if the limits of the run itself raised the same fault in this tick.
     """
 
     k: int
@@ -58,7 +58,7 @@ class LimitStop(NamedTuple):
     instance: str
     value: float
     action: str
-    logged: bool
+    in_logged_run: bool
 
 
 @dataclass(frozen=True, slots=True)

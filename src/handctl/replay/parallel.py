@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 from handctl.controller.snapshot import restore_state, snapshot_bytes
 from handctl.controller.state import State
 from handctl.errors import LogError
-from handctl.processes import run_in_copy
+from handctl.processes import run_in_forked_copy
 from handctl.replay.log_runner import DifferenceTally, LogRunner
 from handctl.replay.tick_difference import TickDifference
 
-MIN_TICKS = 200
+MIN_TICKS_PER_PROCESS = 200
 """Smallest number of ticks for which a further process is started."""
 PROGRESS_PERIOD_S = 0.2
 """Interval between reports of progress while the first process waits for the others [s]."""
@@ -62,7 +62,7 @@ class ProgressCounts:
         self._done: NDArray[np.int64] = np.frombuffer(mmap.mmap(-1, 8 * processes), np.int64)
         self._progress = progress
 
-    def of(self, process: int) -> Callable[[int], None]:
+    def counter_of_process(self, process: int) -> Callable[[int], None]:
         """Return a function that counts the executed ticks of a process.
 
         The function of the first process, which is the calling process, also reports progress.
@@ -71,11 +71,11 @@ class ProgressCounts:
         def count_ticks(ticks: int) -> None:
             self._done[process] += ticks
             if process == 0:
-                self.report()
+                self.report_total()
 
         return count_ticks
 
-    def report(self) -> None:
+    def report_total(self) -> None:
         """Report the number of ticks that all processes have executed."""
         self._progress(int(self._done.sum()))
 
@@ -92,9 +92,15 @@ def run_parallel(
     """
     parts = split_log(runner, workers)
     counts = ProgressCounts(len(parts), progress)
-    running = [_start_worker(runner, part, counts.of(i)) for i, part in enumerate(parts) if i]
+    running = [
+        _start_worker(runner, part, counts.counter_of_process(i))
+        for i, part in enumerate(parts)
+        if i
+    ]
     try:
-        state, total = runner.run(parts[0].start, parts[0].stop, parts[0].state, None, counts.of(0))
+        state, total = runner.execute_part(
+            parts[0].start, parts[0].stop, parts[0].state, None, counts.counter_of_process(0)
+        )
         for worker in running:
             # If the hashes are equal, the worker's part started from the state that a serial
             # execution has here.
@@ -104,8 +110,8 @@ def run_parallel(
                 else None
             )
             if result is None:
-                _, remainder = runner.run(
-                    worker.part.start, len(runner.log), state, None, counts.of(0)
+                _, remainder = runner.execute_part(
+                    worker.part.start, len(runner.log), state, None, counts.counter_of_process(0)
                 )
                 return total.merged_with(remainder)
             state, tally = result
@@ -130,7 +136,7 @@ def split_log(runner: LogRunner, workers: int) -> list[LogPart]:
         for index, tick in zip(at, snapshot_ticks, strict=True)
         if index < ticks and k[index] == tick
     ]
-    count = min(workers, max(ticks // MIN_TICKS, 1), len(usable) + 1)
+    count = min(workers, max(ticks // MIN_TICKS_PER_PROCESS, 1), len(usable) + 1)
     nearest = [
         min(usable, key=lambda start: abs(start - ticks * i / count)) for i in range(1, count)
     ]
@@ -159,7 +165,7 @@ def _state_after(runner: LogRunner, index: int) -> State | None:
 
 def _start_worker(runner: LogRunner, part: LogPart, count: Callable[[int], None]) -> WorkerProcess:
     """Start the execution of a part in a forked copy of this process."""
-    return WorkerProcess(*run_in_copy(lambda: _result_json(runner, part, count)), part)
+    return WorkerProcess(*run_in_forked_copy(lambda: _result_json(runner, part, count)), part)
 
 
 def _result_json(runner: LogRunner, part: LogPart, count: Callable[[int], None]) -> str:
@@ -169,7 +175,7 @@ def _result_json(runner: LogRunner, part: LogPart, count: Callable[[int], None])
     the error.
     """
     try:
-        state, tally = runner.run(*part, None, count)
+        state, tally = runner.execute_part(*part, None, count)
     except LogError:
         return ""
     return json.dumps({"state": snapshot_bytes(state).hex(), "tally": astuple(tally)})
@@ -190,7 +196,7 @@ def _wait_for_result(
             if not more:
                 break
             data += more
-        counts.report()
+        counts.report_total()
     if not data:
         return None
     result: dict[str, Any] = json.loads(data)

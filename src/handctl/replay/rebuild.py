@@ -55,10 +55,10 @@ def rebuild_controller(log: RunLog, gains: Gains | None = None) -> Controller:
     return logged_setup(log).controller(logged_hand(log), gains or logged_gains(log))
 
 
-D = TypeVar("D", Gains, RunSetup)
+AttachmentT = TypeVar("D", Gains, RunSetup)
 
 
-def _read_attachment(log: RunLog, name: str, model: type[D]) -> D:
+def _read_attachment(log: RunLog, name: str, model: type[AttachmentT]) -> AttachmentT:
     """Return the decoded content of an attachment of a log.
 
     Raises:

@@ -40,16 +40,16 @@ class TickDifference(NamedTuple):
 class TelemetryColumns(NamedTuple):
     """Names for the columns of `Telemetry.packed`: the telemetry field, and the joint, tendon, motor or digit."""
 
-    field: tuple[str, ...]
-    name: tuple[str, ...]
+    field_names: tuple[str, ...]
+    element_names: tuple[str, ...]
 
     @staticmethod
-    def of(header: RunHeader) -> "TelemetryColumns":
+    def from_header(header: RunHeader) -> "TelemetryColumns":
         """Return the column names for a log with this header."""
         pairs = [
             (field, name)
             for field in TELEMETRY_FIELDS
-            for name in header.axis(TELEMETRY_AXES[field])
+            for name in header.axis_names(TELEMETRY_AXES[field])
         ]
         return TelemetryColumns(
             tuple(field for field, _ in pairs), tuple(name for _, name in pairs)
@@ -103,8 +103,8 @@ def differing_fields(
             yield TickDifference(
                 k,
                 t_s,
-                columns.field[column],
-                columns.name[column],
+                columns.field_names[column],
+                columns.element_names[column],
                 was,
                 now,
                 distance_in_ulps(was, now),
@@ -132,7 +132,7 @@ def state_difference(
     if first:
         field, element, old, new = first
         axis = was.layout.axis_of(field)
-        names = header.axis(axis) if axis in ("joint", "tendon", "digit") else ()
+        names = header.axis_names(axis) if axis in ("joint", "tendon", "digit") else ()
         name = names[element % len(names)] if names else f"[{element}]"
         return TickDifference(k, t_s, f"state {field}", name, old, new, distance_in_ulps(old, new))
     for field, old_part, new_part in zip(

@@ -29,15 +29,15 @@ class TruthRecord:
     values: NDArray[np.float64]
     columns: tuple[str, ...]
 
-    def has(self, name: str) -> bool:
+    def has_column(self, name: str) -> bool:
         """Return True if the record has a column of this name."""
         return name in self.columns
 
-    def covers(self, t_ns: NDArray[np.int64]) -> bool:
+    def covers_times(self, t_ns: NDArray[np.int64]) -> bool:
         """Return True if at least one of the times lies within the record."""
         return bool(((t_ns >= self.t_ns[0]) & (t_ns <= self.t_ns[-1])).any())
 
-    def at(self, name: str, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+    def column_at(self, name: str, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return a column of the record, interpolated at times on the simulator's clock [ns].
 
         At times outside the record, the result is NaN.
@@ -61,9 +61,9 @@ class TruthRecord:
             right=np.nan,
         )
 
-    def table(self, names: list[str], t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+    def columns_at(self, names: list[str], t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return several columns of the record, interpolated at times on the simulator's clock [ns], (times, names)."""
-        return np.column_stack([self.at(name, t_ns) for name in names])
+        return np.column_stack([self.column_at(name, t_ns) for name in names])
 
 
 def read_truth(path: Path) -> TruthRecord:

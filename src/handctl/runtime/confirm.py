@@ -16,7 +16,7 @@ from typing import Any
 from handctl.core.types import Mode
 from handctl.errors import REMOVE_POWER, BusError, PowerError, UnconfirmedError
 from handctl.programs.requests import events_for_request
-from handctl.runtime.mailbox import RETRY_S, WATCH_REQUEST, StatusWatcher
+from handctl.runtime.mailbox import SEND_RETRY_PERIOD_S, WATCH_REQUEST, StatusWatcher
 
 CONFIRMATION_TIMEOUT_S = 2.0
 """Longest wait for a confirmation, and longest silence of a controller that relaxes its hand after a stop [s]."""
@@ -70,17 +70,17 @@ def send_with_confirmation(
     end = time.monotonic() + CONFIRMATION_TIMEOUT_S
     sent = False
     reason = CONTROLLER_SILENT_TEXT
-    watcher.discard()
+    watcher.discard_lines()
     while (left := end - time.monotonic()) > 0.0:
         if repeat or not sent:
             sent, reason = _try_send(watcher, data, min(left, REQUEST_REPEAT_S) if repeat else left)
         if not sent:
             if not (repeat or reason == MAILBOX_FULL_TEXT):
                 break
-            time.sleep(min(left, RETRY_S))
+            time.sleep(min(left, SEND_RETRY_PERIOD_S))
             continue
         left = max(0.0, end - time.monotonic())
-        for line in watcher.lines(min(left, REQUEST_REPEAT_S) if repeat else left):
+        for line in watcher.status_lines(min(left, REQUEST_REPEAT_S) if repeat else left):
             if (texts := events_for_request(name, line["events"])) is not None:
                 return line, texts
     raise UnconfirmedError(watcher.name, str(request["do"]), reason)

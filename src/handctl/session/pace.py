@@ -37,7 +37,7 @@ def slower_time_scale(plan: RunPlan, outcome: RunOutcome) -> float:
         outcome: outcome of the run. The simulator must still be running.
     """
     run_s = outcome.state.k * plan.period_ns / 1e9
-    controller_load = outcome.stats.cpu_s / run_s if outcome.state.k > 0 else 0.0
+    controller_load = outcome.loop_stats.cpu_s / run_s if outcome.state.k > 0 else 0.0
     measured: dict[str, float | None] = {}
     with suppress(HandctlError):
         measured = ask_simulator(find_simulator(plan.buses[0]), {"pace": True}).get("pace", {})

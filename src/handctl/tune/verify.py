@@ -34,7 +34,7 @@ ROUND_AMPLITUDES = (0.3, 1.0, 0.3, 0.6, 1.0)
 
 Before the round that is compared, both old and new gains have at least one other round.
 """
-WINDOW_S = 0.1
+RINGING_WINDOW_S = 0.1
 """Duration of the window in which oscillations of the torques are measured [s].
 
 It contains two periods of the oscillation of a drive on a blocked tendon.
@@ -84,8 +84,8 @@ class VerifyObserver:
 
     Attributes:
         hand: description of the running hand.
-        old: gains with which the run starts.
-        new: gains to verify. Only gains that a running controller accepts may differ from the old
+        old_gains: gains with which the run starts.
+        new_gains: gains to verify. Only gains that a running controller accepts may differ from the old
             gains.
         limits: limits for the rounds with the new gains.
         amplitudes: amplitudes of the rounds of the exercise.
@@ -94,8 +94,8 @@ class VerifyObserver:
     """
 
     hand: Hand
-    old: Gains
-    new: Gains
+    old_gains: Gains
+    new_gains: Gains
     limits: VerifyLimits = VerifyLimits()
     amplitudes: tuple[float, ...] = ROUND_AMPLITUDES
     old_rounds: int = OLD_GAINS_ROUNDS
@@ -119,7 +119,7 @@ class VerifyObserver:
             self._round += 1
             # The gains change in the phase `settle`, while the hand is at rest.
             if self._round == self.old_rounds + 1:
-                self._request_gains(self.new, self.old)
+                self._request_gains(self.new_gains, self.old_gains)
         self._phase = out.phase
         ringing = self._torque_rate(entry, out)
         if self._round <= self.old_rounds:
@@ -127,7 +127,7 @@ class VerifyObserver:
         elif self.rollback is None and (reason := self._violated_limit(out, ringing)):
             amplitude = self.amplitudes[self._round - 1]
             self.rollback = GainsRollback(entry.t_ns / 1e9, entry.k, amplitude, reason)
-            self._request_gains(self.old, self.new)
+            self._request_gains(self.old_gains, self.new_gains)
 
     def _request_gains(self, gains: Gains, replaced: Gains) -> None:
         """Queue a request for other gains, as far as a running controller accepts them."""
@@ -153,7 +153,7 @@ class VerifyObserver:
         # The observer does not know the control rate. It uses the mean period so far.
         period = entry.t_ns / max(entry.k, 1) / 1e9
         self._rates.append(float(np.square(torque - before).mean()) / period**2)
-        while len(self._rates) > WINDOW_S / period:
+        while len(self._rates) > RINGING_WINDOW_S / period:
             self._rates.popleft()
         return float(np.sqrt(sum(self._rates) / len(self._rates)))
 
@@ -257,7 +257,7 @@ def scores_by_round(
     if truth is None:
         real = GroundTruth(mean_angles(hand, log.field("q")), log.field("tension"))
     else:
-        real = GroundTruth.of(truth, hand, log.t_ns + offset_ns)
+        real = GroundTruth.from_record(truth, hand, log.t_ns + offset_ns)
     results = []
     for start, end in zip(starts, [*starts[1:], int(log.k[-1]) + 1], strict=True):
         part = (log.k >= start) & (log.k < end) & (log.mode == int(Mode.ACTIVE))

@@ -16,7 +16,7 @@ from handctl.errors import LogError
 from handctl.log.read.record_scan import RecordScan, scan_path
 from handctl.log.read.recover import RecoveryStatus, recover_log
 from handctl.view.scene.arrow import LOG_TIME_TIMELINE, times_since_start
-from handctl.view.scene.blueprint import dashboard
+from handctl.view.scene.blueprint import dashboard_layout
 from handctl.view.scene.geometry import mesh_chunks
 from handctl.view.scene.run_info import RunInfo
 from handctl.view.scene.styles import style_chunks
@@ -46,10 +46,10 @@ def rerun_errors(name: str) -> Iterator[None]:
 
 def run_chunks(path: Path, run: RunInfo, first_ns: int = SLICE_NS) -> Iterator[Chunk]:
     """Return all chunks of a log one after another, see `run_parts`."""
-    return chain.from_iterable(run_parts(path, run, first_ns))
+    return chain.from_iterable(run_chunks_in_parts(path, run, first_ns))
 
 
-def run_parts(
+def run_chunks_in_parts(
     path: Path, run: RunInfo, first_ns: int = SLICE_NS, scan: RecordScan | None = None
 ) -> Iterator[list[Chunk]]:
     """Yield all chunks of a log in parts. The first part has the static chunks. The run follows in the order of time.
@@ -66,12 +66,12 @@ def run_parts(
     yield [*style_chunks(run), *mesh_chunks(run), *true_shape_chunks(run)]
     with tempfile.TemporaryDirectory(prefix="handctl-view-") as folder:
         converters = TopicConverters(run)
-        complete, scan = complete_log(path, Path(folder), scan or scan_path(path))
+        complete, scan = ensure_complete_log(path, Path(folder), scan or scan_path(path))
         for part, since_ns in time_slices(complete, scan, Path(folder), first_ns):
             yield list(log_chunks(part, converters, run.name, since_ns))
 
 
-def complete_log(path: Path, folder: Path, scan: RecordScan) -> tuple[Path, RecordScan]:
+def ensure_complete_log(path: Path, folder: Path, scan: RecordScan) -> tuple[Path, RecordScan]:
     """Return the path and the scan of a complete log: the log itself, or a repaired copy of a log that ends early.
 
     Rerun omits parts of the last chunk of an incomplete log.
@@ -126,7 +126,7 @@ def _start_time(chunk: Chunk) -> int:
 
 def new_recording(run: RunInfo) -> rr.RecordingStream:
     """Return a new Rerun recording that is not yet connected to a file or a viewer."""
-    stream = rr.RecordingStream(run.application, recording_id=run.name, send_properties=False)
+    stream = rr.RecordingStream(run.application_id, recording_id=run.name, send_properties=False)
     stream.send_recording_name(run.name)
     if run.header.offset_ns:
         stream.send_recording_start_time_nanos(run.header.offset_ns)
@@ -152,7 +152,7 @@ def write_rrd(path: Path, run: RunInfo, out: Path) -> int:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(out))
     stream = new_recording(run)
     try:
-        stream.save(out, default_blueprint=dashboard(run))
+        stream.save(out, default_blueprint=dashboard_layout(run))
     except (RuntimeError, OSError) as error:
         raise LogError(f"cannot write: {error}", str(out), "a file in a writable folder") from error
     rr.send_chunks(run_chunks(path, run), recording=stream)

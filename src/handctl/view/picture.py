@@ -45,11 +45,11 @@ def draw_recording(rrd: Path, at_s: float, out: Path) -> list[str]:
     ) as running:
         clear = time.monotonic() + NOTICE_S
         client = connect_client(running)
-        wait_loaded(client, RUN_TIME_TIMELINE, int(at_s * 1e9))
+        wait_until_loaded(client, RUN_TIME_TIMELINE, int(at_s * 1e9))
         client.set_time(RUN_TIME_TIMELINE, duration=at_s, play_state="paused")
         time.sleep(max(SCREENSHOT_PAUSE_S, clear - time.monotonic()))
         png = settled_screenshot(client)
-        reports = view_reports(client)
+        reports = view_problem_reports(client)
     with atomic_path(out) as part:
         part.write_bytes(png)
     return reports
@@ -101,7 +101,7 @@ def timeline_end(state: "ViewerState", timeline: str) -> int:
     return max((line.end for line in lines if line.end is not None), default=-1)
 
 
-def wait_loaded(client: "ViewerClient", timeline: str, until: int = 0) -> None:
+def wait_until_loaded(client: "ViewerClient", timeline: str, until: int = 0) -> None:
     """Wait until a viewer has views and has loaded a recording up to a given time.
 
     A viewer gets a recording and the layout before the first data. Already then the viewer reports
@@ -126,7 +126,7 @@ def wait_loaded(client: "ViewerClient", timeline: str, until: int = 0) -> None:
     )
 
 
-def view_reports(client: "ViewerClient") -> list[str]:
+def view_problem_reports(client: "ViewerClient") -> list[str]:
     """Return the problems that the views of the dashboard report."""
     return [
         f"{view.name}: {report.severity}: {report.summary}"

@@ -13,7 +13,7 @@ class LogTail:
     """Reader of a growing log, from start to end.
 
     Attributes:
-        ended: True if the end mark of the log has been read.
+        log_ended: True if the end mark of the log has been read.
     """
 
     def __init__(self, path: Path) -> None:
@@ -24,13 +24,13 @@ class LogTail:
         """
         self._path = path
         self._sent_chunks = 0
-        self.ended = False
+        self.log_ended = False
 
-    def write_new(self, part: Path) -> int | None:
+    def write_new_chunks(self, path: Path) -> int | None:
         """Write the chunks that are new since the last call into a log that has no end.
 
         Args:
-            part: log file to write. The file also has the definitions of all topics.
+            path: log file to write. The file also has the definitions of all topics.
 
         Returns:
             the first new log time [ns]. If no new chunk is complete, the result is None, and no
@@ -43,7 +43,7 @@ class LogTail:
         scan = RecordScan()
         try:
             scan_records(file, scan)
-            self.ended = scan.complete
+            self.log_ended = scan.complete
             # Rerun loses messages of a chunk whose message indexes are not complete. So a chunk is
             # sent only when the next record after them exists.
             ends = [
@@ -53,14 +53,14 @@ class LogTail:
             new = scan.chunks[self._sent_chunks : len(ends)]
             if not new:
                 return None
-            with part.open("wb") as out:
+            with path.open("wb") as out:
                 # The first chunk of the log has the definitions of all topics. Every part begins
                 # with it.
                 if self._sent_chunks:
-                    out.write(file.read(0, ends[0]))
+                    out.write(file.read_range(0, ends[0]))
                 start = new[0].offset if self._sent_chunks else 0
-                out.write(file.read(start, ends[-1] - start))
+                out.write(file.read_range(start, ends[-1] - start))
         finally:
             file.close()
         self._sent_chunks = len(ends)
-        return min(chunk.first for chunk in new)
+        return min(chunk.first_ns for chunk in new)

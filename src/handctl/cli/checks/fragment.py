@@ -9,12 +9,12 @@ from handctl.drives.discovery import DiscoveredNode
 from handctl.drives.registry import PROTOCOL_ENTRIES
 from handctl.hand.file.sections import CIA404
 
-FragmentEntry = tuple[str, object, str]
+SnippetEntry = tuple[str, object, str]
 """Key, value and comment of a line in the fragment."""
 TO_FILL_IN_COMMENT = "yours: "
 MAX_TORQUE_N_M = 50.0
 """Largest torque allowed in a hand file [N m]."""
-RATED_N_M = 0.1
+DEFAULT_RATED_TORQUE_N_M = 0.1
 ENCODER_COUNTS = 65536
 
 
@@ -32,7 +32,7 @@ def hand_file_snippet(
         "# From `handctl scan`. Values that a drive reported are marked; measure the others before arming."
     ]
     for name in buses:
-        rates: list[FragmentEntry] = [("name", name, ""), ("bitrate", bitrate, "")]
+        rates: list[SnippetEntry] = [("name", name, ""), ("bitrate", bitrate, "")]
         if data_bitrate:
             rates.append(("data_bitrate", data_bitrate, ""))
         lines += ["", "[[bus]]", *map(_toml_line, rates)]
@@ -50,7 +50,7 @@ def hand_file_snippet(
 def _amplifier_section(bus: str, amplifiers: Sequence[DiscoveredNode]) -> list[str]:
     """Return the section of a hand file for the load cells on the measuring amplifiers of a bus."""
     channels = min(int(node.options.get("channels_per_node", 1)) for node in amplifiers)
-    entries: list[FragmentEntry] = [
+    entries: list[SnippetEntry] = [
         ("protocol", CIA404, ""),
         ("bus", bus, ""),
         ("channels_per_node", channels, "reported by the amplifier"),
@@ -71,7 +71,7 @@ def _motor_section(bus: str, drive: DiscoveredNode) -> list[str]:
     reported = "reported by the drive"
     settings = drive.settings
     torque = min(settings.get("torque_max_N_m", 0.1), MAX_TORQUE_N_M)
-    entries: list[FragmentEntry] = [
+    entries: list[SnippetEntry] = [
         ("name", f"{bus}_{drive.protocol}_{drive.node_id}", TO_FILL_IN_COMMENT + "a name"),
         ("protocol", drive.protocol, ""),
         ("bus", bus, ""),
@@ -112,14 +112,14 @@ def _torque_source(settings: Mapping[str, float]) -> str:
     return _source_comment("torque_max_N_m", settings, "begin small")
 
 
-def _option_lines(drive: DiscoveredNode) -> list[FragmentEntry]:
-    entries: list[FragmentEntry] = [
+def _option_lines(drive: DiscoveredNode) -> list[SnippetEntry]:
+    entries: list[SnippetEntry] = [
         (key, value, drive.origins.get(key, "reported by the drive"))
         for key, value in drive.options.items()
     ]
     if drive.protocol == "cia402":
         for key, value, where in (
-            ("rated_torque_N_m", RATED_N_M, "0x6076"),
+            ("rated_torque_N_m", DEFAULT_RATED_TORQUE_N_M, "0x6076"),
             ("counts_per_turn", ENCODER_COUNTS, "0x608F"),
         ):
             if key not in drive.options:
@@ -127,7 +127,7 @@ def _option_lines(drive: DiscoveredNode) -> list[FragmentEntry]:
     return entries
 
 
-def _toml_line(entry: FragmentEntry) -> str:
+def _toml_line(entry: SnippetEntry) -> str:
     key, value, comment = entry
     text = (
         str(value).lower()

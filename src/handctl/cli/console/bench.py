@@ -22,7 +22,7 @@ from handctl.hand.file.sections import Motor
 from handctl.hand.load import parse_toml
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.open import open_bus
-from handctl.runtime.clocks.priority import restore_priority, take_priority
+from handctl.runtime.clocks.priority import request_priority, restore_priority
 from handctl.runtime.clocks.real import RealClock
 from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
 from handctl.runtime.diagnostics.scan import BusScan, collect_frames, scan_bus
@@ -161,9 +161,9 @@ def find_drive(args: argparse.Namespace) -> DiscoveredNode:
         )
     finally:
         bus.close()
-    if result.foreign:
+    if result.foreign_frames:
         raise BusError("another host controls this bus", args.bus, "no other host: stop it")
-    for node in add_identities(result.found, args.bus, args.bitrate):
+    for node in add_identities(result.found_nodes, args.bus, args.bitrate):
         if (node.protocol, node.node_id) == (args.protocol, args.node):
             if node.twins:
                 raise DriveError(
@@ -172,7 +172,7 @@ def find_drive(args: argparse.Namespace) -> DiscoveredNode:
                     "a different node number for each drive",
                 )
             return node
-    there = ", ".join(f"{node.protocol} {node.node_id}" for node in result.found) or "nothing"
+    there = ", ".join(f"{node.protocol} {node.node_id}" for node in result.found_nodes) or "nothing"
     right = "a drive with power and the given bit rate and node number"
     raise DriveError(f"no {args.protocol} {args.node}; found: {there}", args.bus, right)
 
@@ -212,8 +212,8 @@ def open_rig(args: argparse.Namespace, drive: Drive) -> Iterator[tuple[DriveRig,
         drive: drive on the bus.
     """
     clock = RealClock(PERIOD_NS)
-    bus = open_bus(args.bus, 0, args.bitrate, args.data_bitrate, clock.of)
-    clock.spin = take_priority().realtime
+    bus = open_bus(args.bus, 0, args.bitrate, args.data_bitrate, clock.run_time_of)
+    clock.busy_wait = request_priority().realtime
     try:
         yield DriveRig(drive, bus, clock), bus
     finally:

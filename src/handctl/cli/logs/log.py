@@ -45,8 +45,8 @@ def _print_info(args: argparse.Namespace) -> int:
             "seconds": float(log.times[-1]) if len(log) else 0.0,
             "late_us": _lateness_us(log),
             "clock_steps": [step._asdict() for step in clock_steps(log.clock_pairs)],
-            "missing": sum(gap.after - gap.before - 1 for gap in log.gaps),
-            "gaps": [[gap.before, gap.after] for gap in log.gaps],
+            "missing": sum(gap.first_after - gap.last_before - 1 for gap in log.gaps),
+            "gaps": [[gap.last_before, gap.first_after] for gap in log.gaps],
             "phases": [change.name for change in log.phases],
             "events": [
                 f"{event.t_ns / 1e9:.3f} s {event.event.level}: {event.event.text}"
@@ -176,7 +176,7 @@ def _write_export(args: argparse.Namespace, logs: list[RunLog], out: Path) -> in
         from handctl.view.feed import write_rrd
         from handctl.view.scene.run_info import RunInfo
 
-        return write_rrd(args.log, RunInfo.of(log.header, args.log.stem), out)
+        return write_rrd(args.log, RunInfo.from_header(log.header, args.log.stem), out)
     if form == "parquet":
         from handctl.log.export.parquet import export_parquet
 
@@ -203,7 +203,7 @@ def _recover_log(args: argparse.Namespace) -> int:
         recovery = recover_log(args.log, output)
     status = recovery.status.name.lower()
     if args.json:
-        lost = [list(part) for part in recovery.lost]
+        lost = [list(part) for part in recovery.lost_ranges]
         result = {
             "status": status,
             "messages": recovery.messages,

@@ -13,7 +13,7 @@ from handctl.replay.motion_replay import (
     active_interval,
     compare_replay,
     count_missing_ticks,
-    driven_duration,
+    followed_duration_s,
     playback_program,
 )
 from handctl.replay.rebuild import logged_hand
@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
         outcome = run_live(plan, make_controller(plan, program, calibration, arm_at_once=True), log)
         with RunLog(log) as after:
             result = compare_replay(before, after)
-            seconds = driven_duration(before, after)
+            seconds = followed_duration_s(before, after)
     complete = outcome.state.progress.finished
     fields = {
         "seconds": end_s - start_s,

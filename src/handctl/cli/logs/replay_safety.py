@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
         f"the limits of the run in {judgement.stopped_logged}"
     )
     for stop in judgement.stops:
-        also = "as in the run" if stop.logged else "new"
+        also = "as in the run" if stop.in_logged_run else "new"
         place = f"tick {stop.k} ({stop.t_s:.3f} s)"
         print_escaped(
             f"{place}: {stop.fault} {stop.title}: {stop.instance} {stop.value:g}: {stop.action}, {also}"

@@ -20,7 +20,7 @@ def run(args: argparse.Namespace) -> int:
     truth = read_truth(args.truth) if args.truth else None
     with RunLog(args.log) as log:
         offset = log.header.truth_offset_ns
-        if truth and not truth.covers(log.t_ns + offset):
+        if truth and not truth.covers_times(log.t_ns + offset):
             raise LogError(
                 "was recorded at another time than the log",
                 str(args.truth),

@@ -29,13 +29,15 @@ def run(args: argparse.Namespace) -> int:
     from handctl.view.scene.run_info import RunInfo
 
     with RunLog(args.log, checked=False) as log:
-        run_info = replace(RunInfo.of(log.header, args.log.stem), truth=_find_truth(args, log))
+        run_info = replace(
+            RunInfo.from_header(log.header, args.log.stem), truth=_find_truth(args, log)
+        )
         at_s = _picture_moment_s(args, log) if args.picture else 0.0
         warning = log.warning
         scan = log.scan
     code = warn_if_lossy(args.log, warning)
-    if run_info.note:
-        print_escaped(f"handctl: caution: {args.log}: {run_info.note}", error=True)
+    if run_info.missing_mesh_note:
+        print_escaped(f"handctl: caution: {args.log}: {run_info.missing_mesh_note}", error=True)
     if args.save or args.picture:
         with progress_bar("drawing" if args.picture else "writing", quiet=args.json):
             result = _write_files(args, run_info, at_s)
@@ -43,7 +45,9 @@ def run(args: argparse.Namespace) -> int:
         result = {}
         _show_in_viewer(args.log, run_info, scan)
     if args.json:
-        print_json(result | {"log": args.log, "warning": warning, "note": run_info.note})
+        print_json(
+            result | {"log": args.log, "warning": warning, "note": run_info.missing_mesh_note}
+        )
     return code
 
 
@@ -59,7 +63,7 @@ def _find_truth(args: argparse.Namespace, log: Any) -> Any:
     if args.truth is None and not (log.header.deterministic and beside.is_file()):
         return None
     truth = read_truth(args.truth or beside)
-    if truth.covers(log.t_ns + log.header.truth_offset_ns):
+    if truth.covers_times(log.t_ns + log.header.truth_offset_ns):
         return truth
     if args.truth is None:
         return None

@@ -75,9 +75,9 @@ def run(args: argparse.Namespace) -> int:
             seed=args.seed,
         )
     write_page(folder / "report.html", report)
-    write_text_atomically(folder / "report.json", json.dumps(report.plain(), indent=1))
+    write_text_atomically(folder / "report.json", json.dumps(report.as_json(), indent=1))
     _print_report(report, folder, args.json)
-    figures = report.plain()
+    figures = report.as_json()
     return ExitCode.FAILED if figures["late"] or figures["false_alarms"] else ExitCode.DONE
 
 
@@ -90,7 +90,7 @@ def report_folder(args: argparse.Namespace) -> Path:
 
 def _print_report(report: CampaignReport, folder: Path, as_json: bool) -> None:
     if as_json:
-        print_json(report.plain() | {"report": folder / "report.html"})
+        print_json(report.as_json() | {"report": folder / "report.html"})
         return
     for line in summary_lines(report):
         print(line)
@@ -109,8 +109,8 @@ def failure_log_writer(folder: Path) -> Callable[[SimulatedRun, ScenarioResult],
         recorder = Recorder.start(
             path, run_header(plan, simulation.controller, None, lockstep=True)
         )
-        for entry, out in simulation.recorded:
-            recorder.record(pack_tick_record(entry, out))
+        for entry, out in simulation.recorded_ticks:
+            recorder.send_record(pack_tick_record(entry, out))
         recorder.close(result.problem)
 
     return write_log

@@ -17,14 +17,14 @@ from handctl.errors import ConfigError
 from handctl.session.exit_codes import ExitCode
 from handctl.session.plan import default_rate
 
-MAX_COUNT = 1_000_000
+MAX_SEQUENCES = 1_000_000
 
 
 def run(args: argparse.Namespace) -> int:
     """Run random sequences of faults, and report the violated rules. Return the exit code."""
     for name, value, maximum in (
         ("--jobs", args.jobs, MAX_JOBS),
-        ("--count", args.count, MAX_COUNT),
+        ("--count", args.count, MAX_SEQUENCES),
     ):
         if not 1 <= value <= maximum:
             raise ConfigError(f"{value}", name, f"1 to {maximum}")
@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
         "worst_tension_N": max(result.tension for result in results),
     }
     if args.json:
-        print_json(figures | {"results": [result.plain() for result in broken]})
+        print_json(figures | {"results": [result.as_json() for result in broken]})
     else:
         print(
             f"{len(results)} sequences, {figures['felt']} faults with an effect; {len(broken)} violated a rule"

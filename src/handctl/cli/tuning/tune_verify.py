@@ -16,9 +16,9 @@ from handctl.cli.console.plan import check_perturb, find_calibration, make_plan,
 from handctl.cli.console.screen import rich_console
 from handctl.cli.console.verbosity import print_note
 from handctl.errors import ConfigError
-from handctl.session.calibration import ensure_calibration, homed_calibration, identified_in
+from handctl.session.calibration import ensure_calibration, homed_calibration, identified_in_file
 from handctl.session.exit_codes import ExitCode
-from handctl.session.gains import gain_assignments, gains_for
+from handctl.session.gains import gain_assignments, read_gains_for_hand
 from handctl.session.plan import RunPlan, check_gain_margins, commission_log, default_log
 from handctl.session.run import RunOutcome, make_controller, run_live, run_lockstep
 from handctl.session.simulate import SimulatorSettings
@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
     if args.lockstep:
         refuse_bus_options(args)
     plan = make_plan(args, lockstep=args.lockstep)
-    new = gains_for(plan.hand, args.candidate, plan.tell)
+    new = read_gains_for_hand(plan.hand, args.candidate, plan.show_notice)
     check_gain_margins(plan.hand, new.gains, plan.rate_hz)
     old = plan.gains
     base = old.model_copy(update={"filter": new.gains.filter})
@@ -86,12 +86,12 @@ def _run_once(
             calibration = ensure_calibration(plan, path, reason, run_live, commission_log(log))
         controller = make_controller(plan, program, calibration, True)
         return run_live(plan, controller, log, observer=observer), None
-    calibration = homed_calibration(plan.hand, identified_in(args.calibration, plan.hand))
+    calibration = homed_calibration(plan.hand, identified_in_file(args.calibration, plan.hand))
     truth = log.with_suffix(".truth")
     perturb = gain_assignments(args.perturb, "--perturb")
-    with SimulatorSettings(args.hand, None, args.seed, perturb, homed=True, truth=truth).clock(
-        plan.period_ns
-    ) as clock:
+    with SimulatorSettings(
+        args.hand, None, args.seed, perturb, homed=True, truth=truth
+    ).lockstep_clock(plan.period_ns) as clock:
         return run_lockstep(
             plan, make_controller(plan, program, calibration, True), log, clock, observer
         ), truth

@@ -81,30 +81,30 @@ def tick_hashes(before: bytes, ticks: Iterable[tuple[bytes, bytes]]) -> Iterator
 def chain_message() -> MessageTemplate:
     """Return the template of a handctl_msgs/Chain message."""
     out = TemplateWriter()
-    out.header()
-    out.place("digest", "|u1", HASH_SIZE)
-    return out.template()
+    out.put_header()
+    out.put_field("digest", "|u1", HASH_SIZE)
+    return out.finished_template()
 
 
 class ChainTopic:
     """Topic with the chain hash of every tick.
 
     Attributes:
-        last: chain hash of the latest tick.
+        last_hash: chain hash of the latest tick.
     """
 
     def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:
         """Register the topic, and start the chain with the hash of the header."""
         self._stream = MessageStream(
-            registry.add(CHAIN_TOPIC, "handctl_msgs/Chain"), chain_message()
+            registry.register_topic(CHAIN_TOPIC, "handctl_msgs/Chain"), chain_message()
         )
-        self.last = first_hash_of_run(header)
+        self.last_hash = first_hash_of_run(header)
 
     def blocks(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
         """Return messages with the chain hashes of all ticks of a batch."""
         numbers = (row.tobytes() for row in batch.numbers)
-        hashes = list(tick_hashes(self.last, zip(batch.messages, numbers, strict=True)))
-        self.last = hashes[-1]
+        hashes = list(tick_hashes(self.last_hash, zip(batch.messages, numbers, strict=True)))
+        self.last_hash = hashes[-1]
         digests: NDArray[np.uint8] = np.frombuffer(b"".join(hashes), np.uint8).reshape(
             -1, HASH_SIZE
         )

@@ -50,20 +50,20 @@ class DiagnosticStatus:
 def encode_diagnostic_array(t_ns: int, statuses: list[DiagnosticStatus]) -> bytes:
     """Encode a diagnostic_msgs/DiagnosticArray."""
     out = CdrWriter()
-    out.put("I", t_ns // 10**9)
-    out.put("I", t_ns % 10**9)
-    out.text("")
-    out.count(len(statuses))
+    out.put_number("I", t_ns // 10**9)
+    out.put_number("I", t_ns % 10**9)
+    out.put_string("")
+    out.put_length(len(statuses))
     for status in statuses:
-        out.put("B", status.level)
-        out.text(status.name)
-        out.text(status.text)
-        out.text(status.hardware)
-        out.count(len(status.values))
+        out.put_number("B", status.level)
+        out.put_string(status.name)
+        out.put_string(status.text)
+        out.put_string(status.hardware)
+        out.put_length(len(status.values))
         for key, value in status.values.items():
-            out.text(key)
-            out.text(value)
-    return out.message()
+            out.put_string(key)
+            out.put_string(value)
+    return out.finished_message()
 
 
 def temperature_template() -> MessageTemplate:
@@ -73,10 +73,10 @@ def temperature_template() -> MessageTemplate:
     that is not in /tf, the viewer Rerun would find several root frames and show no hand.
     """
     out = TemplateWriter()
-    out.header(ROOT_FRAME)
-    out.place("temperature", "<f8")
-    out.place("variance", "<f8")
-    return out.template()
+    out.put_header(ROOT_FRAME)
+    out.put_field("temperature", "<f8")
+    out.put_field("variance", "<f8")
+    return out.finished_template()
 
 
 class HealthTopics:
@@ -90,10 +90,14 @@ class HealthTopics:
         """Register the topics."""
         self._header = header
         self._columns = columns_of_fields(header)
-        self._diagnostics = registry.add("/diagnostics", "diagnostic_msgs/DiagnosticArray")
+        self._diagnostics = registry.register_topic(
+            "/diagnostics", "diagnostic_msgs/DiagnosticArray"
+        )
         self._temperatures = [
             MessageStream(
-                registry.add(f"/actuator/{motor}/temperature", "sensor_msgs/Temperature"),
+                registry.register_topic(
+                    f"/actuator/{motor}/temperature", "sensor_msgs/Temperature"
+                ),
                 temperature_template(),
             )
             for motor in header.motors
@@ -113,11 +117,15 @@ class HealthTopics:
             self._count_frames(batch, start, index + 1)
             if len(messages) < len(selected):
                 messages.append(
-                    encode_diagnostic_array(int(stamps.log[index]), self._statuses(batch, index))
+                    encode_diagnostic_array(
+                        int(stamps.log_times[index]), self._statuses(batch, index)
+                    )
                 )
             start = index + 1
         if messages:
-            blocks.append(variable_length_block(self._diagnostics, stamps.at(selected), messages))
+            blocks.append(
+                variable_length_block(self._diagnostics, stamps.selected(selected), messages)
+            )
         return blocks
 
     def _temperature_runs(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
@@ -128,7 +136,7 @@ class HealthTopics:
         if not len(selected):
             return []
         values = batch.numbers[selected, self._columns["motor_temperature"]]
-        at = stamps.at(selected)
+        at = stamps.selected(selected)
         return [
             stream.block(at, {"temperature": values[:, [index]]})
             for index, stream in enumerate(self._temperatures)
@@ -150,7 +158,7 @@ class HealthTopics:
     def _count_frames(self, batch: TickBatch, start: int, end: int) -> None:
         """Count the frames and io events of the ticks with index `start` up to, but not including, `end`."""
         for direction, frames in enumerate((batch.received, batch.sent)):
-            first, last = np.searchsorted(frames.tick, (start, end))
+            first, last = np.searchsorted(frames.tick_indexes, (start, end))
             bus = np.bincount(frames.frames["bus"][first:last], minlength=len(self._frames))
             self._frames[:, direction] += bus[: len(self._frames)]
         for index in range(start, end):

@@ -24,7 +24,7 @@ class RecorderProcess(NamedTuple):
     child: "subprocess.Popen[bytes]"
     pipe: int
 
-    def end(self) -> None:
+    def end_process(self) -> None:
         """End the recorder process at once, and close both pipes."""
         os.close(self.pipe)
         self.child.kill()
@@ -68,7 +68,7 @@ def recorder_process_ahead() -> Iterator[None]:
         yield
     finally:
         while _started_ahead:
-            _started_ahead.pop().end()
+            _started_ahead.pop().end_process()
 
 
 def take_recorder_process() -> RecorderProcess:

@@ -127,7 +127,7 @@ class RecorderSession:
                 self._writer.flush()
             # `clean` is the last time at which no tick was waiting to be written. So
             # MAX_UNWRITTEN_S counts from the oldest waiting tick.
-            if not (self._writer and self._writer.pending):
+            if not (self._writer and self._writer.has_pending_ticks):
                 clean = now
             if self._writer and now >= next_sync:
                 next_sync = now + SYNC_PERIOD_S
@@ -138,7 +138,7 @@ class RecorderSession:
     def _take_record(self, kind: int, body: bytes) -> None:
         """Process one record from the controller."""
         if kind == TICK_RECORD_KIND and self._writer:
-            self._writer.add(body)
+            self._writer.add_tick(body)
         elif kind == SNAPSHOT_RECORD_KIND and self._writer:
             self._writer.add_snapshot(body)
         elif kind == FILE_RECORD_KIND:

@@ -131,7 +131,7 @@ class Recorder:
     def _abandon_process(self) -> None:
         """End a recorder process that did not start properly."""
         self._ended = True
-        self._process.end()
+        self._process.end_process()
 
     def _close_notes(self) -> None:
         """Close the pipe for the recorder's notes."""
@@ -159,7 +159,7 @@ class Recorder:
                 return False
         return True
 
-    def record(self, data: bytes) -> bool:
+    def send_record(self, data: bytes) -> bool:
         """Send one record. A real-time run does not wait for a full pipe. A deterministic run waits.
 
         Args:
@@ -190,7 +190,7 @@ class Recorder:
         self.dropped += 1
         return False
 
-    def events(self) -> tuple[IoEvent, ...]:
+    def take_events(self) -> tuple[IoEvent, ...]:
         """Return the events of the recorder since the last call. Their kind is "recorder".
 
         `where` is one of:

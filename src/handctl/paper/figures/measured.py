@@ -10,23 +10,23 @@ from handctl.paper.bench import payload
 from handctl.paper.bench.force_displacement import TendonCurve
 from handctl.paper.figures.style import BLUE, GREEN, GREY, ORANGE, PURPLE, RED
 
-SIZE_FORCE = (7.6, 5.0)
-SIZE_PAYLOAD = (9.6, 6.4)
+FORCE_FIGURE_SIZE_IN = (7.6, 5.0)
+PAYLOAD_FIGURE_SIZE_IN = (9.6, 6.4)
 AXIS_COLOURS = (BLUE, ORANGE, GREEN)
 
 
 def draw_force_displacement(figure: Any, curves: Sequence[TendonCurve]) -> None:
     """Draw the curves of both tendons, the two knees that the paper states, and the stress limit of section 5."""
     axes = figure.subplots()
-    allowed = float(src.GRIP_FINGER_N * src.tension_per_newton(src.paper_finger()))
-    top = 1.12 * float(max(src.KNEES_N))
+    allowed = float(src.FINGER_GRIP_FORCE_N * src.tension_per_newton(src.paper_finger()))
+    top = 1.12 * float(max(src.KNEE_TENSIONS_N))
     end = 1.08 * max(float(curve.displacement.max()) for curve in curves)
     axes.axhspan(allowed, top, color=RED, alpha=0.07, linewidth=0)
     axes.axhline(allowed, color=RED, linewidth=1.2)
     wire = src.wire_diameter_mm(allowed)
     text = f"above: more than the 190 MPa allowed in the {wire:.4f} mm wire"
     axes.text(0.985 * end, allowed - 3, text, color=RED, fontsize=8.5, ha="right", va="top")
-    for knee, name in zip(src.KNEES_N, ("section 5", "abstract"), strict=True):
+    for knee, name in zip(src.KNEE_TENSIONS_N, ("section 5", "abstract"), strict=True):
         axes.axhline(float(knee), color=GREY, linewidth=1.0, linestyle=(0, (5, 3)))
         axes.text(
             0.02 * end,
@@ -119,7 +119,7 @@ def _draw_bars(axes: Any, results: Sequence[Mapping[str, Any]]) -> None:
             [f"{sign}{height:.2f}" for sign, height in zip(more, heights, strict=True)],
             fontsize=8.5,
         )
-        bounds = [payload.bound_kg(rows[axis]) for axis in payload.LOAD_DIRECTIONS]
+        bounds = [payload.friction_bound_kg(rows[axis]) for axis in payload.LOAD_DIRECTIONS]
         axes.plot(
             positions, bounds, "_", color="black", markersize=20, markeredgewidth=1.6, zorder=4,
             label="Coulomb's bound, all normal forces before loading" if k == 2 else None)  # fmt: skip
@@ -137,7 +137,7 @@ def _draw_bars(axes: Any, results: Sequence[Mapping[str, Any]]) -> None:
 
 def _draw_lines(axes: Any) -> None:
     """Draw lines at the payload of the paper, and at the payload with friction on both sides of the object."""
-    both = 2.0 * float(src.payload_kg(src.FINGER_COUNT * src.GRIP_FINGER_N))
+    both = 2.0 * float(src.payload_kg(src.FINGER_COUNT * src.FINGER_GRIP_FORCE_N))
     edge = len(payload.LOAD_DIRECTIONS) - 0.6
     for value, colour, text in (
         (float(src.PAYLOAD_KG), RED, f"paper:\n{src.PAYLOAD_KG} kg"),

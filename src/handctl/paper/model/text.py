@@ -78,7 +78,7 @@ def _check_palm_joint() -> ErrataItem:
     angles = {
         name
         for term in equations.KINETIC_TERMS
-        for name in term.right.names
+        for name in term.correct.names
         if name.startswith("dth")
     }
     readings = [joints - 1 == len(angles), joints == len(angles)]
@@ -103,7 +103,9 @@ def _depends_on(term: Sequence[EquationTerm], name: str) -> bool:
     """Return True if the energy of some terms depends on the rate with a name."""
     states = random_states()
     moved = {**states, name: states[name] + 1.0}
-    change = sum(np.abs(each.right.value(moved) - each.right.value(states)) for each in term)
+    change = sum(
+        np.abs(each.correct.evaluate(moved) - each.correct.evaluate(states)) for each in term
+    )
     return bool(np.max(change) > RELATIVE_TOLERANCE)
 
 
@@ -111,8 +113,8 @@ def _check_phalanges() -> ErrataItem:
     """Check whether the energies of the links are independent, as if the links were separate fingers."""
     # In one finger, the energy of link 2 depends on the rate of link 1, and that of link 3 on the
     # rate of link 2.
-    apart = not _depends_on(equations.KINETIC_2, "dth1") and not _depends_on(
-        equations.KINETIC_3, "dth2"
+    apart = not _depends_on(equations.KINETIC_TERMS_2, "dth1") and not _depends_on(
+        equations.KINETIC_TERMS_3, "dth2"
     )
     return ErrataItem(
         "sec1.fingers", "Sec. 1", "three fingers: the first is proximal, the second middle, the third distal",

@@ -19,7 +19,7 @@ from handctl.runtime.buses.contract import Bus
 from handctl.runtime.clocks.real import TickClock
 from handctl.runtime.diagnostics.scan import collect_frames
 
-LISTEN_S = 0.5
+LISTEN_DURATION_S = 0.5
 """Time for which the bus is observed for another host, before the first frame is sent [s]."""
 STALE_AFTER_S = 0.5
 """Age above which a reading is too old to be shown [s]."""
@@ -36,7 +36,7 @@ class SensorReading(NamedTuple):
     value: float = math.nan
     t_ns: int = -1
 
-    def at(self, t_ns: int) -> float:
+    def value_at(self, t_ns: int) -> float:
         """Return the value, or NaN if the value is older than ``STALE_AFTER_S`` at the time ``t_ns`` [ns]."""
         return (
             self.value if self.t_ns >= 0 and t_ns - self.t_ns <= STALE_AFTER_S * 1e9 else math.nan
@@ -85,9 +85,9 @@ class BusWatch:
         self.tensions = {index: SensorReading() for channels in cells for index in channels}
         self.angles = {index: SensorReading() for channels in encoders for index in channels}
 
-    def other_host(
+    def find_other_host(
         self,
-        for_s: float = LISTEN_S,
+        for_s: float = LISTEN_DURATION_S,
         listen: Callable[[Bus, float, list[Frame]], None] = collect_frames,
     ) -> str:
         """Listen for a time [s], and return the identifier of the first frame that only a host sends.
@@ -103,7 +103,7 @@ class BusWatch:
             (f"{frame.can_id:#x}" for frame in seen if (frame.bus, frame.can_id) in own), ""
         )
 
-    def tick(self) -> None:
+    def run_tick(self) -> None:
         """Wait for the next tick, process all received frames, and send the requests of the tick."""
         self.clock.wait(self.k)
         for bus in self.buses:
@@ -122,12 +122,12 @@ class BusWatch:
         self._send(out)
         self.k += 1
 
-    def release(self) -> None:
+    def send_release(self) -> None:
         """Send the frames after which the drives accept that the host sends nothing more."""
         pairs = zip(self.drives, self.states, strict=True)
         self._send([frame for drive, state in pairs for frame in drive.release_frames(state)])
 
-    def silent(self) -> list[str]:
+    def silent_motors(self) -> list[str]:
         """Return the names of the motors whose latest feedback is older than ``STALE_AFTER_S``."""
         now = self.clock.now_ns()
         return [

@@ -165,7 +165,7 @@ class DigitLoad:
     varying: DigitModel | None = None
 
     @staticmethod
-    def of(digit: DigitModel) -> "DigitLoad":
+    def from_digit(digit: DigitModel) -> "DigitLoad":
         """Return the constants of a digit for the load model."""
         n = digit.joint_count
         return DigitLoad(
@@ -207,7 +207,7 @@ class DigitLoad:
             excursions_at(polynomial, limits, angle)[:, 0, 0],
         )
 
-    def tension(self, p: LoadParameters, means: SignalBins) -> Array:
+    def expected_tension(self, p: LoadParameters, means: SignalBins) -> Array:
         """Return the load-cell tension (m,) expected for a freely moving digit [N]."""
         total = self.arms.sum()
         mean = np.clip(self.mean_angle(means.travel - p.offset), 0.0, TABLE_ANGLES_RAD[-1])

@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 
 Array = NDArray[np.float64]
 
-MIN_FREEDOM = 3.0
+MIN_DEGREES_OF_FREEDOM = 3.0
 """Smallest number of degrees of freedom of a confidence interval."""
 MIN_VARIANCE_FRACTION = 1e-9
 """Lower bound of the squared contribution of the data to the variance of a parameter.
@@ -47,14 +47,14 @@ class FitSolution:
         covariance: (n, n) covariance of the parameters.
         jacobian: (rows, n) Jacobian of the residuals, in which the rows of outliers are zero.
         residual: (rows,) residuals, in which those of outliers are zero.
-        freedom: (n,) degrees of freedom of the variance of each parameter.
+        degrees_of_freedom: (n,) degrees of freedom of the variance of each parameter.
     """
 
     z: Array
     covariance: Array
     jacobian: Array
     residual: Array
-    freedom: Array
+    degrees_of_freedom: Array
 
 
 def solve_least_squares(
@@ -128,4 +128,6 @@ def _parameter_covariance(jacobian: Array, residual: Array, times: Array) -> tup
     wider = np.sqrt(np.maximum(np.diag(robust) / np.diag(plain), 1.0))
     shares = np.array(expected) / np.sum(expected, axis=0)
     freedom = 1.0 / np.maximum((shares[1:] ** 2).sum(axis=0), MIN_VARIANCE_FRACTION)
-    return np.asarray(plain * np.outer(wider, wider)), np.asarray(np.maximum(freedom, MIN_FREEDOM))
+    return np.asarray(plain * np.outer(wider, wider)), np.asarray(
+        np.maximum(freedom, MIN_DEGREES_OF_FREEDOM)
+    )

@@ -72,14 +72,14 @@ class StepOscillation:
     Attributes:
         angle_rad: largest oscillation of a mean joint angle after the angle step, peak to peak
             [rad].
-        free_N: largest oscillation of a true tension after the angle step, peak to peak [N].
+        free_tension_N: largest oscillation of a true tension after the angle step, peak to peak [N].
         hold_swings_N: (N,) oscillation of each tendon's true tension after the tension step, peak
             to peak [N].
         failure: reason why the run ended early, else empty.
     """
 
     angle_rad: float
-    free_N: float
+    free_tension_N: float
     hold_swings_N: tuple[float, ...]
     failure: str = ""
 
@@ -89,11 +89,11 @@ class StepOscillation:
         return max(self.hold_swings_N)
 
     @property
-    def at_rest(self) -> bool:
+    def is_at_rest(self) -> bool:
         """Return True if all oscillations are small enough for a hand at rest."""
         small = (
             self.angle_rad <= MAX_ANGLE_SWING_RAD
-            and self.free_N <= MAX_FREE_SWING_N
+            and self.free_tension_N <= MAX_FREE_SWING_N
             and self.largest_hold_swing <= MAX_HOLD_SWING_N
         )
         return small and not self.failure
@@ -111,7 +111,7 @@ class StepOscillation:
         if self.failure:
             return self.failure
         angle = np.degrees(self.angle_rad)
-        return f"swings by {angle:.2f} deg, {self.free_N:.1f} N free and {self.largest_hold_swing:.1f} N held"
+        return f"swings by {angle:.2f} deg, {self.free_tension_N:.1f} N free and {self.largest_hold_swing:.1f} N held"
 
 
 def simulate_swing(
@@ -150,7 +150,7 @@ def _measure_swing(
         round(model.period * 1e9),
         dtype=np.int64,
     )
-    real = GroundTruth.of(truth, hand, times)
+    real = GroundTruth.from_record(truth, hand, times)
     return _peak_to_peak(real.angle), _peak_to_peak(real.tension)
 
 
@@ -262,7 +262,7 @@ class RestTest:
         )
         for name, (factors, seed) in cases.items():
             result = simulate_swing(self.hand, model, factors, seed)
-            if result.at_rest:
+            if result.is_at_rest:
                 continue
             # A simulation without feedback shows how much the plant itself oscillates.
             ringing = is_loop_ringing(model, linear_factors(factors))
@@ -271,7 +271,7 @@ class RestTest:
                 or ringing
                 or not result.minus_plant_swings(
                     self._plant_swing(model, name, factors, seed)
-                ).at_rest
+                ).is_at_rest
             ):
                 return f": {name} {result}{' of a loop that oscillates' if ringing else ''}"
         return ""

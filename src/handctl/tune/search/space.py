@@ -9,12 +9,12 @@ from handctl.core.gains.gains import Gains
 class GainRange(NamedTuple):
     """Range of a gain in a search.
 
-    If `log` is True, the search is uniform in the logarithm of the gain.
+    If `is_logarithmic` is True, the search is uniform in the logarithm of the gain.
     """
 
     low: float
     high: float
-    log: bool
+    is_logarithmic: bool
 
 
 GAIN_RANGES = {

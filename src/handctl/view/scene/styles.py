@@ -12,9 +12,9 @@ from handctl.view.scene.arrow import static_chunk
 from handctl.view.scene.palette import Colour
 from handctl.view.scene.run_info import RunInfo
 
-ESTIMATE_WIDTH = 1.8
-COMMAND_WIDTH = 1.0
-LIMIT_WIDTH = 2.2
+ESTIMATE_LINE_WIDTH = 1.8
+COMMAND_LINE_WIDTH = 1.0
+LIMIT_LINE_WIDTH = 2.2
 """Width of the lines for tension limits [points].
 
 The widths above are for estimates and commands.
@@ -32,11 +32,14 @@ def style_chunks(run: RunInfo) -> Iterator[Chunk]:
     yield _line_style(
         "/bus/load",
         buses,
-        [palette.digit_colour(i).mixed(palette.NEUTRAL_COLOUR, 0.4) for i in range(len(buses))],
+        [
+            palette.digit_colour(i).mixed_with(palette.NEUTRAL_COLOUR, 0.4)
+            for i in range(len(buses))
+        ],
         1.4,
     )
     for name, axis in TELEMETRY_AXES.items():
-        names = run.header.axis(axis)
+        names = run.header.axis_names(axis)
         yield _line_style(
             f"/controller/{name}", names, [palette.digit_colour(i) for i in range(len(names))], 1.2
         )
@@ -57,7 +60,7 @@ def _band_style(entity: str, names: Sequence[str], colours: Sequence[Colour], un
     style = rr.Measurements.columns(
         names=list(names),
         colors=list(colours),
-        widths=[ESTIMATE_WIDTH] * len(names),
+        widths=[ESTIMATE_LINE_WIDTH] * len(names),
         units=[unit] * len(names),
     )
     return static_chunk(entity, style.partition([len(names)]))
@@ -79,10 +82,12 @@ def _tension_styles(run: RunInfo) -> Iterator[Chunk]:
         "/tension/command",
         ["command"] * len(names),
         [palette.dimmed_colour(colour) for colour in colours],
-        COMMAND_WIDTH,
+        COMMAND_LINE_WIDTH,
     )
-    limits = [f"limit {limit:g} N" for limit in run.limits]
-    yield _line_style("/tension/limit", limits, [palette.LIMIT_COLOUR] * len(limits), LIMIT_WIDTH)
+    limits = [f"limit {limit:g} N" for limit in run.tension_limits_N]
+    yield _line_style(
+        "/tension/limit", limits, [palette.LIMIT_COLOUR] * len(limits), LIMIT_LINE_WIDTH
+    )
 
 
 def _angle_styles(run: RunInfo) -> Iterator[Chunk]:
@@ -96,7 +101,7 @@ def _angle_styles(run: RunInfo) -> Iterator[Chunk]:
             f"/angle/{digit.name}/command",
             command_names,
             [palette.NEUTRAL_COLOUR] * len(names),
-            COMMAND_WIDTH,
+            COMMAND_LINE_WIDTH,
         )
 
 
@@ -108,7 +113,7 @@ def _force_styles(run: RunInfo) -> Iterator[Chunk]:
     for index, digit in zip(
         colour_numbers(run.hand.digit_names), run.hand.digit_names, strict=True
     ):
-        colour = palette.digit_colour(index).mixed(palette.WHITE, 0.3)
+        colour = palette.digit_colour(index).mixed_with(palette.WHITE, 0.3)
         yield static_chunk(f"/force/{digit}", rr.CoordinateFrame.columns(frame=[f"{digit}_tip"]))
         yield static_chunk(f"/force/{digit}", rr.Arrows3D.columns(colors=[colour]))
 
