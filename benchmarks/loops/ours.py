@@ -98,8 +98,8 @@ def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, lo
         else controller.begin
     )
     loop = ControlLoop(
-        clock, plan.period_ns, [bus], begin, cut, counter.requests, lambda: list(recorder.take_events()), record, counter,
-        tick_priority=awake_processors,
+        clock, plan.period_ns, [bus], begin, cut, counter.requests, lambda: list(recorder.take_events()), record,
+        counter, tick_priority=awake_processors,
     )  # fmt: skip
     state = loop.run(controller.initial())
     recorder.close("done")

@@ -156,7 +156,7 @@ class HandctlLog(Leader):
         """
         super().__init__(config)
         with RunLog(Path(config.log)) as log:
-            self.joints = log.column_names("q")
+            self.joints = log.names("q")
             active = log.mode == Mode.ACTIVE
             goal = log.field("q_goal")[active]
             # The joints of a digit that holds a tension have no commanded angles. Their estimated

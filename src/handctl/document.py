@@ -32,7 +32,7 @@ class Document(BaseModel):
     )
 
 
-DocumentT = TypeVar("D", bound=Document)
+DocumentT = TypeVar("DocumentT", bound=Document)
 
 
 def load_document(path: Path, model: type[DocumentT]) -> DocumentT:

@@ -62,7 +62,7 @@ def test_every_field_comes_back_bit_for_bit(
         for name in TELEMETRY_FIELDS:
             expected = np.array([getattr(telemetry, name) for telemetry in recorded])
             assert log.field(name).tobytes() == expected.tobytes(), name
-            assert log.field(name).shape == (len(log), len(log.column_names(name)))
+            assert log.field(name).shape == (len(log), len(log.names(name)))
 
 
 def test_a_log_without_the_latest_fields_is_read(

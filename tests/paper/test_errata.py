@@ -266,13 +266,13 @@ def test_inverse_kinematics_reaches_the_points_of_the_path() -> None:
 
 def test_the_parts_of_a_closing_motion_add_up() -> None:
     fast, slow = motion.closing_torques("index", 0.15), motion.closing_torques("index", 0.6)
-    assert fast.peak_tension_N("inertia") == pytest.approx(
-        16.0 * slow.peak_tension_N("inertia"), rel=1e-6
+    assert fast.peak_tension("inertia") == pytest.approx(
+        16.0 * slow.peak_tension("inertia"), rel=1e-6
     )
-    assert fast.peak_tension_N("Coriolis") == pytest.approx(
-        16.0 * slow.peak_tension_N("Coriolis"), rel=1e-6
+    assert fast.peak_tension("Coriolis") == pytest.approx(
+        16.0 * slow.peak_tension("Coriolis"), rel=1e-6
     )
-    assert fast.peak_tension_N("gravity") == pytest.approx(slow.peak_tension_N("gravity"), rel=1e-9)
+    assert fast.peak_tension("gravity") == pytest.approx(slow.peak_tension("gravity"), rel=1e-9)
     digit = motion.upright_digit("index")
     weight = sum(gravity_torque(digit, (0.0, 0.0, 0.0)))
     assert weight > 0.0

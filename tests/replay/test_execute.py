@@ -218,7 +218,7 @@ def test_other_gains_give_other_commands_and_a_figure(fresh: Path, tmp_path: Pat
         commands = CommandCollector()
         execute_log(log, stiff, commands.add_tick)
         change = command_change(log, commands)
-        assert commands.motor_torque_N_m.shape == log.field("motor_torque_goal").shape
+        assert commands.motor_torques.shape == log.field("motor_torque_goal").shape
         draw_commands(tmp_path / "change.png", log, commands, "a run with other gains")
     assert all(size["peak"] > 0.01 for size in change["motor_torque_N_m"].values())
     assert (tmp_path / "change.png").read_bytes().startswith(b"\x89PNG")

@@ -46,7 +46,7 @@ def both(fresh: Path, monkeypatch: pytest.MonkeyPatch) -> Both:
             return original_tick(controller, before, entry)
 
         monkeypatch.setattr(Controller, "tick", tick)
-        monkeypatch.setattr(parallel, "MIN_TICKS", 50)
+        monkeypatch.setattr(parallel, "MIN_TICKS_PER_PROCESS", 50)
         with RunLog(fresh) as log:
             return execute_log(log), execute_log(log, workers=3)
 
@@ -161,7 +161,7 @@ def test_a_refusal_of_the_controller_is_reported_with_any_number_of_processes(bo
 def test_a_wrong_snapshot_is_not_used_as_a_start(
     fresh: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(parallel, "MIN_TICKS", 50)
+    monkeypatch.setattr(parallel, "MIN_TICKS_PER_PROCESS", 50)
     with RunLog(fresh) as log:
         runner = courses.LogRunner.from_log(log)
         assert len(parallel.split_log(runner, 3)) == 3

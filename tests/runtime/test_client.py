@@ -75,7 +75,7 @@ def test_replies_to_other_programs_are_ignored(alone, monkeypatch, theirs):
             theirs, f"asked: move by {sent[-1]['by']}", reply, "asked: move by somebody", theirs
         )
 
-    monkeypatch.setattr(alone._watcher, "lines", heard)
+    monkeypatch.setattr(alone._watcher, "status_lines", heard)
     reply = "move index 3"
     alone.move(index=3, wait=False)
     reply = "refused: the hand is not ready yet"

@@ -221,9 +221,10 @@ def test_a_flood_neither_blocks_nor_delays_a_stop() -> None:
 @pytest.mark.parametrize(
     "data",
     [
-        b"", b"HCT1", b"x" * 1000, HEADER_STRUCT.pack(b"HCT0", 1, 1, 0, 0, 0), HEADER_STRUCT.pack(TARGET_MAGIC, 1, 1, 2, 0,
-        0) + bytes(8),
-        HEADER_STRUCT.pack(TARGET_MAGIC, 1, 1, 2**32 - 1, 0, 0), HEADER_STRUCT.pack(TARGET_MAGIC, 1, 1, 65, 0, 0) + bytes(8 * 65),
+        b"", b"HCT1", b"x" * 1000, HEADER_STRUCT.pack(b"HCT0", 1, 1, 0, 0, 0),
+        HEADER_STRUCT.pack(TARGET_MAGIC, 1, 1, 2, 0, 0) + bytes(8),
+        HEADER_STRUCT.pack(TARGET_MAGIC, 1, 1, 2**32 - 1, 0, 0),
+        HEADER_STRUCT.pack(TARGET_MAGIC, 1, 1, 65, 0, 0) + bytes(8 * 65),
     ],
 )  # fmt: skip
 def test_a_datagram_of_another_form_is_dropped(data: bytes) -> None:

@@ -89,7 +89,7 @@ def test_the_live_view_sends_the_same_meshes(
         "send_chunks",
         lambda chunks, recording: sent.extend(chunk.entity_path for chunk in chunks),
     )
-    monkeypatch.setattr(follow, "FLUSH_S", 0.05)  # short, as there is no viewer
+    monkeypatch.setattr(follow, "FLUSH_TIMEOUT_S", 0.05)  # short, as there is no viewer
     run = run_info_of(mesh_log)
     follower = follow.LogFollower(mesh_log, run, "rerun+http://127.0.0.1:1/proxy")
     follower.close()

@@ -42,7 +42,7 @@ def test_every_number_of_the_controller_is_there_under_its_name(
         one = recorded[f"/controller/{name}"]
         np.testing.assert_array_equal(one.times, log.t_ns)
         np.testing.assert_array_equal(one.table("Scalars:scalars"), log.field(name))
-        assert tuple(one.static["SeriesLines:names"]) == log.column_names(name)
+        assert tuple(one.static["SeriesLines:names"]) == log.names(name)
 
 
 def test_tension_has_its_band_command_and_limit(recorded: dict[str, Entity], log: RunLog) -> None:

@@ -146,7 +146,8 @@ FAULT_MATRIX: tuple[MatrixRow, ...] = (
         protocols=(ODRIVE,)),
     MatrixRow("B03", "replay node=sensors size=16", RELAX, 102, 0.0, ("B03", "N02", "B04")),
     MatrixRow("B04", "delay node=sensors size={late} for=20ms", WARN, 4, accepted_faults=("B04",)),
-    MatrixRow("B05", "duplicate node={node}", WARN, 2, accepted_faults=("B05", "N13", "B06"), protocols=ONE_ANSWER_PROTOCOLS),
+    MatrixRow("B05", "duplicate node={node}", WARN, 2, accepted_faults=("B05", "N13", "B06"),
+              protocols=ONE_ANSWER_PROTOCOLS),
     MatrixRow("B05", "duplicate node=sensors", WARN, 2, accepted_faults=("B05",)),
     MatrixRow("B06", "twin node={node}", RELAX, 2, accepted_faults=("B06",), protocols=ONE_ANSWER_PROTOCOLS),
     MatrixRow("B06", "twin node=sensors", RELAX, 2, accepted_faults=("B06",)),
@@ -205,8 +206,10 @@ FAULT_MATRIX: tuple[MatrixRow, ...] = (
     # A restart before the first answer to the enable command looks like a lost command. The lost
     # settings reveal it.
     MatrixRow("N12", "reset node={node}", RELAX, 4, 1000.0, ("N12", "N01", "N14"), (ARMING_STAGE,), (MOTEUS,)),
-    MatrixRow("N13", "twin node={node} seed=1", RELAX, 2, accepted_faults=("B06", "N13"), protocols=ONE_ANSWER_PROTOCOLS),
-    MatrixRow("N13", "duplicate node={node} seed=1", RELAX, 4, accepted_faults=("N13", "B06"), protocols=ONE_ANSWER_PROTOCOLS),
+    MatrixRow("N13", "twin node={node} seed=1", RELAX, 2, accepted_faults=("B06", "N13"),
+              protocols=ONE_ANSWER_PROTOCOLS),
+    MatrixRow("N13", "duplicate node={node} seed=1", RELAX, 4, accepted_faults=("N13", "B06"),
+              protocols=ONE_ANSWER_PROTOCOLS),
     MatrixRow("N14", "disobey node={node} size=0", RELAX, 22, accepted_faults=("N14", "T02", "T04"),
         stages=(GRASP_STAGE,), protocols=ONE_ANSWER_PROTOCOLS),
     MatrixRow("N14", "runaway node={node}", RELAX, 10, accepted_faults=("N14", "T03", "N05", "T04")),

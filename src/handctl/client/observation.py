@@ -74,7 +74,7 @@ class Observation:
         """Make an observation from a record.
 
         Args:
-            record: array of shape (), see ``runtime.observations.record_type``.
+            record: array of shape (), see ``runtime.observations.observation_dtype``.
             hand: description of the hand, for the names.
         """
         self.record = record

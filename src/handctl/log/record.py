@@ -304,7 +304,7 @@ def _decode_frames(beginnings: bytes, long_data: bytes) -> tuple[Frames, bytes]:
     """Return the decoded frames, and the rest of the long bytes, which belong to later frames.
 
     Args:
-        beginnings: first parts of the frames, FRAME_SIZE bytes each.
+        beginnings: first parts of the frames, FRAME_RECORD_BYTES bytes each.
         long_data: payload bytes after the eighth, of these frames and of later frames.
 
     Raises:

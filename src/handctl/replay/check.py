@@ -46,7 +46,8 @@ def _check_counters(log: RunLog) -> Iterator[str]:
     for gap in log.gaps:
         if gap.first_after <= gap.last_before:
             continue
-        yield f"gap: {gap.first_after - gap.last_before - 1} ticks are missing between {gap.last_before} and {gap.first_after}"
+        count = gap.first_after - gap.last_before - 1
+        yield f"gap: {count} ticks are missing between {gap.last_before} and {gap.first_after}"
 
 
 def _check_clock(log: RunLog) -> Iterator[str]:

@@ -38,12 +38,12 @@ class CommandCollector:
         self._tension.append(out.telemetry.tension_goal)
 
     @property
-    def motor_torque_N_m(self) -> Array:
+    def motor_torques(self) -> Array:
         """Return the commanded torque of each motor (ticks, M) [N m]."""
         return np.array(self._torque)
 
     @property
-    def tendon_tension_N(self) -> Array:
+    def tendon_tensions(self) -> Array:
         """Return the commanded tension of each tendon (ticks, N) [N]."""
         return np.array(self._tension)
 
@@ -52,8 +52,8 @@ def command_change(
     log: RunLog, commands: CommandCollector
 ) -> dict[str, dict[str, dict[str, float]]]:
     """Return RMS and peak of the change against the logged command, for each motor [N m] and each tendon [N]."""
-    torque = commands.motor_torque_N_m - log.field("motor_torque_goal")
-    tension = commands.tendon_tension_N - log.field("tension_goal")
+    torque = commands.motor_torques - log.field("motor_torque_goal")
+    tension = commands.tendon_tensions - log.field("tension_goal")
     return {
         "motor_torque_N_m": {
             name: rms_and_peak(torque[:, i]) for i, name in enumerate(log.header.motors)
@@ -82,12 +82,12 @@ def draw_commands(path: Path, log: RunLog, commands: CommandCollector, title: st
     rows = figure.subplots(n, 2, sharex=True, squeeze=False)
     figure.suptitle(title)
     pairs = (
-        ("tension [N]", log.header.tendons, log.field("tension_goal"), commands.tendon_tension_N),
+        ("tension [N]", log.header.tendons, log.field("tension_goal"), commands.tendon_tensions),
         (
             "torque [N m]",
             log.header.motors,
             log.field("motor_torque_goal"),
-            commands.motor_torque_N_m,
+            commands.motor_torques,
         ),
     )
     for column, (unit, names, was, now) in enumerate(pairs):

@@ -83,7 +83,7 @@ class ProgressCounts:
 def run_parallel(
     runner: LogRunner, workers: int, progress: Callable[[int], None]
 ) -> DifferenceTally:
-    """Execute a whole log in several processes. The errors are those of `LogRunner.run`.
+    """Execute a whole log in several processes. The errors are those of `LogRunner.execute_part`.
 
     Args:
         runner: the log and the controller to execute.

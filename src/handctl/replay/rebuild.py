@@ -55,7 +55,7 @@ def rebuild_controller(log: RunLog, gains: Gains | None = None) -> Controller:
     return logged_setup(log).controller(logged_hand(log), gains or logged_gains(log))
 
 
-AttachmentT = TypeVar("D", Gains, RunSetup)
+AttachmentT = TypeVar("AttachmentT", Gains, RunSetup)
 
 
 def _read_attachment(log: RunLog, name: str, model: type[AttachmentT]) -> AttachmentT:

@@ -84,7 +84,7 @@ class ObservationWriter:
 
         Args:
             bus: bus of the controller. The controller holds the lock of this bus.
-            axes: see ``record_type``.
+            axes: see ``observation_dtype``.
             description: names and constants of the hand, for the readers of the file.
 
         Raises:

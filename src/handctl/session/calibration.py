@@ -71,7 +71,7 @@ def run_commissioning(
     Raises:
         PowerError: a drive did not confirm that it is disabled.
         DriveError: a tendon, sensor or drive did not pass the commissioning. See
-            ``RunOutcome.refuse_unfinished``.
+            ``RunOutcome.check_finished``.
     """
     controller = make_controller(plan, CommissionProgram(), None, arm_at_once=True)
     outcome = runner(plan, controller, log)

@@ -2,7 +2,7 @@
 
 All lockstep runs are set up in this module.
 
-``simulate`` executes a whole run, ``SimulatedRun`` executes single ticks, and ``SimulatorSettings.clock`` is
+``simulate_controller`` executes a whole run, ``SimulatedRun`` executes single ticks, and ``SimulatorSettings.lockstep_clock`` is
 for runs with a log.
 """
 

@@ -179,7 +179,7 @@ def launch_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Star
         | environment
     )
     subprocess.run([exe, "analytics", "disable"], env=environ, check=False, capture_output=True)
-    notes = tempfile.TemporaryFile()  # noqa: SIM115 (`StartingViewer.ready` closes it)
+    notes = tempfile.TemporaryFile()  # noqa: SIM115 (`StartingViewer.wait_until_ready` closes it)
     command = [exe, "--bind", LOOPBACK_ADDRESS, "--port", "0", *arguments]
     # The viewer gets a session of its own, so that Ctrl-C in the terminal does not interrupt it.
     process = subprocess.Popen(

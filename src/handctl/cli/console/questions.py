@@ -45,8 +45,8 @@ def reader_of_choice(words: Collection[str]) -> Callable[[str], str]:
 
 
 TENDON_QUESTIONS = (
-    HandQuestion("tendons", "Tendons of a digit: one, or one for each joint (one, each)", reader_of_choice(("one", "each")),
-             "one or each"),
+    HandQuestion("tendons", "Tendons of a digit: one, or one for each joint (one, each)",
+                 reader_of_choice(("one", "each")), "one or each"),
     HandQuestion("pulley_mm", "Moment arm of the tendons at the joints [mm]", float, "a number"),
     HandQuestion("spool_mm", "Radius of the spools, to the middle of the tendon [mm]", float, "a number"),
     HandQuestion("tension_N", "Largest tension that a tendon may be commanded [N]", float, "a number"),

@@ -48,7 +48,8 @@ def run(args: argparse.Namespace) -> int:
     options = parse_options(args.option)
     args.bus = args.bus[0]
     _describe_motion(args, options, None, goal)
-    line = f"{args.protocol} {args.node} on {args.bus} is moved: {_goal_text(goal)}, at most {goal.max_torque_N_m:g} N m"
+    limit = f"at most {goal.max_torque_N_m:g} N m"
+    line = f"{args.protocol} {args.node} on {args.bus} is moved: {_goal_text(goal)}, {limit}"
     if args.dry_run:
         if args.json:
             print_json(
@@ -205,8 +206,8 @@ def _print_result(args: argparse.Namespace, goal: JogGoal, result: JogResult, of
     """Print the motion that the drive has reported."""
     if args.json:
         values = {
-            "moved_rad": result.moved_rad, "fastest_rad_s": result.max_speed_rad_s, "strongest_N_m": result.max_torque_N_m,
-            "final_rad_s": result.final_speed_rad_s,
+            "moved_rad": result.moved_rad, "fastest_rad_s": result.max_speed_rad_s,
+            "strongest_N_m": result.max_torque_N_m, "final_rad_s": result.final_speed_rad_s,
         }  # fmt: skip
         finite = {key: value if math.isfinite(value) else None for key, value in values.items()}
         done = {

@@ -31,7 +31,8 @@ def run(args: argparse.Namespace) -> int:
     program, attached = _program_of_task(args, plan)
     path, calibration, reason = find_calibration(args, plan.hand)
     if args.dry_run:
-        summary = f"{plan.hand.name}: all files are valid; {plan.rate_hz:g} Hz, bus load {100 * max(plan.bus_loads):.0f} %"
+        load = f"bus load {100 * max(plan.bus_loads):.0f} %"
+        summary = f"{plan.hand.name}: all files are valid; {plan.rate_hz:g} Hz, {load}"
         next_step = (
             f"the hand would be commissioned first: {reason}"
             if reason

@@ -82,7 +82,7 @@ def column_title(column: str) -> str:
 
 
 def table_blocks(log: RunLog) -> Iterator[TableBlock]:
-    """Yield all ticks of a log in order, as tables of at most `BLOCK_TICKS` rows."""
+    """Yield all ticks of a log in order, as tables of at most `TICKS_PER_BLOCK` rows."""
     changes = log.phases
     starts = np.array([change.k for change in changes], np.int64)
     names = [change.name for change in changes]

@@ -296,7 +296,7 @@ class RunLog:
             )
         slices = columns_of_fields(self.header, self.fields)
         if name not in slices:  # a log of an earlier version
-            return np.full((len(self), len(self.column_names(name))), np.nan)
+            return np.full((len(self), len(self.names(name))), np.nan)
         if 8 * self._width * len(self) <= _CACHE_BYTES:
             return self._numbers[:, slices[name]]
         return self._columns(slices[name])
@@ -419,7 +419,7 @@ class RunLog:
             )
             return snapshots[k]
 
-    def column_names(self, field: str) -> tuple[str, ...]:
+    def names(self, field: str) -> tuple[str, ...]:
         """Return the names of the columns of a telemetry field."""
         return self.header.axis_names(TELEMETRY_AXES[field])
 

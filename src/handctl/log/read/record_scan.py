@@ -6,7 +6,7 @@ attachments, of the data section and of the summary.
 A record consists of opcode u8, length u64, and content. The data section ends with the record
 DataEnd, which has the CRC-32 of all bytes before this record. The summary and the footer follow.
 The footer has 29 bytes: opcode u8, length u64, two offsets u64, CRC-32 u32. The file begins and
-ends with MAGIC.
+ends with MCAP_MAGIC.
 
 Source: MCAP specification.
 """

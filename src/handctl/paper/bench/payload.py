@@ -247,7 +247,8 @@ def payload_items(results: Sequence[Mapping[str, Any]]) -> list[ErrataItem]:
         reason = (
             f"Cylinder of {result['diameter_mm']:g} mm, load {AXIS_NAMES[axis]}; fingers press with "
             f"{', '.join(f'{force:.1f}' for force in fingers)} N, the thumb with {result['normal_N']['thumb']:.1f} N; "
-            f"{CRITERION_TEXTS[result['ended']]}. Coulomb's bound by all normal forces is {friction_bound_kg(result):.2f} kg."
+            f"{CRITERION_TEXTS[result['ended']]}. Coulomb's bound by all normal forces is "
+            f"{friction_bound_kg(result):.2f} kg."
         )
         rows.append(
             ErrataItem(

@@ -92,7 +92,8 @@ def _check_balance() -> list[ErrataItem]:
     torque = tension * src.SPOOL_RADIUS_MM / 1000
     return [
         ErrataItem(
-            "grip.balance", "Sec. 5 against Sec. 6", f"{src.THUMB_GRIP_FORCE_N} N thumb, {src.FINGER_GRIP_FORCE_N} N each finger",
+            "grip.balance", "Sec. 5 against Sec. 6",
+            f"{src.THUMB_GRIP_FORCE_N} N thumb, {src.FINGER_GRIP_FORCE_N} N each finger",
             float(fingers), "N", verdict_of_statement(fingers == src.THUMB_GRIP_FORCE_N),
             f"Three fingers press with {fingers} N, the thumb with {src.THUMB_GRIP_FORCE_N} N: the object would be pushed "
             f"out. For {fingers} N the thumb's tendon needs {tension} N and its motor {float(torque):g} N m.",
@@ -128,8 +129,8 @@ def _check_bending() -> ErrataItem:
     ratio = float(2 * src.PULLEY_RADIUS_MM) / diameter
     return ErrataItem(
         "wire.bending", "Sec. 5", "r_p = 3 mm, wire 0.86 mm", ratio, "", verdict_of_statement(ratio >= MIN_BEND_RATIO),
-        f"Ratio of pulley diameter to rope diameter. Engineering practice requires at least {MIN_BEND_RATIO:g}. The paper "
-        "does not consider bending stress, fatigue, friction, return springs and a safety factor. A stress of 190 MPa "
+        f"Ratio of pulley diameter to rope diameter. Engineering practice requires at least {MIN_BEND_RATIO:g}. "
+        "The paper does not consider bending stress, fatigue, friction, return springs and a safety factor. A stress of 190 MPa "
         "is usual for aluminium, and not for a steel rope.",
         ("arithmetic",))  # fmt: skip
 

@@ -1,6 +1,6 @@
 """Equations 1 to 12 of the paper, term by term: the printed term, its possible readings, and the correct term.
 
-The correct terms (`right`) follow from Lagrange's equations, and the tests derive them with sympy.
+The correct terms (`correct`) follow from Lagrange's equations, and the tests derive them with sympy.
 A term has several `readings` if its print is ambiguous, because an operator is missing or a bracket
 never closes.
 """

@@ -141,7 +141,8 @@ def _check_formulas() -> list[ErrataItem]:
     newtons = float(src.FINGER_GRIP_FORCE_N)
     values = {
         "T": tension, "F": newtons, "r_p": float(src.PULLEY_RADIUS_MM) / 1000, "r_a": float(src.SPOOL_RADIUS_MM) / 1000,
-        "g": float(src.GRAVITY_M_PER_S2), "mu": float(src.FRICTION_COEFFICIENT), "sigma": 1e6 * float(src.ALLOWABLE_STRESS_MPA),
+        "g": float(src.GRAVITY_M_PER_S2), "mu": float(src.FRICTION_COEFFICIENT),
+        "sigma": 1e6 * float(src.ALLOWABLE_STRESS_MPA),
     }  # fmt: skip
     diameter = src.wire_diameter_mm(tension) / 1000
     values["A"] = math.pi * diameter**2 / 4

@@ -11,7 +11,7 @@ Kinds:
 - ``error_frame``, ``error_warning``, ``error_passive``, ``error_active``, ``bus_off``,
   ``restarted``: states reported by the CAN controller of the interface
 
-A lasting state (``bus_off``, ``error_passive``, ``enodev``) is reported at every call of ``take``,
+A lasting state (``bus_off``, ``error_passive``, ``enodev``) is reported at every call of ``take_events``,
 until it ends. The fault detectors count for how many ticks such a state lasts.
 """
 

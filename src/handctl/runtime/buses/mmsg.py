@@ -200,7 +200,7 @@ class DatagramSlots:
 def receive_datagrams(fd: int, slots: DatagramSlots) -> int:
     """Receive the waiting datagrams, at most one per slot, and return the number received.
 
-    Call ``DatagramSlots.renew`` before the slots receive again.
+    Call ``DatagramSlots.reset_headers`` before the slots receive again.
 
     Raises:
         OSError: ``recvmmsg`` failed. If no datagram waits, no error is raised.

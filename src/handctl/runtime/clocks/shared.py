@@ -159,7 +159,7 @@ class SharedClock(RealClock):
     def _wait_for_simulator(self, deadline: int) -> None:
         """Stop the clock at the gate until the simulator has answered the frames of the previous tick.
 
-        After ``SIMULATOR_LIMIT_NS`` without an answer, the clock continues, and no longer waits in
+        After ``MAX_SIMULATOR_WAIT_NS`` without an answer, the clock continues, and no longer waits in
         later ticks until the simulator answers again.
         """
         numbers = self._numbers
@@ -174,7 +174,7 @@ class SharedClock(RealClock):
                 return
 
     def _is_answered(self, deadline: int) -> bool:
-        """Return True if the simulator has answered all frames, and is at most ``MAX_LAG_NS`` behind the deadline."""
+        """Return True if the simulator has answered all frames, and is at most ``MAX_SIMULATOR_LAG_NS`` behind the deadline."""
         numbers = self._numbers
         behind_ns = int(MAX_SIMULATOR_LAG_NS / self.time_scale)
         return bool(

@@ -20,7 +20,7 @@ ERROR_COUNTER_TEXTS = {
     "bus_off": "times bus-off", "arbitration_lost": "arbitrations lost", "restarts": "restarts",
     "rx_dropped": "received frames dropped", "tx_dropped": "dropped transmit frames",
 }  # fmt: skip
-"""Text for each reported counter of ``CanLinkState.counts``."""
+"""Text for each reported counter of ``CanLinkState.event_counts``."""
 FULL_SPEED_HZ = 333
 """Highest control rate of a hand behind a USB full-speed adapter [Hz].
 
@@ -151,7 +151,8 @@ def _controller_findings(name: str, link: CanLinkState) -> list[LinkFinding]:
     restart = (
         f"sudo ip link set {name} type can restart; " if link.controller_state == "BUS-OFF" else ""
     )
-    counters = f"{link.controller_state}, error counters {link.tx_error_counter} sending, {link.rx_error_counter} receiving"
+    errors = f"{link.tx_error_counter} sending, {link.rx_error_counter} receiving"
+    counters = f"{link.controller_state}, error counters {errors}"
     good = (
         link.controller_state == "ERROR-ACTIVE"
         and link.tx_error_counter + link.rx_error_counter == 0

@@ -94,7 +94,7 @@ def _force_plots(run: RunInfo, window: PlotTimeRange) -> rrb.Horizontal:
         contents="/tension/**",
         axis_x=LINKED_TIME_AXIS,
         time_ranges=window,
-        axis_y=rrb.ScalarAxis(range=(0.0, TENSION_AXIS_HEADROOM * run.tension_limits_N[-1])),
+        axis_y=rrb.ScalarAxis(range=(0.0, TENSION_AXIS_HEADROOM * run.tension_limits[-1])),
         plot_legend=rrb.PlotLegend(Corner2D.LeftTop),
     )
     tips = rrb.TimeSeriesView(

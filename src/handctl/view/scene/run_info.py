@@ -87,7 +87,7 @@ class RunInfo:
         } | missing
 
     @property
-    def tension_limits_N(self) -> list[float]:
+    def tension_limits(self) -> list[float]:
         """Return the different tension limits that the tendons of the hand have, in rising order [N]."""
         return sorted({tendon.tension_max_N for tendon in self.hand.tendon})
 

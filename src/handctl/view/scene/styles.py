@@ -84,7 +84,7 @@ def _tension_styles(run: RunInfo) -> Iterator[Chunk]:
         [palette.dimmed_colour(colour) for colour in colours],
         COMMAND_LINE_WIDTH,
     )
-    limits = [f"limit {limit:g} N" for limit in run.tension_limits_N]
+    limits = [f"limit {limit:g} N" for limit in run.tension_limits]
     yield _line_style(
         "/tension/limit", limits, [palette.LIMIT_COLOUR] * len(limits), LIMIT_LINE_WIDTH
     )

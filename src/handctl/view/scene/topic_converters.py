@@ -92,7 +92,7 @@ class TopicConverters:
             "/tension/estimate", times, lines_with_band(part["tension"], part["tension_sigma"])
         )
         yield timed_chunk("/tension/command", times, plot_lines(part["tension_goal"]))
-        limits = np.tile(self._run.tension_limits_N, (2, 1))
+        limits = np.tile(self._run.tension_limits, (2, 1))
         yield timed_chunk("/tension/limit", times[[0, -1]], plot_lines(limits))
         for digit, joints in self._run.hand.digit_joints.items():
             angle = np.degrees(part["q"][:, joints])
