@@ -15,7 +15,7 @@ from pathlib import Path
 from lockstep import SCENES, record_rollout, repeat_rollout, sum_of_shortest
 from stack import RATES, Stack
 
-from handctl.campaign.stage import hand_with_protocol
+from handctl.campaign.run_stages import hand_with_protocol
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
 
 SECONDS = 3.0

@@ -15,7 +15,7 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import Any
 
-from handctl.campaign.stage import CAMPAIGN_TASK, hand_with_protocol, homed_run
+from handctl.campaign.run_stages import CAMPAIGN_TASK, hand_with_protocol, homed_run
 from handctl.core.types import Mode
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from handctl.safety.action import Action

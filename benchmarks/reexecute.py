@@ -15,7 +15,7 @@ from who import spent
 
 from handctl.controller.tick import Controller
 from handctl.log.read.reader import RunLog
-from handctl.replay.rebuild import rebuild_controller
+from handctl.replay.controller_rebuild import rebuild_controller
 from handctl.replay.tick_difference import are_outputs_equal
 
 GOLDEN = Path(__file__).resolve().parent.parent / "logs" / "golden"

@@ -29,7 +29,7 @@ from handctl.core.types import Mode
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
-from handctl.report.truth import TruthRecord, read_truth
+from handctl.report.truth_record import TruthRecord, read_truth
 
 DIGIT = "index"
 RATE_HZ = 100.0

@@ -10,7 +10,7 @@ from handctl.core.types import Mode
 from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.load import load_hand
 from handctl.log.header import RunHeader
-from handctl.log.record import pack_tick_record
+from handctl.log.tick_record import pack_tick_record
 from handctl.log.write.recorder import Recorder
 from handctl.programs.program import ProgramProgress, motion_to
 from handctl.runtime.buses.open import open_bus

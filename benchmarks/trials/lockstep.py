@@ -18,7 +18,7 @@ from handctl.core.gains.gains import Gains
 from handctl.core.types import TELEMETRY_FIELDS, Mode, TickIn, TickOut
 from handctl.hand.description import Hand
 from handctl.programs.program import Program
-from handctl.report.truth import TruthRecord, read_truth
+from handctl.report.truth_record import TruthRecord, read_truth
 from handctl.session.simulate import SimulatorSettings
 from trials.hands import file_of, hand_by_name, packaged
 

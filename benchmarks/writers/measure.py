@@ -15,7 +15,7 @@ from mcap_ros2.decoder import DecoderFactory
 from benchmarks.writers.others import OTHERS, Message
 from benchmarks.writers.sustained import as_in_the_loop, sustained
 from handctl.log.read.reader import RunLog
-from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record
+from handctl.log.tick_record import RECORD_FRAMING_STRUCT, pack_tick_record
 from handctl.log.write.recorder import Recorder
 from handctl.log.write.writer import LogWriter
 

@@ -21,7 +21,7 @@ from handctl.core.types import TELEMETRY_FIELDS, IoEvent, Mode, PackedTelemetry,
 from handctl.drives.frame import Frame
 from handctl.drives.records import Frames, frames_as_records
 from handctl.log.read.reader import RunLog
-from handctl.log.record import pack_tick_record
+from handctl.log.tick_record import pack_tick_record
 from handctl.log.write.recorder import Recorder
 from handctl.runtime.clocks.priority import request_priority, restore_priority
 from handctl.runtime.clocks.real import RealClock

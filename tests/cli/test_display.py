@@ -1,6 +1,6 @@
 """Test the lines that the display process shows to an operator during a run."""
 
-from handctl.campaign.stage import homed_run
+from handctl.campaign.run_stages import homed_run
 from handctl.cli.console import display
 from handctl.cli.console.display import DisplayProcess
 from handctl.core.types import Mode, TickEvent

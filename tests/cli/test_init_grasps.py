@@ -13,7 +13,7 @@ import pytest
 from handctl.cli.main import main
 from handctl.hand.load import load_hand
 from handctl.programs.default_task import default_scene
-from handctl.report.truth import read_truth
+from handctl.report.truth_record import read_truth
 from handctl.session.plan import default_rate
 from tests.cli.refused import refused
 from tests.conftest import NIGHTLY

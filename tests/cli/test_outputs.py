@@ -189,7 +189,7 @@ def test_a_picture_keeps_the_requested_file_name(place):
 
 
 def test_a_recording_is_not_begun_without_room_for_it(monkeypatch, capsys):
-    monkeypatch.setattr("handctl.view.feed.DISK_SPACE_FACTOR", 10**12)
+    monkeypatch.setattr("handctl.view.rerun_conversion.DISK_SPACE_FACTOR", 10**12)
     for words in (
         ("log", "export", "--rrd", LOG, "--output", "new.rrd", "--json"),
         ("view", LOG, "--save", "new.rrd"),

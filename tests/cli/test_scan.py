@@ -14,7 +14,7 @@ from firmware_sim.bus.frame import Frame as SimFrame
 from firmware_sim.nodes.moteus import registers
 from firmware_sim.programs.drive import SimulatedDriveBench
 from firmware_sim.programs.drive_types import drive_spec
-from handctl.cli.checks.fragment import hand_file_snippet
+from handctl.cli.checks.hand_file_snippet import hand_file_snippet
 from handctl.cli.main import main
 from handctl.drives.discovery import TWO_DRIVES_WARNING
 from handctl.drives.frame import EXTENDED, REMOTE, Frame

@@ -65,7 +65,7 @@ def test_a_design_without_stable_gains_writes_nothing(place, capsys, monkeypatch
 
 def test_poles_that_are_not_stable_in_simulation_are_not_written(place, capsys, monkeypatch):
     monkeypatch.setattr(
-        "handctl.tune.loops.steps.RestTest._simulate",
+        "handctl.tune.loops.step_tests.RestTest._simulate",
         lambda self, model: ": plant 1 of 1 swings by 9 N",
     )
     assert main(["tune", "design", "--plants", "1", "--poles-Hz", "5,25"]) == 1
@@ -81,7 +81,7 @@ def scored(tracking):
 
 
 def test_a_measure_is_worse_only_beyond_its_spread():
-    from handctl.tune.verify import compare_rounds
+    from handctl.tune.gains_verification import compare_rounds
 
     runs = [[scored(1.0), scored(1.0 + 0.01 * i), *[scored(3.0 + 0.01 * i)] * 3] for i in range(3)]
     assert [one.verdict for one in compare_rounds(runs)] == ["worse", "same", "same", "same"]

@@ -114,7 +114,7 @@ def log(tmp_path_factory):
     from handctl.core.types import TELEMETRY_AXES, Mode, Telemetry, TickIn, TickOut
     from handctl.hand.load import load_hand
     from handctl.log.header import RunHeader
-    from handctl.log.record import pack_tick_record
+    from handctl.log.tick_record import pack_tick_record
     from handctl.log.write.recorder import Recorder
     from handctl.safety.action import Action
 

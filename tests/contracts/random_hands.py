@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from handctl.campaign.stage import FIRST_NODE_NUMBER, with_drives
+from handctl.campaign.run_stages import FIRST_NODE_NUMBER, with_drives
 from handctl.controller.setup import make_controller
 from handctl.controller.state import State
 from handctl.controller.tick import Controller

@@ -30,7 +30,7 @@ from handctl.core.block import STATE, STREAM_RANGE
 from handctl.core.law.stream import begin_segments
 from handctl.core.schema import BlockLayout
 from handctl.log.read.reader import RunLog
-from handctl.replay.rebuild import rebuild_controller
+from handctl.replay.controller_rebuild import rebuild_controller
 from tests.contracts.random_hands import TICKS, tick_hashes
 
 ROOT = Path(__file__).parents[2]

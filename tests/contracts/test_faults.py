@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from handctl.campaign.scenarios import FAULT_MATRIX, UNTESTED_ROWS
+from handctl.campaign.fault_matrix import FAULT_MATRIX, UNTESTED_ROWS
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from handctl.safety.faults.fault import (
     CHECKED_BY_FAULT_TABLE,

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 from firmware_sim.nodes.mit.codec import FrameRanges, decode_command
-from handctl.campaign.scenarios import FREE_STAGE, GRASP_STAGE
-from handctl.campaign.stage import advance_to_stage, hand_with_protocol, homed_run
+from handctl.campaign.fault_matrix import FREE_STAGE, GRASP_STAGE
+from handctl.campaign.run_stages import advance_to_stage, hand_with_protocol, homed_run
 from handctl.controller.monitor.thresholds import servo_steps
 from handctl.controller.setup import make_controller, make_drives
 from handctl.core import block as s

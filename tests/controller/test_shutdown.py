@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from handctl.campaign.stage import homed_run
+from handctl.campaign.run_stages import homed_run
 from handctl.controller.shutdown import shutdown_step
 from handctl.core.types import Mode
 from handctl.drives.frame import Frame

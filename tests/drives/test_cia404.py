@@ -11,7 +11,7 @@ import pytest
 
 from firmware_sim.bus.frame import Frame as WireFrame
 from firmware_sim.rig import LockstepHand
-from handctl.campaign.stage import GRASP_STAGE, advance_to_stage, homed_run
+from handctl.campaign.run_stages import GRASP_STAGE, advance_to_stage, homed_run
 from handctl.controller.setup import make_drives, make_sensors
 from handctl.core.types import Mode
 from handctl.drives.cia404.load_cells import Cia404LoadCells

@@ -9,8 +9,8 @@ import pytest
 
 from firmware_sim.nodes.moteus.node import MoteusNode
 from firmware_sim.nodes.moteus.text import FACTORY_CONFIGURATION
-from handctl.campaign.scenarios import FREE_STAGE
-from handctl.campaign.stage import advance_to_stage, homed_run
+from handctl.campaign.fault_matrix import FREE_STAGE
+from handctl.campaign.run_stages import advance_to_stage, homed_run
 from handctl.core import block as s
 from handctl.core import wire
 from handctl.core.types import Mode

@@ -8,8 +8,8 @@ from itertools import pairwise
 
 import pytest
 
-from handctl.campaign.scenarios import ALL_PROTOCOLS, FREE_STAGE
-from handctl.campaign.stage import advance_to_stage, hand_with_protocol, homed_run
+from handctl.campaign.fault_matrix import ALL_PROTOCOLS, FREE_STAGE
+from handctl.campaign.run_stages import advance_to_stage, hand_with_protocol, homed_run
 from handctl.core.types import Mode
 from handctl.drives import readback
 from handctl.drives.causes import DriveFaultCause

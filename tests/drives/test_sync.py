@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from handctl.campaign.stage import hand_with_protocol
+from handctl.campaign.run_stages import hand_with_protocol
 from handctl.controller.bus_load import bus_loads, with_more_buses
 from handctl.controller.setup import make_drives
 from handctl.core.gains.gains import Gains

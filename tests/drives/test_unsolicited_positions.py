@@ -5,7 +5,7 @@ import os
 import numpy as np
 import pytest
 
-from handctl.campaign.stage import hand_with_protocol
+from handctl.campaign.run_stages import hand_with_protocol
 from handctl.core import block as s
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from handctl.campaign import campaign
-from handctl.campaign.scenario_run import ScenarioResult, run_scenario
-from handctl.campaign.scenarios import (
+from handctl.campaign.fault_matrix import (
     ALL_PROTOCOLS,
     ARMING_STAGE,
     FAULT_MATRIX,
@@ -26,7 +25,7 @@ from handctl.campaign.scenarios import (
     fault_pairs,
     scenarios_of_hand,
 )
-from handctl.campaign.stage import (
+from handctl.campaign.run_stages import (
     FAULT_DELAY_S,
     MIN_CONTROL_RATE_HZ,
     advance_to_stage,
@@ -34,6 +33,7 @@ from handctl.campaign.stage import (
     homed_run,
     run_in_branches,
 )
+from handctl.campaign.scenario_run import ScenarioResult, run_scenario
 from handctl.core.types import Mode, TickEvent
 from handctl.hand.load import hand_from_content, load_hand, packaged_hands
 from handctl.safety.action import Action

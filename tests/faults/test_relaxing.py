@@ -12,8 +12,13 @@ import numpy as np
 import pytest
 
 from benchmarks import hidden
-from handctl.campaign.scenarios import FREE_STAGE, GRASP_STAGE
-from handctl.campaign.stage import CAMPAIGN_TASK, advance_to_stage, hand_with_protocol, homed_run
+from handctl.campaign.fault_matrix import FREE_STAGE, GRASP_STAGE
+from handctl.campaign.run_stages import (
+    CAMPAIGN_TASK,
+    advance_to_stage,
+    hand_with_protocol,
+    homed_run,
+)
 from handctl.controller.relaxing import SETPOINT_MARGIN_N
 from handctl.core import block as s
 from handctl.core.types import Mode

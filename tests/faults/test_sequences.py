@@ -12,7 +12,14 @@ import pytest
 from firmware_sim.description import load_hand
 from firmware_sim.faults.text import parse_fault
 from handctl.campaign import sequences
-from handctl.campaign.scenarios import ALL_PROTOCOLS, ARMING_STAGE, HOST_PREFIX
+from handctl.campaign.fault_matrix import ALL_PROTOCOLS, ARMING_STAGE, HOST_PREFIX
+from handctl.campaign.run_stages import (
+    RUN_STAGES,
+    advance_to_stage,
+    hand_with_protocol,
+    homed_run,
+    run_in_branches,
+)
 from handctl.campaign.sequences import (
     SEQUENCE_TICKS,
     FaultSequence,
@@ -23,13 +30,6 @@ from handctl.campaign.sequences import (
     violations_at_end,
     violations_in_tick,
     violations_on_replay,
-)
-from handctl.campaign.stage import (
-    RUN_STAGES,
-    advance_to_stage,
-    hand_with_protocol,
-    homed_run,
-    run_in_branches,
 )
 from handctl.core.types import Mode
 from handctl.safety.judge import LatchedFault

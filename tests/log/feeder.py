@@ -11,7 +11,7 @@ from pathlib import Path
 
 import synthetic
 
-from handctl.log.record import pack_tick_record
+from handctl.log.tick_record import pack_tick_record
 from handctl.log.write.recorder import Recorder
 
 

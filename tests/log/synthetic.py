@@ -19,7 +19,7 @@ from handctl.drives.frame import Frame
 from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.load import load_hand
 from handctl.log.header import RunHeader
-from handctl.log.record import pack_tick_record
+from handctl.log.tick_record import pack_tick_record
 from handctl.log.topics.state_topics import moment_arms
 from handctl.log.write.recorder import Recorder
 from handctl.safety.action import Action

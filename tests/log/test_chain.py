@@ -6,9 +6,9 @@ from pathlib import Path
 import synthetic
 
 from handctl.log.read.reader import RunLog
-from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record
-from handctl.log.topics.chain import first_hash_of_run, tick_hash
+from handctl.log.tick_record import RECORD_FRAMING_STRUCT, pack_tick_record
 from handctl.log.topics.clock_pairs import ClockPair, ClockStep, clock_steps
+from handctl.log.topics.hash_chain import first_hash_of_run, tick_hash
 from handctl.log.write.writer import LogWriter
 
 

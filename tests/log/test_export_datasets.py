@@ -18,7 +18,7 @@ from handctl.log.export.lerobot import export_lerobot
 from handctl.log.export.parquet import export_parquet
 from handctl.log.export.tables import column_names, column_title, export_csv
 from handctl.log.read.reader import RunLog
-from handctl.view.feed import write_rrd
+from handctl.view.rerun_conversion import write_rrd
 from handctl.view.scene.run_info import RunInfo
 
 GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-fault.mcap"

@@ -24,7 +24,7 @@ from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS
 from handctl.errors import LogError
 from handctl.log.read.logfile import LogErrorContext
 from handctl.log.read.reader import RunLog
-from handctl.log.record import TickRecord, pack_tick_record
+from handctl.log.tick_record import TickRecord, pack_tick_record
 from handctl.log.write.recorder import Recorder
 from handctl.printing import printable_text
 
@@ -76,7 +76,7 @@ def test_a_log_without_the_latest_fields_is_read(
     monkeypatch.setitem(TELEMETRY_AXES, "coming", "joint")
     for module in ("batch", "read.reader"):
         monkeypatch.setattr(f"handctl.log.{module}.TELEMETRY_FIELDS", (*TELEMETRY_FIELDS, "coming"))
-    monkeypatch.setattr("handctl.log.batch.TELEMETRY_FIRST", len(TELEMETRY_FIELDS))
+    monkeypatch.setattr("handctl.log.tick_batch.TELEMETRY_FIRST", len(TELEMETRY_FIELDS))
     with RunLog(lively_log) as log:
         assert log.fields == TELEMETRY_FIELDS
         assert np.isnan(log.field("coming")).all()

@@ -20,7 +20,7 @@ from handctl.core.types import (
 )
 from handctl.drives.frame import FDF, Frame
 from handctl.drives.records import frames_as_records
-from handctl.log.record import (
+from handctl.log.tick_record import (
     RECORD_FRAMING_STRUCT,
     message_layout,
     pack_tick,

@@ -19,11 +19,11 @@ import synthetic
 from handctl.core.types import IoEvent, TickIn
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
-from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record
-from handctl.log.write import child
-from handctl.log.write.child import recorder_process_ahead
-from handctl.log.write.process import RECORDER_NICE_VALUE
+from handctl.log.tick_record import RECORD_FRAMING_STRUCT, pack_tick_record
+from handctl.log.write import recorder_start
 from handctl.log.write.recorder import PIPE_BYTES, Recorder
+from handctl.log.write.recorder_process import RECORDER_NICE_VALUE
+from handctl.log.write.recorder_start import recorder_process_ahead
 from handctl.log.write.syncer import DiskSyncer
 from handctl.log.write.writer import LogWriter
 
@@ -80,7 +80,7 @@ def test_a_recorder_that_does_not_start_in_time_is_named(
     python = tmp_path / "python"
     python.write_text("#!/bin/sh\nexec sleep 10\n")
     python.chmod(0o755)
-    monkeypatch.setattr("handctl.log.write.child.sys.executable", str(python))
+    monkeypatch.setattr("handctl.log.write.recorder_start.sys.executable", str(python))
     monkeypatch.setattr("handctl.log.write.recorder.START_TIMEOUT_S", 0.2)
     with pytest.raises(
         LogError, match=r"has not started within 0\.2 s; expected a computer with less other load"
@@ -92,7 +92,7 @@ def test_a_process_started_ahead_records_the_first_run(
     start: Callable[..., Recorder], tmp_path: Path
 ) -> None:
     with recorder_process_ahead():
-        (waiting,) = child._started_ahead
+        (waiting,) = recorder_start._started_ahead
         first = start("first.mcap")
         second = start("second.mcap")
         assert waiting.child.poll() is None
@@ -104,15 +104,15 @@ def test_a_process_started_ahead_records_the_first_run(
 
 def test_an_unused_recorder_process_started_ahead_is_ended() -> None:
     with recorder_process_ahead():
-        (waiting,) = child._started_ahead
+        (waiting,) = recorder_start._started_ahead
     assert waiting.child.returncode is not None
-    assert child._started_ahead == []
+    assert recorder_start._started_ahead == []
     with pytest.raises(OSError, match="Bad file descriptor"):
         os.fstat(waiting.pipe)
 
 
 def test_a_process_started_ahead_ends_with_its_controller() -> None:
-    code = "from handctl.log.write import child\nprint(child.start_recorder_process().child.pid)"
+    code = "from handctl.log.write import recorder_start\nprint(recorder_start.start_recorder_process().child.pid)"
     ended = subprocess.run(
         [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, check=False
     )

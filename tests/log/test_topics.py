@@ -21,7 +21,7 @@ from handctl.hand.digit import DigitModel
 from handctl.hand.link_frames import link_transforms
 from handctl.hand.load import load_hand
 from handctl.log.header import RunHeader
-from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record
+from handctl.log.tick_record import RECORD_FRAMING_STRUCT, pack_tick_record
 from handctl.log.topics.transforms import link_frames
 from handctl.log.write.writer import LogWriter
 from handctl.programs.requests import target_text

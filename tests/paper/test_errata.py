@@ -10,7 +10,7 @@ from handctl.hand.digit import DigitModel
 from handctl.hand.dynamics import gravity_torque, inverse_dynamics
 from handctl.paper import sections
 from handctl.paper import sources as src
-from handctl.paper.item import ErrataItem, ErrataVerdict
+from handctl.paper.errata_item import ErrataItem, ErrataVerdict
 from handctl.paper.model import equations, kinematics, lagrange, motion
 
 PARAMETERS = sp.symbols("I1:4 m1:4 L1:4 d1:4 g", positive=True)

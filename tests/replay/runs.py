@@ -13,7 +13,7 @@ from handctl.core.gains.gains import Gains
 from handctl.core.types import IoEvent, TickIn, TickOut
 from handctl.drives.frame import Frame
 from handctl.hand.load import hand_path, load_hand
-from handctl.log.record import pack_tick_record
+from handctl.log.tick_record import pack_tick_record
 from handctl.log.write.recorder import Recorder
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.program import Program

@@ -13,8 +13,8 @@ from handctl.log.read.logfile import ChunkLocation, LogFile
 from handctl.log.read.reader import RunLog
 from handctl.log.read.record_scan import RecordScan, scan_records
 from handctl.log.read.recover import recover_log
-from handctl.replay.check import check_log
-from handctl.replay.damage import first_damage
+from handctl.replay.log_check import check_log
+from handctl.replay.log_damage import first_damage
 
 
 @pytest.fixture

@@ -12,13 +12,18 @@ from handctl.errors import IncomparableError
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.playback import RecordedGoals
-from handctl.replay.compare import check_same_hand, compare_signals, resampled_field, signal_delay
 from handctl.replay.execute import execute_log
 from handctl.replay.motion_replay import (
     active_interval,
     compare_replay,
     playback_program,
     recorded_targets,
+)
+from handctl.replay.run_comparison import (
+    check_same_hand,
+    compare_signals,
+    resampled_field,
+    signal_delay,
 )
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from handctl.log.read.reader import RunLog
 from handctl.replay.motion_replay import active_interval, compare_replay, playback_program
-from handctl.report.truth import read_truth
+from handctl.report.truth_record import read_truth
 
 Array = NDArray[np.float64]
 RATE_HZ, SETTLED_S = 250.0, 0.4

@@ -28,10 +28,10 @@ from handctl.programs.commission import CommissionProgram
 from handctl.programs.live import JogProgram, LiveProgram
 from handctl.programs.program import Program
 from handctl.programs.requests import HoldTension, MoveDigits
-from handctl.replay import rebuild as rebuilding
+from handctl.replay import controller_rebuild as rebuilding
+from handctl.replay.controller_rebuild import logged_gains, rebuild_controller
 from handctl.replay.counterfactual import CommandCollector, command_change, draw_commands
 from handctl.replay.execute import execute_log, is_within_tolerance, relative_error
-from handctl.replay.rebuild import logged_gains, rebuild_controller
 from handctl.replay.tick_difference import (
     TelemetryColumns,
     are_outputs_equal,

@@ -17,9 +17,10 @@ from handctl.drives.frame import EXTENDED
 from handctl.errors import LogError
 from handctl.log.header import RunHeader
 from handctl.log.read.reader import RunLog
-from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record
+from handctl.log.tick_record import RECORD_FRAMING_STRUCT, pack_tick_record
 from handctl.log.write.writer import LogWriter
 from handctl.replay.execute import execute_log
+from handctl.replay.limits_judgement import judge_by_limits
 from handctl.replay.motion_replay import (
     active_interval,
     compare_replay,
@@ -28,7 +29,6 @@ from handctl.replay.motion_replay import (
     playback_program,
     recorded_targets,
 )
-from handctl.replay.other_limits import judge_by_limits
 from handctl.replay.tick_difference import TelemetryColumns, are_outputs_equal, differing_fields
 
 Ticks = list[tuple[TickIn, TickOut]]

@@ -6,7 +6,7 @@ import pytest
 
 from handctl.errors import ConfigError
 from handctl.log.read.reader import RunLog
-from handctl.replay.other_limits import judge_by_limits
+from handctl.replay.limits_judgement import judge_by_limits
 
 
 def limits(folder: Path, text: str) -> Path:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handctl.campaign.stage import hand_with_protocol, homed_run
+from handctl.campaign.run_stages import hand_with_protocol, homed_run
 from handctl.controller.snapshot import restore_state, snapshot_bytes
 from handctl.controller.state import State
 from handctl.controller.tick import Controller
@@ -21,9 +21,9 @@ from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
 from handctl.replay import log_runner as courses
-from handctl.replay import parallel
+from handctl.replay import parallel_execution
+from handctl.replay.controller_rebuild import rebuild_controller
 from handctl.replay.execute import LogExecution, execute_log
-from handctl.replay.rebuild import rebuild_controller
 from handctl.replay.tick_difference import state_difference
 
 Change = Callable[[State, TickIn], None]
@@ -46,7 +46,7 @@ def both(fresh: Path, monkeypatch: pytest.MonkeyPatch) -> Both:
             return original_tick(controller, before, entry)
 
         monkeypatch.setattr(Controller, "tick", tick)
-        monkeypatch.setattr(parallel, "MIN_TICKS_PER_PROCESS", 50)
+        monkeypatch.setattr(parallel_execution, "MIN_TICKS_PER_PROCESS", 50)
         with RunLog(fresh) as log:
             return execute_log(log), execute_log(log, workers=3)
 
@@ -161,17 +161,17 @@ def test_a_refusal_of_the_controller_is_reported_with_any_number_of_processes(bo
 def test_a_wrong_snapshot_is_not_used_as_a_start(
     fresh: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(parallel, "MIN_TICKS_PER_PROCESS", 50)
+    monkeypatch.setattr(parallel_execution, "MIN_TICKS_PER_PROCESS", 50)
     with RunLog(fresh) as log:
         runner = courses.LogRunner.from_log(log)
-        assert len(parallel.split_log(runner, 3)) == 3
+        assert len(parallel_execution.split_log(runner, 3)) == 3
         bent = {
             k: data[:100] + bytes([data[100] ^ 1]) + data[101:]
             for k, data in runner.snapshots.items()
         }
-        assert len(parallel.split_log(replace(runner, snapshots=bent), 3)) == 1
+        assert len(parallel_execution.split_log(replace(runner, snapshots=bent), 3)) == 1
         other = dict.fromkeys(runner.snapshots, b"x" * 40)
-        assert len(parallel.split_log(replace(runner, snapshots=other), 3)) == 1
+        assert len(parallel_execution.split_log(replace(runner, snapshots=other), 3)) == 1
         monkeypatch.setattr(RunLog, "snapshots", bent)
         assert execute_log(log, workers=3).differing_ticks == 0
 

@@ -10,7 +10,7 @@ from handctl.core.types import TELEMETRY_AXES, Mode
 from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
 from handctl.log.read.timeline import PhaseChange
-from handctl.report.truth import TruthRecord
+from handctl.report.truth_record import TruthRecord
 
 PERIOD_NS = 10_000_000
 

@@ -8,7 +8,7 @@ import pytest
 from handctl.core.types import Mode
 from handctl.hand.load import load_hand
 from handctl.report.run_figure import draw_run
-from handctl.report.truth import TruthRecord
+from handctl.report.truth_record import TruthRecord
 from tests.report.made_up import MadeUpLog, truth_of
 
 

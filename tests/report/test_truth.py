@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from handctl.errors import LogError
-from handctl.report.truth import TruthRecord, read_truth
+from handctl.report.truth_record import TruthRecord, read_truth
 from tests.report.made_up import JAMIA, set_column, truth_of, write_truth
 
 

@@ -26,7 +26,7 @@ from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.calibration import load_calibration
 from handctl.programs.grasp import TaskProgram
-from handctl.report.truth import TruthRecord, read_truth
+from handctl.report.truth_record import TruthRecord, read_truth
 from handctl.runtime.paths import faults_path, local_bus_path, run_dir
 from handctl.session.plan import RunPlan, bus_specs
 from handctl.session.run import make_controller, run_live

@@ -26,7 +26,7 @@ from handctl.cli.main import main
 from handctl.errors import BusError, PowerError, UnconfirmedError
 from handctl.programs.requests import describe_request, parse_request
 from handctl.runtime.buses.local import connect_to_hub
-from handctl.runtime.confirm import request_action, send_with_confirmation
+from handctl.runtime.confirmed_requests import request_action, send_with_confirmation
 from handctl.runtime.mailbox import Mailbox, StatusWatcher
 from handctl.runtime.paths import mailbox_path, run_dir
 from tests.runtime.processes import (
@@ -345,7 +345,7 @@ def test_stop_names_a_drive_that_stays_on(place, capsys):
 @pytest.fixture
 def short_confirmation_wait(monkeypatch):
     """Shorten the time that a request waits for its confirmation to 0.4 s."""
-    monkeypatch.setattr("handctl.runtime.confirm.CONFIRMATION_TIMEOUT_S", 0.4)
+    monkeypatch.setattr("handctl.runtime.confirmed_requests.CONFIRMATION_TIMEOUT_S", 0.4)
 
 
 def test_stop_is_unconfirmed_if_the_controller_falls_silent(place, short_confirmation_wait, capsys):

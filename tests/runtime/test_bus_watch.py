@@ -12,7 +12,7 @@ from handctl.drives.contract import DrivePhase
 from handctl.drives.frame import Frame
 from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.hand.load import load_hand
-from handctl.runtime.diagnostics.watch import BusWatch, SensorReading, is_saturated
+from handctl.runtime.diagnostics.bus_watch import BusWatch, SensorReading, is_saturated
 from handctl.runtime.mailbox import Mailbox
 from tests.drives.bench_process import drives
 from tests.drives.protocol_bench import hand_file, on_two_buses

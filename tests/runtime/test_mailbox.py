@@ -16,7 +16,7 @@ import pytest
 
 from handctl.cli.main import main
 from handctl.errors import BusError
-from handctl.runtime.confirm import send_with_confirmation
+from handctl.runtime.confirmed_requests import send_with_confirmation
 from handctl.runtime.mailbox import (
     MAX_REQUEST_BYTES,
     MAX_REQUESTS_PER_TICK,

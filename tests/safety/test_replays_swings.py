@@ -9,8 +9,8 @@ import os
 import numpy as np
 import pytest
 
-from handctl.campaign.scenarios import GRASP_STAGE
-from handctl.campaign.stage import advance_to_stage, hand_with_protocol, homed_run
+from handctl.campaign.fault_matrix import GRASP_STAGE
+from handctl.campaign.run_stages import advance_to_stage, hand_with_protocol, homed_run
 from handctl.core.detectors import replays
 from handctl.core.types import Mode
 from handctl.safety.faults.node import SWING_S

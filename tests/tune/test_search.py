@@ -24,7 +24,7 @@ from handctl.tune.search.search import (
     _open_study,
     run_search,
 )
-from handctl.tune.search.space import GAIN_RANGES, clamped_gains
+from handctl.tune.search.search_space import GAIN_RANGES, clamped_gains
 from handctl.tune.search.workers import DaskCluster, InProcessWorkers, ProcessPool, SearchWorkers
 
 TRIALS = 3

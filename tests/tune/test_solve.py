@@ -5,7 +5,12 @@ import time
 import numpy as np
 import pytest
 
-from handctl.tune.identify.solve import BLOCK_S, MAX_BLOCK_ROWS, _block_rows, _parameter_covariance
+from handctl.tune.identify.least_squares import (
+    BLOCK_S,
+    MAX_BLOCK_ROWS,
+    _block_rows,
+    _parameter_covariance,
+)
 
 
 @pytest.mark.parametrize("seed", range(20))

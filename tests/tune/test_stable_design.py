@@ -24,7 +24,7 @@ from handctl.tune.loops.margins import (
     is_stable,
     margins_of_loop,
 )
-from handctl.tune.loops.steps import RestTest, StepOscillation, is_loop_ringing, simulate_swing
+from handctl.tune.loops.step_tests import RestTest, StepOscillation, is_loop_ringing, simulate_swing
 from handctl.tune.search.ensemble import draw_ensemble
 from tests.conftest import NIGHTLY
 
@@ -253,7 +253,7 @@ def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
         hold = chatter_N if tried.gains.tension.integral_per_s == 0.0 else swing_N
         return StepOscillation(0.0, 0.0, (hold if is_least_friction else 0.0,) * tried.tendon_count)
 
-    monkeypatch.setattr("handctl.tune.loops.steps.simulate_swing", fake)
+    monkeypatch.setattr("handctl.tune.loops.step_tests.simulate_swing", fake)
     proof = rest_test_of(model)
     assert proof(model) == accepted
     assert ("0.5 of the friction swings" in proof.reason) != accepted
@@ -277,7 +277,7 @@ def rest_test_with(
         hold = chatter if tried.gains.tension.integral_per_s == 0.0 else found
         return StepOscillation(0.0, 0.0, hold if is_least_friction else (0.0,) * 4)
 
-    monkeypatch.setattr("handctl.tune.loops.steps.simulate_swing", fake)
+    monkeypatch.setattr("handctl.tune.loops.step_tests.simulate_swing", fake)
     return rest_test_of(model)
 
 
@@ -324,7 +324,7 @@ def test_gains_that_fail_at_the_least_friction_are_refused(
     lost = StepOscillation(math.inf, math.inf, (math.inf,) * 4, "N14b")
     still = StepOscillation(0.0, 0.0, (0.0,) * 4)
     monkeypatch.setattr(
-        "handctl.tune.loops.steps.simulate_swing",
+        "handctl.tune.loops.step_tests.simulate_swing",
         lambda hand, m, f, s: lost if f == {"friction": 0.5} else still,
     )
     proof = rest_test_of(jamia)

@@ -13,7 +13,7 @@ from handctl.replay.execute import execute_log
 from handctl.session.plan import RunPlan, default_rate
 from handctl.session.run import make_controller, run_lockstep
 from handctl.session.simulate import SimulatorSettings
-from handctl.tune.verify import VerifyObserver, scores_by_round
+from handctl.tune.gains_verification import VerifyObserver, scores_by_round
 
 CALM = Gains(
     motion=MotionGains(force_N=12.0, disturbance_rejection=0.5), tension=TensionGains(force_N=2.7)

@@ -13,12 +13,12 @@ import pytest
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
 from handctl.log.read.record_scan import scan_path
-from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record
+from handctl.log.tick_record import RECORD_FRAMING_STRUCT, pack_tick_record
 from handctl.log.write.writer import LogWriter
 from handctl.view.browse import browse_log
-from handctl.view.feed import run_chunks
-from handctl.view.picture import connect_client, wait_until_loaded
-from handctl.view.scene.arrow import RUN_TIME_TIMELINE
+from handctl.view.dashboard_picture import connect_client, wait_until_loaded
+from handctl.view.rerun_conversion import run_chunks
+from handctl.view.scene.chunk_arrays import RUN_TIME_TIMELINE
 from handctl.view.scene.run_info import RunInfo
 from handctl.view.time_slices import time_slices
 from handctl.view.viewer import running_viewer

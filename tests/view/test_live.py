@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 import psutil
 import pytest
 
-from handctl.log.record import pack_tick_record
+from handctl.log.tick_record import pack_tick_record
 from handctl.log.write.recorder import Recorder
+from handctl.view.dashboard_picture import timeline_end
 from handctl.view.live_view import start_live_view
-from handctl.view.picture import timeline_end
-from handctl.view.scene.arrow import RUN_TIME_TIMELINE
+from handctl.view.scene.chunk_arrays import RUN_TIME_TIMELINE
 
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient

@@ -13,7 +13,7 @@ from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.link_frames import quaternion_of_rotation
 from handctl.log.attached_meshes import mesh_attachments
 from handctl.log.header import RunHeader
-from handctl.view.feed import write_rrd
+from handctl.view.rerun_conversion import write_rrd
 from handctl.view.scene.geometry import MESH_MEDIA_TYPES, link_colour
 from tests.hand.mesh_files import meshed, write_meshes
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from handctl.cli.main import main
-from handctl.view.picture import connect_client, view_problem_reports, wait_until_loaded
+from handctl.view.dashboard_picture import connect_client, view_problem_reports, wait_until_loaded
 from handctl.view.scene import palette
 from handctl.view.viewer import Viewer, running_viewer
 

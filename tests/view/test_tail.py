@@ -9,9 +9,9 @@ from rerun.chunk import Chunk
 from rrd_entities import entities, run_info_of
 
 from handctl.errors import LogError
-from handctl.view.feed import log_chunks
+from handctl.view.log_tail import LogTail
+from handctl.view.rerun_conversion import log_chunks
 from handctl.view.scene.topic_converters import TopicConverters
-from handctl.view.tail import LogTail
 
 
 def grow_file(whole: bytes, seed: int) -> list[int]:

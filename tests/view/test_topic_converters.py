@@ -17,7 +17,7 @@ from handctl.hand.link_frames import link_transforms
 from handctl.log.read.logfile import LogFile
 from handctl.log.read.reader import RunLog
 from handctl.log.read.record_scan import RecordScan, scan_records
-from handctl.view import feed
+from handctl.view import rerun_conversion
 from handctl.view.scene import palette
 from handctl.view.scene.frame_load import LOAD_WINDOW_NS
 from handctl.view.scene.run_info import RunInfo
@@ -189,7 +189,7 @@ def test_time_slices_do_not_change_the_recording(
     recorded: dict[str, Entity], log_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("handctl.view.time_slices.SLICE_NS", 333_000_000)
-    again = entities(feed.run_chunks(log_path, run_info_of(log_path), 333_000_000))
+    again = entities(rerun_conversion.run_chunks(log_path, run_info_of(log_path), 333_000_000))
     assert again.keys() == recorded.keys() - {"/__properties"}
     for path in again.keys() - {"/tension/limit"}:
         one = again[path]
@@ -204,7 +204,7 @@ def test_a_log_that_ends_early_is_shown_up_to_there(
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(jamia_path.read_bytes()[: int(fraction * jamia_path.stat().st_size)])
     with RunLog(cut) as half:
-        shown = entities(feed.run_chunks(cut, run_info_of(cut)))
+        shown = entities(rerun_conversion.run_chunks(cut, run_info_of(cut)))
         np.testing.assert_array_equal(
             shown["/controller/q"].table("Scalars:scalars"), half.field("q")
         )
@@ -220,7 +220,7 @@ def test_a_cut_within_the_index_of_a_chunk_loses_no_message(
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(jamia_path.read_bytes()[: scan.chunks[5].end + 40])
     with RunLog(cut) as half:
-        shown = entities(feed.run_chunks(cut, run_info_of(cut)))
+        shown = entities(rerun_conversion.run_chunks(cut, run_info_of(cut)))
         assert half.t_ns[-1] == shown["/loop/late"].times[-1] == shown["/bus/load"].times[-1]
 
 

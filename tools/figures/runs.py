@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.campaign.stage import advance_to_stage, homed_run
+from handctl.campaign.run_stages import advance_to_stage, homed_run
 from handctl.cli.main import main
 from handctl.controller.setup import make_controller
 from handctl.core.gains.gains import Gains
@@ -26,7 +26,7 @@ from handctl.programs.grasp import TaskProgram
 from handctl.programs.program import Program
 from handctl.programs.task import Task
 from handctl.replay.motion_replay import active_interval, playback_program
-from handctl.report.truth import TruthRecord, read_truth
+from handctl.report.truth_record import TruthRecord, read_truth
 from handctl.session.simulate import SimulatedRun, SimulatorSettings
 from tools.figures.style import PLOT_SETTINGS
 

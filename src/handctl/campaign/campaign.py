@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
+from handctl.campaign.fault_matrix import FaultScenario, fault_pairs, scenarios_of_hand
+from handctl.campaign.run_stages import hand_with_protocol, homed_run, run_experiments
 from handctl.campaign.scenario_run import ScenarioResult, run_scenario
-from handctl.campaign.scenarios import FaultScenario, fault_pairs, scenarios_of_hand
-from handctl.campaign.stage import hand_with_protocol, homed_run, run_experiments
 from handctl.core.types import Mode, TickEvent
 from handctl.hand.description import Hand
 from handctl.safety.action import Action

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from handctl.campaign.scenarios import GRASP_STAGE, HOST_PREFIX, FaultScenario, MatrixRow
+from handctl.campaign.fault_matrix import GRASP_STAGE, HOST_PREFIX, FaultScenario, MatrixRow
 from handctl.core.model import HandModel
 from handctl.core.types import IoEvent, Mode, TickOut
 from handctl.errors import REMOVE_POWER

@@ -22,9 +22,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from handctl.campaign.fault_matrix import FAULT_MATRIX, HOST_PREFIX, texts_of_fault
+from handctl.campaign.run_stages import RUN_STAGES, run_experiments
 from handctl.campaign.scenario_run import RUNAWAY_FAULT, HostFault, ScenarioResult, runaway_tension
-from handctl.campaign.scenarios import FAULT_MATRIX, HOST_PREFIX, texts_of_fault
-from handctl.campaign.stage import RUN_STAGES, run_experiments
 from handctl.controller.state import State
 from handctl.core.types import Mode
 from handctl.errors import REMOVE_POWER

@@ -12,7 +12,7 @@ from handctl.client.observation import Observation
 from handctl.client.stream import TargetStream, TargetValues
 from handctl.hand.description import Hand
 from handctl.programs.streams import StreamStatus
-from handctl.runtime.confirm import CONFIRMATION_TIMEOUT_S
+from handctl.runtime.confirmed_requests import CONFIRMATION_TIMEOUT_S
 
 OBSERVATION_POLL_PERIOD_S = 0.5e-3
 """Pause between two reads of the shared memory with observations [s].

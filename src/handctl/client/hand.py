@@ -40,7 +40,7 @@ from handctl.programs.requests import (
 )
 from handctl.programs.streams import horizon_s
 from handctl.programs.task import HoldPhase
-from handctl.runtime.confirm import (
+from handctl.runtime.confirmed_requests import (
     CONFIRMATION_TIMEOUT_S,
     follow_until_off,
     is_hand_off,

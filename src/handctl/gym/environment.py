@@ -24,7 +24,7 @@ from handctl.core.gains.gains import packaged_gains
 from handctl.core.model import HandModel
 from handctl.core.types import Mode, TickOut, Vector
 from handctl.errors import ConfigError
-from handctl.gym.observed import (
+from handctl.gym.observation_layout import (
     FIELD_OF_NAME,
     Float32Array,
     ObservationLayout,

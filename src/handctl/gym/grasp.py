@@ -10,7 +10,7 @@ import numpy as np
 from handctl.core.types import Mode, Vector
 from handctl.errors import ConfigError
 from handctl.gym.environment import MAX_TARGET_SPEED_DEG_S, HandEnv, TargetSpace
-from handctl.gym.observed import ObservationPart, telemetry_part
+from handctl.gym.observation_layout import ObservationPart, telemetry_part
 
 FULL_REWARD_FORCE_N = 1.0
 """Force of a digit on the object from which the reward for this digit no longer grows [N]."""

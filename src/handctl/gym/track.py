@@ -10,7 +10,7 @@ import numpy as np
 from handctl.core.types import Vector
 from handctl.errors import ConfigError
 from handctl.gym.environment import MAX_TARGET_SPEED_DEG_S, HandEnv, TargetSpace
-from handctl.gym.observed import ObservationPart
+from handctl.gym.observation_layout import ObservationPart
 
 HALF_REWARD_ERROR_DEG = 5.0
 """Tracking error at which the reward of a step is half the largest reward [deg]."""

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from handctl.paper.bench import force_displacement, payload
-from handctl.paper.item import ErrataItem, ErrataVerdict
-from handctl.paper.model import assumptions, kinematics, lagrange, motion, statics, text
+from handctl.paper.errata_item import ErrataItem, ErrataVerdict
+from handctl.paper.model import assumptions, kinematics, lagrange, motion, statics, text_statements
 
 PAGE_TITLE = "Source paper"
 PAPER_CITATION = (
@@ -86,7 +86,7 @@ def _hand_section() -> PageSection:
             "motor and one tendon move each digit. `handctl paper --export DIR` writes the hand as URDF and MJCF.",
         ),
         ("fig1-hand",),
-        tuple(text.text_items()),
+        tuple(text_statements.text_items()),
     )
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from handctl.core.types import TickIn, TickOut
 from handctl.log.read.reader import RunLog
 from handctl.output import save_figure
-from handctl.replay.compare import rms_and_peak
+from handctl.replay.run_comparison import rms_and_peak
 
 Array = NDArray[np.float64]
 LOGGED_COLOR = "#3b6fb6"

@@ -16,7 +16,7 @@ import numpy as np
 from handctl.core.gains.gains import Gains
 from handctl.log.read.reader import RunLog
 from handctl.replay.log_runner import LogRunner, ProgressCallback, TickObserver, relative_error
-from handctl.replay.parallel import run_parallel
+from handctl.replay.parallel_execution import run_parallel
 from handctl.replay.tick_difference import TickDifference
 
 

@@ -17,8 +17,8 @@ from handctl.core.gains.gains import Gains
 from handctl.core.types import TickIn, TickOut
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
-from handctl.log.record import TickRecord
-from handctl.replay.rebuild import rebuild_controller
+from handctl.log.tick_record import TickRecord
+from handctl.replay.controller_rebuild import rebuild_controller
 from handctl.replay.tick_difference import (
     TelemetryColumns,
     TickDifference,

@@ -10,7 +10,7 @@ from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
 from handctl.log.read.timeline import check_order
 from handctl.programs.playback import PlaybackProgram, RecordedGoals
-from handctl.replay.compare import compare_runs
+from handctl.replay.run_comparison import compare_runs
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS, TickEvent, Tick
 from handctl.drives.frame import Frame
 from handctl.drives.records import frames_as_records
 from handctl.log.header import RunHeader
-from handctl.log.record import TickRecord
+from handctl.log.tick_record import TickRecord
 
 
 class TickDifference(NamedTuple):

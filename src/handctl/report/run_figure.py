@@ -14,7 +14,7 @@ from handctl.log.read.reader import RunLog
 from handctl.output import save_figure
 from handctl.printing import printable_text
 from handctl.report.summary import mean_angles
-from handctl.report.truth import TruthRecord
+from handctl.report.truth_record import TruthRecord
 
 DIGIT_COLOURS = ("#3b6fb6", "#d9822b", "#3c9d5d", "#b8436f", "#7a5fb5", "#8a8a2a")
 """Colours of the digits: index, middle, ring, thumb, and others."""

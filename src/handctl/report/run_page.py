@@ -20,7 +20,7 @@ from handctl.report.frame_counts import frame_counts
 from handctl.report.pictures import draw_bus_loads, draw_lateness, draw_poses
 from handctl.report.run_figure import draw_run
 from handctl.report.summary import angle_rows, summarise_run
-from handctl.report.truth import TruthRecord
+from handctl.report.truth_record import TruthRecord
 
 MAX_EVENTS = 500
 """Largest number of events on the page. If a run has more, only the first events are shown."""

@@ -12,8 +12,8 @@ from handctl.drives.frame_time import frame_time_s
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.log.read.reader import RunLog
-from handctl.report.lift import TABLE_SUNK_COLUMN
-from handctl.report.truth import TruthRecord
+from handctl.report.lift_judgement import TABLE_SUNK_COLUMN
+from handctl.report.truth_record import TruthRecord
 
 Array = NDArray[np.float64]
 

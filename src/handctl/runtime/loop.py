@@ -22,9 +22,9 @@ from handctl.core.types import IoEvent, Mode, TickIn, TickOut
 from handctl.drives.frame import Frame
 from handctl.drives.records import Frames, frames_as_records, join_frames
 from handctl.errors import REMOVE_POWER, PowerError
-from handctl.handlers import installed_handler
 from handctl.runtime.clocks.real import TickClock
 from handctl.runtime.mailbox import CUT_REQUEST, STOP_REQUEST
+from handctl.signal_handlers import installed_handler
 
 S = TypeVar("S")
 T = TypeVar("T", covariant=True)

@@ -19,7 +19,7 @@ from typing import Any
 
 from handctl.errors import BusError
 from handctl.runtime.paths import is_socket_served, mailbox_path, watcher_path
-from handctl.runtime.peers import receive_datagram, request_sender_credentials
+from handctl.runtime.socket_peers import receive_datagram, request_sender_credentials
 
 MAX_REQUEST_BYTES = 4096
 """Longest request [bytes]. A longer request is truncated, and then refused as invalid JSON."""

@@ -19,7 +19,7 @@ from handctl.errors import BusError
 from handctl.programs.requests import MAX_TARGET_VALUES, target_text
 from handctl.runtime.mailbox import SHORT_RUN_FOLDER_TEXT
 from handctl.runtime.paths import targets_path
-from handctl.runtime.peers import receive_datagram, request_sender_credentials
+from handctl.runtime.socket_peers import receive_datagram, request_sender_credentials
 
 TARGET_MAGIC = b"HCT1"
 """First bytes of every target datagram. They include the version of the format."""

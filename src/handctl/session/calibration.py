@@ -16,9 +16,9 @@ from handctl.output import write_text_atomically
 from handctl.programs.calibration import Calibration, TendonCalibration, load_calibration
 from handctl.programs.commission import CommissionProgram, calibration_of_result
 from handctl.session.notices import NoticeCallback, ignore_notice
-from handctl.session.pace import pace_advice
 from handctl.session.plan import RunPlan
 from handctl.session.run import RunFunction, RunOutcome, make_controller
+from handctl.session.time_scale_advice import pace_advice
 
 MAX_UNANNOUNCED_CALIBRATION_AGE_S = 24 * 3600.0
 """Largest age of a calibration with which a hand may be armed [s].

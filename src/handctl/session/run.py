@@ -19,7 +19,7 @@ from handctl.core.types import IoEvent, TickIn, TickOut
 from handctl.errors import BusError, DriveError, PowerError
 from handctl.hand.description import Hand
 from handctl.log.header import TRUTH_OFFSET_KEY
-from handctl.log.record import pack_snapshot, pack_tick_record
+from handctl.log.tick_record import pack_snapshot, pack_tick_record
 from handctl.log.topics.snapshots import SNAPSHOT_PERIOD_NS
 from handctl.log.write.recorder import Recorder
 from handctl.programs.calibration import Calibration

@@ -2,8 +2,8 @@
 
 All lockstep runs are set up in this module.
 
-``simulate_controller`` executes a whole run, ``SimulatedRun`` executes single ticks, and ``SimulatorSettings.lockstep_clock`` is
-for runs with a log.
+``simulate_controller`` executes a whole run, ``SimulatedRun`` executes single ticks, and
+``SimulatorSettings.lockstep_clock`` is for runs with a log.
 """
 
 import math

@@ -10,10 +10,10 @@ from handctl.core.block import STALE_FRAMES
 from handctl.log.read.reader import RunLog
 from handctl.programs.task import HoldPhase, Task
 from handctl.report.frame_counts import frame_counts
-from handctl.report.lift import judge_lift, lift_failure
+from handctl.report.lift_judgement import judge_lift, lift_failure
 from handctl.report.run_figure import draw_run
 from handctl.report.summary import summarise_run
-from handctl.report.truth import TruthRecord, read_truth
+from handctl.report.truth_record import TruthRecord, read_truth
 from handctl.session.notices import NoticeCallback
 from handctl.session.plan import RunPlan
 from handctl.session.run import RunOutcome

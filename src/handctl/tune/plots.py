@@ -10,7 +10,8 @@ from handctl.hand.description import Hand
 from handctl.log.read.reader import RunLog
 from handctl.output import save_figure
 from handctl.report.summary import mean_angles
-from handctl.report.truth import TruthRecord
+from handctl.report.truth_record import TruthRecord
+from handctl.tune.gains_verification import OLD_GAINS_ROUNDS, GainsRollback
 from handctl.tune.loops.linear import LoopKind, open_loop
 from handctl.tune.loops.margins import (
     MIN_GAIN_MARGIN_DB,
@@ -19,7 +20,6 @@ from handctl.tune.loops.margins import (
     step_response,
 )
 from handctl.tune.search.search import SearchResult
-from handctl.tune.verify import OLD_GAINS_ROUNDS, GainsRollback
 
 BEFORE_COLOR = "#d9822b"
 AFTER_COLOR = "#3b6fb6"

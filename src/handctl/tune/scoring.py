@@ -22,7 +22,7 @@ from handctl.hand.load import hand_from_content
 from handctl.programs.exercise import ExerciseProgram
 from handctl.programs.program import Program
 from handctl.report.summary import mean_angles, root_mean_square
-from handctl.report.truth import TruthRecord, read_truth
+from handctl.report.truth_record import TruthRecord, read_truth
 from handctl.session.simulate import SimulatorSettings, homed_controller, simulate_controller
 from handctl.tune.loops.design import linear_factors, worst_margins
 

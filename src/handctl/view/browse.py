@@ -54,7 +54,7 @@ def browse_log(
     # The viewer starts on another core while this process imports Rerun and converts the first
     # part.
     with launched_viewer(["--expect-data-soon", *arguments], environment) as launch:
-        from handctl.view.feed import (
+        from handctl.view.rerun_conversion import (
             run_chunks_in_parts,
         )  # the import of Rerun overlaps the start of the viewer
 
@@ -69,7 +69,7 @@ def _send_chunks(running: Viewer, run: RunInfo, chunks: "Iterator[Chunk]") -> No
     """Send chunks to a viewer, until all are sent or the viewer is closed."""
     import rerun as rr
 
-    from handctl.view.feed import new_recording
+    from handctl.view.rerun_conversion import new_recording
     from handctl.view.scene.blueprint import dashboard_layout
 
     stream = new_recording(run)

@@ -10,15 +10,15 @@ from pathlib import Path
 import rerun as rr
 
 from handctl.errors import LogError
-from handctl.handlers import TerminationFlag
 from handctl.log.read.reader import RunLog
-from handctl.view.feed import log_chunks, new_recording
+from handctl.signal_handlers import TerminationFlag
+from handctl.view.log_tail import LogTail
+from handctl.view.rerun_conversion import log_chunks, new_recording
 from handctl.view.scene.blueprint import dashboard_layout
+from handctl.view.scene.entity_styles import style_chunks
 from handctl.view.scene.geometry import mesh_chunks
 from handctl.view.scene.run_info import RunInfo
-from handctl.view.scene.styles import style_chunks
 from handctl.view.scene.topic_converters import TopicConverters
-from handctl.view.tail import LogTail
 from handctl.view.viewer import Viewer, check_screen, software_vulkan, start_viewer
 
 CHECK_PERIOD_S = 0.2

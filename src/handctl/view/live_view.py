@@ -15,7 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from handctl.errors import HandctlError
-from handctl.handlers import TerminationFlag
+from handctl.signal_handlers import TerminationFlag
 
 NICE_INCREMENT = 10
 """Increment of the nice value, for a lower priority than the controller."""

@@ -16,15 +16,15 @@ from handctl.drives.contract import Drive, DriveState
 from handctl.errors import BusError, ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
-from handctl.handlers import TerminationFlag, installed_handler
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.clocks.real import RealClock
-from handctl.runtime.diagnostics.watch import STALE_AFTER_S, BusWatch, is_saturated
+from handctl.runtime.diagnostics.bus_watch import STALE_AFTER_S, BusWatch, is_saturated
 from handctl.runtime.mailbox import bus_lock, is_running
 from handctl.session.buses import refuse_default_hand
 from handctl.session.defaults import DEFAULT_HAND
 from handctl.session.exit_codes import ExitCode
 from handctl.session.plan import bus_specs, chosen_time_scale, default_rate
+from handctl.signal_handlers import TerminationFlag, installed_handler
 
 MAX_POLL_RATE_HZ = 100.0
 """Largest rate of the requests to the drives [Hz]. The bus load may allow only a lower rate."""

@@ -5,7 +5,7 @@ import dataclasses
 from functools import partial
 from typing import Any
 
-from handctl.cli.checks.fragment import hand_file_snippet
+from handctl.cli.checks.hand_file_snippet import hand_file_snippet
 from handctl.cli.console.options import print_json
 from handctl.cli.console.verbosity import print_note
 from handctl.drives.cia402 import codec as cia402_codec

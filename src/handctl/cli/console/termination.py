@@ -13,9 +13,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType, TracebackType
 
-from handctl.handlers import installed_handler
 from handctl.printing import escaped_streams
 from handctl.session.exit_codes import ExitCode
+from handctl.signal_handlers import installed_handler
 
 
 class TerminationRequested(KeyboardInterrupt):

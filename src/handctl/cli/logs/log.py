@@ -96,8 +96,8 @@ def _lateness_us(log: RunLog) -> dict[str, float]:
 
 
 def _check_log(args: argparse.Namespace) -> int:
-    from handctl.replay.check import check_log
-    from handctl.replay.damage import first_damage
+    from handctl.replay.log_check import check_log
+    from handctl.replay.log_damage import first_damage
 
     try:
         with RunLog(args.log) as log, progress_bar("checking", quiet=args.json):
@@ -119,8 +119,8 @@ def _check_log(args: argparse.Namespace) -> int:
 
 
 def _compare_logs(args: argparse.Namespace) -> int:
-    from handctl.replay.compare import difference_lines
-    from handctl.replay.diff import compare_logs
+    from handctl.replay.phase_comparison import compare_logs
+    from handctl.replay.run_comparison import difference_lines
 
     with RunLog(args.log) as a, RunLog(args.other) as b, progress_bar("comparing", quiet=args.json):
         result = compare_logs(a, b, str(args.other))
@@ -173,7 +173,7 @@ def _write_export(args: argparse.Namespace, logs: list[RunLog], out: Path) -> in
     form = args.format
     log = logs[0]
     if form == "rrd":
-        from handctl.view.feed import write_rrd
+        from handctl.view.rerun_conversion import write_rrd
         from handctl.view.scene.run_info import RunInfo
 
         return write_rrd(args.log, RunInfo.from_header(log.header, args.log.stem), out)

@@ -8,7 +8,7 @@ from handctl.cli.console.motion_confirmation import announce_motion
 from handctl.cli.console.options import print_escaped, print_json, warn_if_lossy
 from handctl.cli.console.plan import find_calibration, make_plan
 from handctl.log.read.reader import RunLog
-from handctl.replay.compare import check_same_hand, difference_lines
+from handctl.replay.controller_rebuild import logged_hand
 from handctl.replay.motion_replay import (
     active_interval,
     compare_replay,
@@ -16,7 +16,7 @@ from handctl.replay.motion_replay import (
     followed_duration_s,
     playback_program,
 )
-from handctl.replay.rebuild import logged_hand
+from handctl.replay.run_comparison import check_same_hand, difference_lines
 from handctl.session.calibration import ensure_calibration
 from handctl.session.exit_codes import ExitCode
 from handctl.session.plan import commission_log, default_log

@@ -8,7 +8,7 @@ import argparse
 from handctl.cli.console.options import print_escaped, print_json, warn_if_lossy
 from handctl.cli.console.progress import progress_bar
 from handctl.log.read.reader import RunLog
-from handctl.replay.other_limits import judge_by_limits
+from handctl.replay.limits_judgement import judge_by_limits
 
 
 def run(args: argparse.Namespace) -> int:

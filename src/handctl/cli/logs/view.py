@@ -57,7 +57,7 @@ def _find_truth(args: argparse.Namespace, log: Any) -> Any:
     Raises:
         LogError: the file that ``--truth`` names does not belong to this run.
     """
-    from handctl.report.truth import read_truth
+    from handctl.report.truth_record import read_truth
 
     beside = args.log.with_suffix(".truth")
     if args.truth is None and not (log.header.deterministic and beside.is_file()):
@@ -113,7 +113,7 @@ def _check_options(args: argparse.Namespace) -> None:
 
 def _write_files(args: argparse.Namespace, run_info: Any, at_s: float) -> dict[str, Any]:
     """Write the requested recording and picture. Return the fields of the JSON result."""
-    from handctl.view.feed import write_rrd
+    from handctl.view.rerun_conversion import write_rrd
 
     result: dict[str, Any] = {}
     if args.save:
@@ -133,7 +133,7 @@ def _write_files(args: argparse.Namespace, run_info: Any, at_s: float) -> dict[s
 
 
 def _draw_picture(args: argparse.Namespace, rrd: Path, at_s: float) -> dict[str, Any]:
-    from handctl.view.picture import draw_recording
+    from handctl.view.dashboard_picture import draw_recording
 
     reports = draw_recording(rrd, at_s, args.picture)
     for report in reports:

@@ -10,7 +10,7 @@ import textwrap
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple, NoReturn
 
-from handctl.cli.parsing.renamed import new_spelling
+from handctl.cli.parsing.renamed_options import new_spelling
 from handctl.errors import ConfigError
 from handctl.printing import MAX_WORD_CHARACTERS, printable_text, similar_name
 

@@ -18,10 +18,10 @@ from handctl.programs.playback import PlaybackProgram
 from handctl.programs.program import Program
 from handctl.runtime.paths import truth_path
 from handctl.session.calibration import ensure_calibration
-from handctl.session.pace import pace_advice
 from handctl.session.plan import RunPlan, commission_log, default_log
 from handctl.session.run import RunOutcome, make_controller, refuse_view_without_screen, run_live
 from handctl.session.tasks import load_task_for_hand, load_trajectory_for_hand
+from handctl.session.time_scale_advice import pace_advice
 
 
 def run(args: argparse.Namespace) -> int:

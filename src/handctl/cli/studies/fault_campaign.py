@@ -8,14 +8,14 @@ from pathlib import Path
 
 from handctl.campaign.campaign import CampaignReport
 from handctl.campaign.campaign import run_campaign as run_campaign
-from handctl.campaign.page import summary_lines, write_page
+from handctl.campaign.campaign_page import summary_lines, write_page
+from handctl.campaign.fault_matrix import ALL_PROTOCOLS, FAULT_MATRIX, scenarios_of_hand
+from handctl.campaign.run_stages import hand_with_protocol
 from handctl.campaign.scenario_run import ScenarioResult
-from handctl.campaign.scenarios import ALL_PROTOCOLS, FAULT_MATRIX, scenarios_of_hand
-from handctl.campaign.stage import hand_with_protocol
 from handctl.cli.console.options import check_seed, print_json
 from handctl.cli.console.progress import progress_bar
 from handctl.errors import ConfigError
-from handctl.log.record import pack_tick_record
+from handctl.log.tick_record import pack_tick_record
 from handctl.log.write.recorder import Recorder
 from handctl.output import write_text_atomically
 from handctl.session.exit_codes import ExitCode

@@ -4,7 +4,7 @@ import argparse
 from typing import Any
 
 from handctl.campaign import sequences
-from handctl.campaign.stage import hand_with_protocol
+from handctl.campaign.run_stages import hand_with_protocol
 from handctl.cli.console.options import check_seed, print_json
 from handctl.cli.console.progress import progress_bar
 from handctl.cli.studies.fault_campaign import (

@@ -23,8 +23,8 @@ from handctl.paper.bench.experiments import (
     run_experiments,
 )
 from handctl.paper.bench.pool import worker_pool
+from handctl.paper.errata_item import ErrataVerdict
 from handctl.paper.figures.gallery import draw_all_figures
-from handctl.paper.item import ErrataVerdict
 from handctl.paper.page import items_as_json, page_as_html, page_as_markdown, value_text
 from handctl.paper.sections import PageSection, count_by_verdict, page_sections
 from handctl.session.exit_codes import ExitCode

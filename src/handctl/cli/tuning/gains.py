@@ -136,7 +136,7 @@ def _gains_to_compare(word: str, hand: Hand) -> Gains:
         return entries[word.lstrip("0")]
     if word.endswith(".mcap"):
         from handctl.log.read.reader import RunLog
-        from handctl.replay.rebuild import logged_gains
+        from handctl.replay.controller_rebuild import logged_gains
 
         with RunLog(Path(word)) as log:
             return logged_gains(log)
@@ -244,7 +244,7 @@ def _change_live_gains(args: argparse.Namespace) -> int:
 
     If a value is invalid, an error is raised before a request is sent.
     """
-    from handctl.runtime.confirm import open_watcher, send_with_confirmation
+    from handctl.runtime.confirmed_requests import open_watcher, send_with_confirmation
 
     values = gain_assignments(args.values, "gains set")
     with_values(Gains(), values, "gains set", live=True)

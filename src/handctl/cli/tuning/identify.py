@@ -27,7 +27,7 @@ from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.calibration import Calibration, load_calibration
 from handctl.programs.excite import ExciteProgram
-from handctl.replay.rebuild import logged_hand
+from handctl.replay.controller_rebuild import logged_hand
 from handctl.runtime.hold_limit import HoldLimit
 from handctl.session.calibration import (
     ensure_calibration,

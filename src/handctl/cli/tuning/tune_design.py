@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
     The command fails if the stability margins are too small.
     """
     from handctl.tune.loops.design import GainDesign, design_gains, linear_factors, model_with_gains
-    from handctl.tune.loops.steps import RestTest
+    from handctl.tune.loops.step_tests import RestTest
     from handctl.tune.plots import draw_loops
 
     if args.poles is None and args.damping != 1.0:

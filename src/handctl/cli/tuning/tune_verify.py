@@ -27,7 +27,7 @@ from handctl.session.simulate import SimulatorSettings
 def run(args: argparse.Namespace) -> int:
     """Verify new gains on the hand. Return 0 only if the new gains pass at full amplitude."""
     from handctl.programs.exercise import ExerciseProgram
-    from handctl.tune.verify import ROUND_AMPLITUDES, VerifyObserver
+    from handctl.tune.gains_verification import ROUND_AMPLITUDES, VerifyObserver
 
     if bool(args.bus) == args.lockstep:
         raise ConfigError(
@@ -105,9 +105,9 @@ def _judge_run(
     Return the fields of the JSON result.
     """
     from handctl.log.read.reader import RunLog
-    from handctl.report.truth import read_truth
+    from handctl.report.truth_record import read_truth
+    from handctl.tune.gains_verification import ROUND_AMPLITUDES, scores_by_round
     from handctl.tune.plots import draw_verify
-    from handctl.tune.verify import ROUND_AMPLITUDES, scores_by_round
 
     truth = read_truth(truth_file) if truth_file else None
     with RunLog(log) as record:
@@ -134,7 +134,7 @@ def _report_verification(
 
     Return the exit code.
     """
-    from handctl.tune.verify import compare_rounds
+    from handctl.tune.gains_verification import compare_rounds
 
     last = runs[-1]
     columns = compare_rounds([one["rounds"] for one in runs]) if last["through"] else []
@@ -168,7 +168,7 @@ def _print_columns(result: dict[str, Any]) -> None:
 def _print_rounds(result: dict[str, Any], rounds: Iterable[Any], args: argparse.Namespace) -> None:
     from rich.table import Table
 
-    from handctl.tune.verify import ROUND_AMPLITUDES
+    from handctl.tune.gains_verification import ROUND_AMPLITUDES
 
     table = Table(title=f"judged by the {result['judged_by']}")
     for heading in (
@@ -213,7 +213,7 @@ def _print_rounds(result: dict[str, Any], rounds: Iterable[Any], args: argparse.
 
 def _gains_label(number: int, back: dict[str, Any] | None) -> str:
     """Return the label for the gains in a round of the test: old, new, or back to the old gains."""
-    from handctl.tune.verify import OLD_GAINS_ROUNDS, ROUND_AMPLITUDES
+    from handctl.tune.gains_verification import OLD_GAINS_ROUNDS, ROUND_AMPLITUDES
 
     if number < OLD_GAINS_ROUNDS:
         return "old"

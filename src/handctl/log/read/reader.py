@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS
 from handctl.errors import LogError
-from handctl.log.batch import FIXED_DTYPE, column_count, columns_of_fields, row_fields
 from handctl.log.header import RunHeader
 from handctl.log.read.chunk_reader import (
     ChunkDefinitions,
@@ -26,11 +25,12 @@ from handctl.log.read.chunk_reader import (
 from handctl.log.read.logfile import ChunkLocation, LogErrorContext, LogFile
 from handctl.log.read.record_scan import RecordScan, scan_records
 from handctl.log.read.timeline import LoggedEvent, PhaseChange, TickGap
-from handctl.log.record import TickRecord, message_layout, unpack_tick, unpack_ticks
-from handctl.log.topics.chain import CHAIN_TOPIC as CHAIN_TOPIC
-from handctl.log.topics.chain import HASH_SIZE
+from handctl.log.tick_batch import FIXED_DTYPE, column_count, columns_of_fields, row_fields
+from handctl.log.tick_record import TickRecord, message_layout, unpack_tick, unpack_ticks
 from handctl.log.topics.clock_pairs import CLOCK_PAIRS_TOPIC as CLOCK_TOPIC
 from handctl.log.topics.clock_pairs import ClockPair, decode_clock_pair
+from handctl.log.topics.hash_chain import CHAIN_TOPIC as CHAIN_TOPIC
+from handctl.log.topics.hash_chain import HASH_SIZE
 from handctl.log.topics.snapshots import SNAPSHOT_TOPIC as SNAPSHOT_TOPIC
 from handctl.log.topics.snapshots import decode_snapshot
 from handctl.log.topics.topic_set import TICK_TOPIC, VALUES_TOPIC

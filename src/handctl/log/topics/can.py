@@ -4,10 +4,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.drives.frame import ERROR, EXTENDED, FDF, REMOTE
-from handctl.log.batch import FrameBatch, TickBatch
 from handctl.log.cdr import CdrWriter, MessageTemplate, TemplateWriter
 from handctl.log.container import MESSAGE_STRUCT, MessageBlock
 from handctl.log.header import RunHeader
+from handctl.log.tick_batch import FrameBatch, TickBatch
 from handctl.log.topics.message_streams import (
     MessageStamps,
     MessageStream,

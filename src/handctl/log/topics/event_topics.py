@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.core.types import GAIN_EVENT, Mode
-from handctl.log.batch import TickBatch
 from handctl.log.cdr import CdrWriter
 from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
 from handctl.log.message_types import OTHER_PHASE_NUMBER, PHASE_NUMBERS
-from handctl.log.record import TickRecord
+from handctl.log.tick_batch import TickBatch
+from handctl.log.tick_record import TickRecord
 from handctl.log.topics.message_streams import MessageStamps, TopicRegistry, variable_length_block
 from handctl.programs.requests import is_routine
 from handctl.safety.action import Action

@@ -9,10 +9,10 @@ from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS
 from handctl.hand.description import Hand
 from handctl.hand.load import hand_from_content, parse_toml
 from handctl.hand.moment_arms import arms_at
-from handctl.log.batch import TickBatch, columns_of_fields
 from handctl.log.cdr import CdrWriter, MessageTemplate, TemplateWriter
 from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
+from handctl.log.tick_batch import TickBatch, columns_of_fields
 from handctl.log.topics.message_streams import MessageStamps, MessageStream, TopicRegistry
 
 FloatArray = NDArray[np.float64]

@@ -3,15 +3,15 @@
 import numpy as np
 from mcap.records import Channel, Schema
 
-from handctl.log.batch import TickBatch
 from handctl.log.cdr import CdrWriter
 from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
+from handctl.log.tick_batch import TickBatch
 from handctl.log.topics.can import CanTopics
-from handctl.log.topics.chain import ChainTopic
 from handctl.log.topics.clock_pairs import ClockTopic
 from handctl.log.topics.event_topics import EventTopics
-from handctl.log.topics.health import HealthTopics
+from handctl.log.topics.hash_chain import ChainTopic
+from handctl.log.topics.health_topics import HealthTopics
 from handctl.log.topics.message_streams import (
     MessageStamps,
     TopicRegistry,

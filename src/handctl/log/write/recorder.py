@@ -19,8 +19,13 @@ from typing import Self
 from handctl.core.types import IoEvent
 from handctl.errors import LogError
 from handctl.log.header import RunHeader
-from handctl.log.record import END_RECORD_KIND, FILE_RECORD_KIND, HEADER_RECORD_KIND, record_bytes
-from handctl.log.write.child import RecorderProcess, take_recorder_process
+from handctl.log.tick_record import (
+    END_RECORD_KIND,
+    FILE_RECORD_KIND,
+    HEADER_RECORD_KIND,
+    record_bytes,
+)
+from handctl.log.write.recorder_start import RecorderProcess, take_recorder_process
 
 PIPE_BYTES = (8 << 20, 1 << 20)
 """Sizes to request for the pipe to the recorder, in order of preference [bytes].

@@ -9,10 +9,10 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
-from handctl.log.batch import TickBatcher
 from handctl.log.container import McapContainer, MessageBlock
 from handctl.log.header import RunHeader
-from handctl.log.record import SNAPSHOT_HEAD_STRUCT
+from handctl.log.tick_batch import TickBatcher
+from handctl.log.tick_record import SNAPSHOT_HEAD_STRUCT
 from handctl.log.topics.clock_pairs import PAIR_PERIOD_NS
 from handctl.log.topics.snapshots import ControllerSnapshot
 from handctl.log.topics.topic_set import TopicSet

@@ -18,7 +18,7 @@ from handctl.hand.load import hand_from_content, load_hand
 from handctl.hand.tendons import TendonElasticity
 from handctl.paper import sources as src
 from handctl.paper.bench.bench_run import run_bench_task
-from handctl.paper.item import ErrataItem
+from handctl.paper.errata_item import ErrataItem
 from handctl.paper.verdicts import verdict_of_contradiction
 from handctl.programs.task import Task
 

@@ -13,10 +13,10 @@ import numpy as np
 from handctl.hand.digit import Array
 from handctl.paper import sources as src
 from handctl.paper.bench.bench_run import BenchRecording, run_bench_task
-from handctl.paper.item import ErrataItem
+from handctl.paper.errata_item import ErrataItem
 from handctl.paper.verdicts import verdict_of_lower_bound
 from handctl.programs.task import Task
-from handctl.report.truth import TruthRecord, read_truth
+from handctl.report.truth_record import TruthRecord, read_truth
 
 HAND_NAME = "jamia"
 """Name of the packaged hand for this measurement."""

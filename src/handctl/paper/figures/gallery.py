@@ -11,7 +11,7 @@ from handctl.paper.figures import (
     fig3_path,
     fig4_statics,
     fig7_torques,
-    measured,
+    measured_figures,
 )
 from handctl.paper.figures.style import write_figure
 
@@ -39,12 +39,12 @@ def figure_contents(
         loads = results["payload"]
         drawn |= {
             "fig5-force-displacement": (
-                measured.FORCE_FIGURE_SIZE_IN,
-                lambda fig: measured.draw_force_displacement(fig, bench),
+                measured_figures.FORCE_FIGURE_SIZE_IN,
+                lambda fig: measured_figures.draw_force_displacement(fig, bench),
             ),
             "fig8-payload": (
-                measured.PAYLOAD_FIGURE_SIZE_IN,
-                lambda fig: measured.draw_payloads(fig, loads),
+                measured_figures.PAYLOAD_FIGURE_SIZE_IN,
+                lambda fig: measured_figures.draw_payloads(fig, loads),
             ),
         }
     return drawn

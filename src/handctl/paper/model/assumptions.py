@@ -6,7 +6,7 @@ import numpy as np
 
 from handctl.hand.digit import Array
 from handctl.paper import sources as src
-from handctl.paper.item import ErrataItem
+from handctl.paper.errata_item import ErrataItem
 from handctl.paper.model.kinematics import paper_digit
 from handctl.paper.verdicts import verdict_of_number, verdict_of_statement
 
@@ -95,8 +95,8 @@ def _check_balance() -> list[ErrataItem]:
             "grip.balance", "Sec. 5 against Sec. 6",
             f"{src.THUMB_GRIP_FORCE_N} N thumb, {src.FINGER_GRIP_FORCE_N} N each finger",
             float(fingers), "N", verdict_of_statement(fingers == src.THUMB_GRIP_FORCE_N),
-            f"Three fingers press with {fingers} N, the thumb with {src.THUMB_GRIP_FORCE_N} N: the object would be pushed "
-            f"out. For {fingers} N the thumb's tendon needs {tension} N and its motor {float(torque):g} N m.",
+            f"Three fingers press with {fingers} N, the thumb with {src.THUMB_GRIP_FORCE_N} N: the object would be "
+            f"pushed out. For {fingers} N the thumb's tendon needs {tension} N and its motor {float(torque):g} N m.",
             STATICS_TAG),
     ]  # fmt: skip
 
@@ -130,8 +130,8 @@ def _check_bending() -> ErrataItem:
     return ErrataItem(
         "wire.bending", "Sec. 5", "r_p = 3 mm, wire 0.86 mm", ratio, "", verdict_of_statement(ratio >= MIN_BEND_RATIO),
         f"Ratio of pulley diameter to rope diameter. Engineering practice requires at least {MIN_BEND_RATIO:g}. "
-        "The paper does not consider bending stress, fatigue, friction, return springs and a safety factor. A stress of 190 MPa "
-        "is usual for aluminium, and not for a steel rope.",
+        "The paper does not consider bending stress, fatigue, friction, return springs and a safety factor. A stress of "
+        "190 MPa is usual for aluminium, and not for a steel rope.",
         ("arithmetic",))  # fmt: skip
 
 

@@ -8,7 +8,7 @@ from handctl.hand.digit import Array, DigitModel
 from handctl.hand.inverse_kinematics import inverse_kinematics
 from handctl.hand.kinematics import from_palm_frame, joint_points
 from handctl.paper import sources as src
-from handctl.paper.item import ErrataItem
+from handctl.paper.errata_item import ErrataItem
 from handctl.paper.model.expression import Expression
 from handctl.paper.model.lagrange import RELATIVE_TOLERANCE, relative_deviation
 from handctl.paper.verdicts import verdict_of_statement

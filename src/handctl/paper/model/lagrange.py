@@ -17,7 +17,7 @@ from handctl.hand import rigid_body
 from handctl.hand.digit import Array, DigitModel
 from handctl.hand.dynamics import inverse_dynamics
 from handctl.hand.load import load_hand
-from handctl.paper.item import ErrataItem, ErrataVerdict
+from handctl.paper.errata_item import ErrataItem, ErrataVerdict
 from handctl.paper.model import equations
 from handctl.paper.model.equations import EquationTerm
 from handctl.paper.model.expression import Dimension, DimensionError

@@ -9,7 +9,7 @@ from handctl.hand import dynamics
 from handctl.hand.digit import Array, DigitModel
 from handctl.hand.tendons import reflected_inertia
 from handctl.paper import sources as src
-from handctl.paper.item import ErrataItem
+from handctl.paper.errata_item import ErrataItem
 from handctl.paper.model import equations
 from handctl.paper.model.lagrange import finger_states, printed_sum
 from handctl.paper.verdicts import verdict_of_readings, verdict_of_statement
@@ -139,9 +139,9 @@ def _check_completeness() -> ErrataItem:
     return ErrataItem(
         "sec7.complete", "Sec. 7", "the torque required to move the fingers", links_peak, "N",
         verdict_of_readings([True, links_peak > 0.5 * driven_peak]),
-        f"Peak tension for closing a finger by {CLOSED_JOINT_ANGLE_DEG:g}° in {fast.duration_s:g} s with the dynamics of the "
-        "links only, which Eq. 3 to 12 describe. This tension is complete if the actuator has no inertia, and the paper "
-        f"states no inertia. With the rotor of this project the peak is {driven_peak:.1f} N. The return springs of "
+        f"Peak tension for closing a finger by {CLOSED_JOINT_ANGLE_DEG:g}° in {fast.duration_s:g} s with the dynamics "
+        "of the links only, which Eq. 3 to 12 describe. This tension is complete if the actuator has no inertia, and the "
+        f"paper states no inertia. With the rotor of this project the peak is {driven_peak:.1f} N. The return springs of "
         f"this project (peak {fast.peak_tension('springs'):.1f} N) are not part "
         "of the paper's hand.", ("this project's dynamics",))  # fmt: skip
 
@@ -167,6 +167,6 @@ def _check_torque_value() -> ErrataItem:
         verdict_of_statement(bool(numbers)),
         f"No value is printed: each of the {len(terms)} terms of Eq. 10 to 12 has symbols, whose values "
         "(masses, centres of mass, inertias, a motion) the paper does not give. With the values of this "
-        f"project, closing by {CLOSED_JOINT_ANGLE_DEG:g}° in {fast.duration_s:g} s requires this peak torque, in the only "
-        "coordinate of the finger.",
+        f"project, closing by {CLOSED_JOINT_ANGLE_DEG:g}° in {fast.duration_s:g} s requires this peak torque, in the "
+        "only coordinate of the finger.",
         ("count", "this project's dynamics"))  # fmt: skip

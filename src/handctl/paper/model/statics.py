@@ -4,7 +4,7 @@ import math
 from fractions import Fraction
 
 from handctl.paper import sources as src
-from handctl.paper.item import ErrataItem
+from handctl.paper.errata_item import ErrataItem
 from handctl.paper.model.expression import DIMENSIONLESS, Dimension, DimensionError, Expression
 from handctl.paper.verdicts import (
     rounding_interval,

@@ -21,7 +21,7 @@ from handctl.runtime.buses.canfd import CANFD_FRAME_BYTES, FrameStructs, without
 from handctl.runtime.buses.contract import TimeConversion, check_payload_size
 from handctl.runtime.buses.events import BusEvent, BusEvents
 from handctl.runtime.paths import local_bus_path
-from handctl.runtime.peers import is_served_by_us
+from handctl.runtime.socket_peers import is_served_by_us
 
 FRAME_RECORD_STRUCT = struct.Struct("<IBBH64s")
 """One record: identifier with flag bits, length, flags, number of dropped frames modulo 65536, payload."""

@@ -174,7 +174,7 @@ class SharedClock(RealClock):
                 return
 
     def _is_answered(self, deadline: int) -> bool:
-        """Return True if the simulator has answered all frames, and is at most ``MAX_SIMULATOR_LAG_NS`` behind the deadline."""
+        """Return True if the simulator has answered all frames, and lags by at most ``MAX_SIMULATOR_LAG_NS``."""
         numbers = self._numbers
         behind_ns = int(MAX_SIMULATOR_LAG_NS / self.time_scale)
         return bool(

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handctl.tune.identify.data import Array
+from handctl.tune.identify.tendon_data import Array
 
 CONTACT_SCORE = 4.5
 """Smallest score of a ramp that counts as a contact, for a digit with one tendon."""

@@ -16,10 +16,10 @@ from handctl.errors import LogError
 from handctl.hand.description import Hand
 from handctl.hand.dynamics import DigitModel
 from handctl.tune.identify.contact_detection import ResidualRamp, steepest_ramp
-from handctl.tune.identify.data import Array, TendonData
 from handctl.tune.identify.fit_load import DigitLoad, LoadParameters, SignalBins, average_in_bins
 from handctl.tune.identify.fit_motor import MotorWindows, motor_windows
-from handctl.tune.identify.solve import FitSolution, solve_least_squares
+from handctl.tune.identify.least_squares import FitSolution, solve_least_squares
+from handctl.tune.identify.tendon_data import Array, TendonData
 
 PARAMETER_NAMES = (
     "torque_gain", "motor_inertia", "motor_viscous", "motor_coulomb", "delay",

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from handctl.hand.digit import DigitModel
 from handctl.hand.dynamics import inverse_dynamics
 from handctl.tune.identify.contact_detection import ResidualRamp, steepest_ramp
-from handctl.tune.identify.data import Array, TendonData, average_samples
 from handctl.tune.identify.fit import (
     DEFAULT_PRIOR_DEVIATION,
     MAX_SCALE,
@@ -29,7 +28,8 @@ from handctl.tune.identify.fit import (
     merge_solution,
 )
 from handctl.tune.identify.fit_load import MAX_FRICTION_EXPONENT
-from handctl.tune.identify.solve import FitSolution, solve_least_squares
+from handctl.tune.identify.least_squares import FitSolution, solve_least_squares
+from handctl.tune.identify.tendon_data import Array, TendonData, average_samples
 
 SHARED_PARAMETERS = ("spring_stiffness", "spring_preload", "joint_damping", "link_mass")
 """Names of the parameters that a digit has once. They are factors that multiply values of the hand file.

@@ -21,7 +21,7 @@ import numpy as np
 from handctl.hand.digit import DigitModel
 from handctl.hand.dynamics import gravity_torque, mass_matrix
 from handctl.hand.moment_arms import arms_at, excursions_at
-from handctl.tune.identify.data import Array, Mask, TendonData
+from handctl.tune.identify.tendon_data import Array, Mask, TendonData
 
 BIN_DURATION_S = 0.01
 """Duration of a bin of samples [s].

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.tune.identify.data import Array, TendonData
+from handctl.tune.identify.tendon_data import Array, TendonData
 
 HALF_WINDOW_S = 0.022
 """Half the length of a window [s].

@@ -26,7 +26,6 @@ from handctl.hand.description import Hand
 from handctl.hand.digit import Array, DigitModel
 from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
 from handctl.hand.tree import HandTree
-from handctl.tune.identify.data import TendonData
 from handctl.tune.identify.fit import (
     DEFAULT_PRIOR_DEVIATION,
     MAX_SCALE,
@@ -41,12 +40,13 @@ from handctl.tune.identify.fit import (
 from handctl.tune.identify.fit_load import SignalBins
 from handctl.tune.identify.fit_motor import MotorWindows, WindowWeights, motor_windows, quick_speed
 from handctl.tune.identify.fit_travel import SENSOR_SKEW_S, tendon_excursions
-from handctl.tune.identify.solve import (
+from handctl.tune.identify.least_squares import (
     MIN_DEGREES_OF_FREEDOM,
     OUTLIER_RESIDUAL,
     FitSolution,
     solve_least_squares,
 )
+from handctl.tune.identify.tendon_data import TendonData
 
 PAIR_PARAMETERS = (
     "motor_inertia", "motor_viscous", "motor_coulomb", "delay", "tendon_stiffness", "capstan", "moment_arm",

@@ -13,7 +13,6 @@ from dataclasses import replace
 import numpy as np
 
 from handctl.hand.digit import DigitModel
-from handctl.tune.identify.data import MIN_TENSION_N, Array, TendonData, average_samples
 from handctl.tune.identify.fit import (
     DEFAULT_PRIOR_DEVIATION,
     MAX_SCALE,
@@ -24,7 +23,8 @@ from handctl.tune.identify.fit import (
     merge_solution,
     with_model_error,
 )
-from handctl.tune.identify.solve import solve_least_squares
+from handctl.tune.identify.least_squares import solve_least_squares
+from handctl.tune.identify.tendon_data import MIN_TENSION_N, Array, TendonData, average_samples
 
 TRAVEL_PARAMETERS = ("tendon_stiffness", "moment_arm")
 """Names of the parameters that this fit identifies.

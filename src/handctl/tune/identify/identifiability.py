@@ -12,8 +12,8 @@ from scipy.signal import coherence
 
 from handctl.core.identified import PARAMETER_UNITS
 from handctl.hand.description import Hand
-from handctl.tune.identify.data import Array, TendonData
 from handctl.tune.identify.fit import MAX_HALF_WIDTH, PARAMETER_NAMES, SCALE_DELAY_S, TendonFit
+from handctl.tune.identify.tendon_data import Array, TendonData
 
 MAX_CORRELATION = 0.95
 """Absolute correlation of two estimated parameters above which they are reported as trading off."""

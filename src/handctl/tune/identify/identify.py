@@ -15,7 +15,6 @@ from handctl.hand.digit import DigitModel
 from handctl.log.read.reader import RunLog
 from handctl.log.read.timeline import phase_of_each
 from handctl.tune.identify.contact_detection import are_joints_moving
-from handctl.tune.identify.data import Array, TendonData, tendon_data
 from handctl.tune.identify.fit import PARAMETER_NAMES, TendonFit, TendonFitProblem, fit_tendon
 from handctl.tune.identify.fit_digit import TorqueBalance, fit_digit, fits_with_digit
 from handctl.tune.identify.fit_pair import fit_pair
@@ -25,6 +24,7 @@ from handctl.tune.identify.identifiability import (
     assess_identifiability,
     excitation_coherence,
 )
+from handctl.tune.identify.tendon_data import Array, TendonData, tendon_data
 
 EXCITATION_BAND_HZ = (0.7, 6.0)
 """Frequency band over which the coherence is averaged [Hz].

@@ -19,7 +19,7 @@ from handctl.core.gains.bounds import with_values
 from handctl.core.gains.gains import Gains
 from handctl.errors import ConfigError
 from handctl.tune.scoring import GainScore
-from handctl.tune.search.space import GAIN_RANGES, clamped_gains
+from handctl.tune.search.search_space import GAIN_RANGES, clamped_gains
 from handctl.tune.search.workers import SearchWorkers
 
 BATCH_SIZE = 8

@@ -4,7 +4,7 @@ import numpy as np
 import rerun.blueprint as rrb
 from rerun.blueprint.components import BackgroundKind, Corner2D, LinkAxis, PanelState
 
-from handctl.view.scene.arrow import RUN_TIME_TIMELINE
+from handctl.view.scene.chunk_arrays import RUN_TIME_TIMELINE
 from handctl.view.scene.run_info import RunInfo
 
 LINKED_TIME_AXIS = rrb.TimeAxis(link=LinkAxis.LinkToGlobal)

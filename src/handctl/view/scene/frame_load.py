@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from handctl.drives.frame import EXTENDED, FDF
 from handctl.drives.frame_time import frame_time_s
-from handctl.view.scene.arrow import FloatArray
+from handctl.view.scene.chunk_arrays import FloatArray
 from handctl.view.scene.run_info import RunInfo
 
 MAX_PAYLOAD_BYTES = 64

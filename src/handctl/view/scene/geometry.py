@@ -8,7 +8,7 @@ from rerun.chunk import Chunk
 from handctl.digit_colours import colour_numbers
 from handctl.hand.link_frames import quaternion_of_rotation
 from handctl.view.scene import palette
-from handctl.view.scene.arrow import static_chunk
+from handctl.view.scene.chunk_arrays import static_chunk
 from handctl.view.scene.run_info import RunInfo
 
 _SHAPE_ARCHETYPES: dict[str, type[rr.Boxes3D] | type[rr.Cylinders3D] | type[rr.Ellipsoids3D]] = {

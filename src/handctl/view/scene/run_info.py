@@ -10,11 +10,11 @@ from handctl.core.types import TELEMETRY_AXES
 from handctl.hand.description import Hand
 from handctl.hand.file.error_text import shortened_list
 from handctl.log.attached_meshes import AttachedMesh, attached_meshes
-from handctl.log.batch import columns_of_fields, row_fields
 from handctl.log.header import RunHeader
 from handctl.log.read.log_hand import described_hand
+from handctl.log.tick_batch import columns_of_fields, row_fields
 from handctl.printing import printable_text
-from handctl.report.truth import TruthRecord
+from handctl.report.truth_record import TruthRecord
 
 FloatArray = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ import rerun as rr
 from rerun.chunk import Chunk
 
 from handctl.core.types import TELEMETRY_AXES
-from handctl.view.scene.arrow import (
+from handctl.view.scene.chunk_arrays import (
     FloatArray,
     chunk_on_run_time,
     column_as_array,

@@ -8,8 +8,8 @@ import rerun as rr
 from rerun.chunk import Chunk
 
 from handctl.errors import LogError
-from handctl.report.truth import TruthRecord
-from handctl.view.scene.arrow import static_chunk, timed_chunk
+from handctl.report.truth_record import TruthRecord
+from handctl.view.scene.chunk_arrays import static_chunk, timed_chunk
 from handctl.view.scene.palette import Colour
 from handctl.view.scene.run_info import RunInfo
 

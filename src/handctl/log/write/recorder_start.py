@@ -44,7 +44,7 @@ def start_recorder_process() -> RecorderProcess:
     """Start a recorder process. The process ends when the pipe for the records is closed."""
     reading, writing = os.pipe()
     # The option `-P` keeps the working directory out of Python's import path.
-    command = [sys.executable, "-P", "-m", "handctl.log.write.process"]
+    command = [sys.executable, "-P", "-m", "handctl.log.write.recorder_process"]
     try:
         child = subprocess.Popen(
             command, stdin=reading, stdout=subprocess.PIPE, start_new_session=True

@@ -11,10 +11,10 @@ from collections.abc import Iterable, Iterator, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.log.batch import TickBatch
 from handctl.log.cdr import MessageTemplate, TemplateWriter
 from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
+from handctl.log.tick_batch import TickBatch
 from handctl.log.topics.message_streams import MessageStamps, MessageStream, TopicRegistry
 
 CHAIN_TOPIC = "/tick/chain"

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from handctl.log.read.reader import RunLog
-from handctl.log.topics.chain import first_hash_of_run, tick_hash
-from handctl.replay.rebuild import logged_hand
+from handctl.log.topics.hash_chain import first_hash_of_run, tick_hash
+from handctl.replay.controller_rebuild import logged_hand
 
 
 def check_log(log: RunLog) -> list[str]:

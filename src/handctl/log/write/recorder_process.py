@@ -2,7 +2,7 @@
 
 The recorder process ends when stdin ends.
 
-Command: `python -m handctl.log.write.process`. The first record names the log file.
+Command: `python -m handctl.log.write.recorder_process`. The first record names the log file.
 
 The recorder ignores SIGINT and SIGTERM, because the controller decides when a run ends. If the
 controller dies, the system closes the pipe, and the recorder ends.
@@ -19,7 +19,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from handctl.log.header import RunHeader
-from handctl.log.record import (
+from handctl.log.tick_record import (
     END_RECORD_KIND,
     FILE_RECORD_KIND,
     HEADER_RECORD_KIND,

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from handctl.errors import HandctlError
 from handctl.output import atomic_path
-from handctl.view.scene.arrow import RUN_TIME_TIMELINE
+from handctl.view.scene.chunk_arrays import RUN_TIME_TIMELINE
 from handctl.view.viewer import Viewer, running_viewer, software_vulkan
 
 if TYPE_CHECKING:

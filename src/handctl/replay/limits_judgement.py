@@ -17,9 +17,9 @@ from handctl.core.types import TickEvent
 from handctl.document import Document, load_document
 from handctl.errors import ConfigError
 from handctl.log.read.reader import RunLog
+from handctl.replay.controller_rebuild import rebuild_controller
 from handctl.replay.execute import gc_disabled
 from handctl.replay.log_runner import TICKS_PER_PROGRESS_REPORT, refusal_error
-from handctl.replay.rebuild import rebuild_controller
 from handctl.safety.action import Action
 from handctl.safety.faults.table import FAULT_BY_ID
 from handctl.safety.limits import MIN_SILENT_TICKS, MIN_STALLED_TICKS, SafetyLimits, ticks_for

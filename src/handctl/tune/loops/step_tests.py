@@ -15,7 +15,7 @@ from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from handctl.hand.description import Hand
 from handctl.programs.exercise import HOME_ANGLE_RAD, ExerciseProgram, ExerciseStage
-from handctl.report.truth import TruthRecord
+from handctl.report.truth_record import TruthRecord
 from handctl.tune.loops.design import distinct_tendons, linear_factors, weakest_plant
 from handctl.tune.loops.linear import LoopKind, Matrix, PlantFactors, open_loop
 from handctl.tune.scoring import GroundTruth, simulate_program

@@ -11,8 +11,8 @@ from dataclasses import asdict
 from functools import partial
 from typing import Any, Protocol, TypeVar, cast
 
+from handctl.campaign.fault_matrix import ARMING_STAGE, FREE_STAGE, GRASP_STAGE, MIT
 from handctl.campaign.scenario_run import ScenarioResult
-from handctl.campaign.scenarios import ARMING_STAGE, FREE_STAGE, GRASP_STAGE, MIT
 from handctl.controller.bus_load import with_more_buses
 from handctl.controller.setup import make_controller
 from handctl.core.gains.gains import packaged_gains

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from handctl.log.read.reader import RunLog
-from handctl.report.truth import TruthRecord
+from handctl.report.truth_record import TruthRecord
 
 TABLE_SUNK_COLUMN = "support"
 """Column of the simulator's truth file that says how far the table has sunk [m].

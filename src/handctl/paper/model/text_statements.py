@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from handctl.paper import sources as src
-from handctl.paper.item import ErrataItem
+from handctl.paper.errata_item import ErrataItem
 from handctl.paper.model import equations
 from handctl.paper.model.equations import EquationTerm
 from handctl.paper.model.lagrange import RELATIVE_TOLERANCE, SYMBOL_DIMENSIONS, random_states

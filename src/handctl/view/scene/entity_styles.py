@@ -8,7 +8,7 @@ from rerun.chunk import Chunk
 from handctl.core.types import TELEMETRY_AXES
 from handctl.digit_colours import colour_numbers
 from handctl.view.scene import palette
-from handctl.view.scene.arrow import static_chunk
+from handctl.view.scene.chunk_arrays import static_chunk
 from handctl.view.scene.palette import Colour
 from handctl.view.scene.run_info import RunInfo
 

@@ -13,7 +13,7 @@ from handctl.log.read.logfile import ChunkLocation, LogErrorContext, LogFile
 from handctl.log.read.reader import VALUES_END_OFFSET, VALUES_START_OFFSET
 from handctl.log.read.record_scan import RecordScan
 from handctl.log.read.recover import scan_damaged
-from handctl.log.topics.chain import CHAIN_TOPIC, HASH_SIZE, tick_hash
+from handctl.log.topics.hash_chain import CHAIN_TOPIC, HASH_SIZE, tick_hash
 from handctl.log.topics.topic_set import TICK_TOPIC, VALUES_TOPIC
 
 NO_CHANNEL = -1

@@ -6,7 +6,7 @@ from handctl.core.types import Mode
 from handctl.errors import IncomparableError
 from handctl.log.read.reader import RunLog
 from handctl.log.read.timeline import check_order
-from handctl.replay.compare import check_same_hand, compare_runs
+from handctl.replay.run_comparison import check_same_hand, compare_runs
 
 PASSIVE_PHASES = frozenset(mode.name.lower() for mode in Mode if mode != Mode.RELAX)
 """Names of the phases in which the hand's tendons have no tension.

@@ -15,11 +15,11 @@ from rerun.chunk import Chunk, McapReader
 from handctl.errors import LogError
 from handctl.log.read.record_scan import RecordScan, scan_path
 from handctl.log.read.recover import RecoveryStatus, recover_log
-from handctl.view.scene.arrow import LOG_TIME_TIMELINE, times_since_start
 from handctl.view.scene.blueprint import dashboard_layout
+from handctl.view.scene.chunk_arrays import LOG_TIME_TIMELINE, times_since_start
+from handctl.view.scene.entity_styles import style_chunks
 from handctl.view.scene.geometry import mesh_chunks
 from handctl.view.scene.run_info import RunInfo
-from handctl.view.scene.styles import style_chunks
 from handctl.view.scene.topic_converters import TopicConverters
 from handctl.view.scene.true_shapes import true_shape_chunks
 from handctl.view.time_slices import SLICE_NS, time_slices

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS, TELEMETRY_FIRST
 from handctl.log.header import RunHeader
-from handctl.log.record import (
+from handctl.log.tick_record import (
     FRAME_RECORD_BYTES,
     TICK_HEAD_STRUCT,
     TICK_SIZES_STRUCT,
@@ -189,7 +189,7 @@ class TickBatcher:
         Telemetry of a wrong shape becomes NaN, and `misshapen_ticks` counts the tick.
 
         Args:
-            body: body of a tick record, see `handctl.log.record`.
+            body: body of a tick record, see `handctl.log.tick_record`.
         """
         size, *sizes = TICK_SIZES_STRUCT.unpack_from(body)
         message = body[TICK_SIZES_STRUCT.size : TICK_SIZES_STRUCT.size + size]

@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from handctl.campaign.campaign import CampaignReport
+from handctl.campaign.fault_matrix import UNTESTED_ROWS
 from handctl.campaign.scenario_run import ScenarioResult
-from handctl.campaign.scenarios import UNTESTED_ROWS
 from handctl.output import write_text_atomically
 from handctl.safety.faults.table import FAULT_CATALOGUE
 

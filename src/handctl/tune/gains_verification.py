@@ -20,7 +20,7 @@ from handctl.hand.description import Hand
 from handctl.log.read.reader import RunLog
 from handctl.log.read.timeline import phase_of_each
 from handctl.report.summary import mean_angles
-from handctl.report.truth import TruthRecord
+from handctl.report.truth_record import TruthRecord
 from handctl.safety.action import Action
 from handctl.tune.scoring import GainScore, GroundTruth, score_ticks
 

@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from handctl.core.types import Mode
 from handctl.drives.contract import DrivePhase
-from handctl.log.batch import TickBatch, columns_of_fields
 from handctl.log.cdr import CdrWriter, MessageTemplate, TemplateWriter
 from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
+from handctl.log.tick_batch import TickBatch, columns_of_fields
 from handctl.log.topics.message_streams import (
     MessageStamps,
     MessageStream,
