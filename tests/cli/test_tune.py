@@ -203,7 +203,7 @@ def test_a_calibration_in_lockstep_does_not_replace_the_real_one(place, capsys, 
         own.read_bytes(),
         SimpleNamespace(failure="", progress=SimpleNamespace(finished=True)),
     )
-    outcome = SimpleNamespace(state=ended, refuse_unfinished=lambda where: None)
+    outcome = SimpleNamespace(state=ended, check_finished=lambda where: None)
     monkeypatch.setattr("handctl.cli.tuning.identify._in_lockstep", lambda *words: (made, outcome))
     monkeypatch.setattr("handctl.cli.tuning.identify.RunLog", lambda log: nullcontext())
     monkeypatch.setattr("handctl.cli.tuning.identify.identify_tendons", lambda *words: {})
@@ -223,9 +223,12 @@ def result_of_digit(digit, stiffness, blocked="", met="", names=("tendon_stiffne
     from handctl.tune.identify.identify import TendonResult
 
     values = dict.fromkeys(PARAMETER_NAMES, 1.0) | {"tendon_stiffness": stiffness}
-    problem = SimpleNamespace(nominal=np.ones(len(PARAMETER_NAMES)))
+    problem = SimpleNamespace(parameter_scales=np.ones(len(PARAMETER_NAMES)))
     fit = SimpleNamespace(
-        problem=problem, covariance=np.eye(len(PARAMETER_NAMES)), values=values, half_widths=values
+        problem=problem,
+        covariance=np.eye(len(PARAMETER_NAMES)),
+        parameter_values=values,
+        half_widths=values,
     )
     judged = SimpleNamespace(names=names, missing=())
     spectrum = (np.zeros(1), np.zeros(1))
@@ -242,7 +245,7 @@ def result_of_digit(digit, stiffness, blocked="", met="", names=("tendon_stiffne
 
 def _replace_identification(monkeypatch, made, found):
     """Let ``handctl identify --lockstep`` use a given calibration and given results."""
-    outcome = SimpleNamespace(refuse_unfinished=lambda where: None)
+    outcome = SimpleNamespace(check_finished=lambda where: None)
     monkeypatch.setattr("handctl.cli.tuning.identify._in_lockstep", lambda *words: (made, outcome))
     monkeypatch.setattr("handctl.cli.tuning.identify.RunLog", lambda log: nullcontext())
     monkeypatch.setattr("handctl.cli.tuning.identify.identify_tendons", lambda *words: found)

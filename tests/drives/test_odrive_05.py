@@ -48,9 +48,9 @@ def test_odrive_05_without_watchdog_fails_the_watchdog_check():
 def test_errors_have_texts(error, words):
     place = VirtualBench("odrive", **OLD)
     rig = rig_on(place, "odrive", 0.1, OLD)
-    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 3.0)
+    assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 3.0)
     place.bench.nodes[0].disarm(error)
-    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.FAULT, 1.0)
+    assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.FAULT, 1.0)
     assert words in rig.state.error_text
 
 
@@ -60,7 +60,7 @@ def test_odrive_05_is_not_asked_for_missing_messages():
     sent = []
     send = place.send
     place.send = lambda frames: (sent.extend(frames), send(frames))[1]
-    rig.until(DriveTarget.ENABLE, lambda state: False, 1.0)
+    rig.run_until(DriveTarget.ENABLE, lambda state: False, 1.0)
     asked = {frame.can_id & 0x1F for frame in sent if frame.can_id & REMOTE}
     assert asked == {0x09}
     assert rig.state.phase == DrivePhase.ENABLED

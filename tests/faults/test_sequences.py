@@ -48,7 +48,7 @@ def simulation():
 
 @pytest.fixture
 def arming(simulation):
-    return replace(simulation, recorded=list(simulation.recorded))
+    return replace(simulation, recorded_ticks=list(simulation.recorded_ticks))
 
 
 @pytest.mark.parametrize("protocol", ALL_PROTOCOLS)
@@ -114,7 +114,7 @@ def test_violated_rule_of_a_tick_is_found(arming):
 
 def test_violated_rule_at_the_end_is_found(arming):
     assert violations_at_end(arming) == ["the run does not end: ARMING"]
-    arming.peer = SimpleNamespace(truth=lambda: {"torque": [0.0, 0.1, 0.0, 0.0]})
+    arming.simulated_hand = SimpleNamespace(truth=lambda: {"torque": [0.0, 0.1, 0.0, 0.0]})
     arming.state = arming.state.copy()
     arming.state.mode = Mode.DONE
     assert violations_at_end(arming) == ["torque remains: middle_tendon"]
@@ -124,14 +124,14 @@ def test_violated_rule_at_the_end_is_found(arming):
 
 def test_a_tick_with_another_result_is_found(arming):
     start = arming.state
-    first = len(arming.recorded)
+    first = len(arming.recorded_ticks)
     for _ in range(5):
-        arming.tick()
+        arming.run_tick()
     assert violations_on_replay(arming, start, first) == []
     other = start.copy()
     other.goal_time += 1e-9
     assert violations_on_replay(arming, other, first) == [
-        f"tick {arming.recorded[first][0].k} does not repeat with the same inputs"
+        f"tick {arming.recorded_ticks[first][0].k} does not repeat with the same inputs"
     ]
 
 

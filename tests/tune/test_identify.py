@@ -259,9 +259,9 @@ def test_a_picture_shows_what_is_far_from_the_hand_file() -> None:
     nominal = np.ones(len(PARAMETER_NAMES))
     known = dict.fromkeys(PARAMETER_NAMES, 1.0) | {"capstan": 2.5, "torque_gain": 0.3}
     fit = SimpleNamespace(
-        values=known,
+        parameter_values=known,
         half_widths=dict.fromkeys(PARAMETER_NAMES, 0.1),
-        problem=SimpleNamespace(nominal=nominal),
+        problem=SimpleNamespace(parameter_scales=nominal),
     )
     axis = Figure().subplots()
     _draw_parameters(

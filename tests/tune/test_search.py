@@ -82,7 +82,9 @@ class RecordedWorkers:
     def __init__(self, found: SearchResult) -> None:
         self.found = found
 
-    def scores(self, jobs: Sequence[dict[str, Any]]) -> Iterator[tuple[int, dict[str, Any]]]:
+    def compute_scores(
+        self, jobs: Sequence[dict[str, Any]]
+    ) -> Iterator[tuple[int, dict[str, Any]]]:
         for i in range(len(jobs)):
             yield i, asdict(self.found.trials[i].score)
 
@@ -96,7 +98,9 @@ class InterruptedWorkers:
     def __init__(self, jobs: int) -> None:
         self.left = jobs
 
-    def scores(self, jobs: Sequence[dict[str, Any]]) -> Iterator[tuple[int, dict[str, Any]]]:
+    def compute_scores(
+        self, jobs: Sequence[dict[str, Any]]
+    ) -> Iterator[tuple[int, dict[str, Any]]]:
         for i, job in enumerate(jobs):
             if not self.left:
                 raise KeyboardInterrupt
@@ -128,7 +132,9 @@ def test_interrupted_search_gives_the_same_result(
 class FakeWorkers:
     """Workers whose scores follow from the gains without a simulation."""
 
-    def scores(self, jobs: Sequence[dict[str, Any]]) -> Iterator[tuple[int, dict[str, Any]]]:
+    def compute_scores(
+        self, jobs: Sequence[dict[str, Any]]
+    ) -> Iterator[tuple[int, dict[str, Any]]]:
         for i, job in enumerate(jobs):
             motion, tension = job["gains"]["motion"], job["gains"]["tension"]
             parts = (
@@ -240,10 +246,12 @@ def test_two_searches_do_not_share_a_journal(plan: SearchPlan, tmp_path: Path) -
     class Meanwhile(InProcessWorkers):
         """Workers during whose jobs another search with the same journal begins."""
 
-        def scores(self, jobs: Sequence[dict[str, Any]]) -> Iterator[tuple[int, dict[str, Any]]]:
+        def compute_scores(
+            self, jobs: Sequence[dict[str, Any]]
+        ) -> Iterator[tuple[int, dict[str, Any]]]:
             with pytest.raises(ConfigError, match="another search uses it"):
                 run_search(plan, tmp_path / "one", InProcessWorkers(), _nothing)
-            yield from super().scores(jobs)
+            yield from super().compute_scores(jobs)
 
     assert (
         len(run_search(replace(plan, trials=1), tmp_path / "one", Meanwhile(), _nothing).trials)

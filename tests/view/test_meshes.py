@@ -51,7 +51,7 @@ def test_each_mesh_is_an_asset_in_the_frame_of_its_link(
     recorded: dict[str, Entity], mesh_log: Path
 ) -> None:
     run = run_info_of(mesh_log)
-    assert run.note == ""
+    assert run.missing_mesh_note == ""
     for mesh in meshes_of_hand(run.hand):
         shown = recorded[f"/hand/{mesh.link}/mesh"].static
         assert shown["CoordinateFrame:frame"] == [mesh.link]

@@ -60,7 +60,7 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
         "ticks": execution.ticks,
         "differing": execution.differing_ticks,
         "undecided": execution.different_decisions,
-        "missing": [[gap.before + 1, gap.after - 1] for gap in log.gaps],
+        "missing": [[gap.last_before + 1, gap.first_after - 1] for gap in log.gaps],
         "warning": log.warning,
         "first": execution.first_difference._asdict() if execution.first_difference else None,
         "state": execution.first_state_difference._asdict()
@@ -92,7 +92,7 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
         if execution.differing_ticks and log.gaps:
             gap = log.gaps[0]
             print_escaped(
-                f"ticks {gap.before + 1} to {gap.after - 1} are missing in the log, so the ticks after them differ"
+                f"ticks {gap.last_before + 1} to {gap.first_after - 1} are missing in the log, so the ticks after them differ"
             )
         if execution.differing_ticks and logged_by != here:
             print_escaped(

@@ -278,7 +278,7 @@ def _wait_for_answers(
         UnconfirmedError: the controller does not confirm the gains in time.
     """
     texts: dict[str, str] = {}
-    for line in itertools.chain((taken,), watcher.lines(GAIN_CHANGE_TIMEOUT_S)):
+    for line in itertools.chain((taken,), watcher.status_lines(GAIN_CHANGE_TIMEOUT_S)):
         for event in line["events"]:
             if event["name"] == "gain" and event["where"] in values:
                 texts[event["where"]] = event["text"]
