@@ -92,7 +92,8 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
         if execution.differing_ticks and log.gaps:
             gap = log.gaps[0]
             print_escaped(
-                f"ticks {gap.last_before + 1} to {gap.first_after - 1} are missing in the log, so the ticks after them differ"
+                f"ticks {gap.last_before + 1} to {gap.first_after - 1} are missing in the log, "
+                "so the ticks after them differ"
             )
         if execution.differing_ticks and logged_by != here:
             print_escaped(

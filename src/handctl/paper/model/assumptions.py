@@ -130,8 +130,8 @@ def _check_bending() -> ErrataItem:
     return ErrataItem(
         "wire.bending", "Sec. 5", "r_p = 3 mm, wire 0.86 mm", ratio, "", verdict_of_statement(ratio >= MIN_BEND_RATIO),
         f"Ratio of pulley diameter to rope diameter. Engineering practice requires at least {MIN_BEND_RATIO:g}. "
-        "The paper does not consider bending stress, fatigue, friction, return springs and a safety factor. A stress of "
-        "190 MPa is usual for aluminium, and not for a steel rope.",
+        "The paper does not consider bending stress, fatigue, friction, return springs and a safety factor. A stress "
+        "of 190 MPa is usual for aluminium, and not for a steel rope.",
         ("arithmetic",))  # fmt: skip
 
 

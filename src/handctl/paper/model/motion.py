@@ -140,9 +140,9 @@ def _check_completeness() -> ErrataItem:
         "sec7.complete", "Sec. 7", "the torque required to move the fingers", links_peak, "N",
         verdict_of_readings([True, links_peak > 0.5 * driven_peak]),
         f"Peak tension for closing a finger by {CLOSED_JOINT_ANGLE_DEG:g}° in {fast.duration_s:g} s with the dynamics "
-        "of the links only, which Eq. 3 to 12 describe. This tension is complete if the actuator has no inertia, and the "
-        f"paper states no inertia. With the rotor of this project the peak is {driven_peak:.1f} N. The return springs of "
-        f"this project (peak {fast.peak_tension('springs'):.1f} N) are not part "
+        "of the links only, which Eq. 3 to 12 describe. This tension is complete if the actuator has no inertia, "
+        "and the paper states no inertia. With the rotor of this project the peak is "
+        f"{driven_peak:.1f} N. The return springs of this project (peak {fast.peak_tension('springs'):.1f} N) are not part "
         "of the paper's hand.", ("this project's dynamics",))  # fmt: skip
 
 
