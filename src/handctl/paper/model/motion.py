@@ -142,8 +142,8 @@ def _check_completeness() -> ErrataItem:
         f"Peak tension for closing a finger by {CLOSED_JOINT_ANGLE_DEG:g}° in {fast.duration_s:g} s with the dynamics "
         "of the links only, which Eq. 3 to 12 describe. This tension is complete if the actuator has no inertia, "
         "and the paper states no inertia. With the rotor of this project the peak is "
-        f"{driven_peak:.1f} N. The return springs of this project (peak {fast.peak_tension('springs'):.1f} N) are not part "
-        "of the paper's hand.", ("this project's dynamics",))  # fmt: skip
+        f"{driven_peak:.1f} N. The return springs of this project (peak {fast.peak_tension('springs'):.1f} N) are not "
+        "part of the paper's hand.", ("this project's dynamics",))  # fmt: skip
 
 
 def _check_torque_value() -> ErrataItem:
