@@ -94,7 +94,7 @@ def kernel(*arguments: str) -> Callable[[F], F]:
             write into.
     """
 
-    def mark(function: F) -> F:
+    def mark_kernel(function: F) -> F:
         dispatcher = _mark_function(function)
         _KERNEL_DISPATCHERS[f"{function.__module__}.{function.__name__}"] = (
             dispatcher,
@@ -102,7 +102,7 @@ def kernel(*arguments: str) -> Callable[[F], F]:
         )
         return dispatcher
 
-    return mark
+    return mark_kernel
 
 
 def kernel_helper(function: F) -> F:

@@ -144,7 +144,7 @@ def run_campaign(
 
         # The defaults bind the values of this protocol. A closure would use those of the last
         # protocol.
-        def done(
+        def add_result(
             result: ScenarioResult,
             results: list[ScenarioResult] = results,
             protocol: str = protocol,
@@ -155,7 +155,9 @@ def run_campaign(
 
         if scenarios_to_run:
             attempt = partial(run_scenario, protocol=protocol)
-            run_experiments(hand, rate, scenarios_to_run, jobs, attempt, done, on_failure, seed)
+            run_experiments(
+                hand, rate, scenarios_to_run, jobs, attempt, add_result, on_failure, seed
+            )
         # A quick campaign has these runs as well, because false alarms are as bad as missed faults.
         report.false_alarms[protocol] = run_fault_free(hand, rate, fault_free_s, seed)
         report.simulated_s += fault_free_s

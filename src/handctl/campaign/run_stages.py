@@ -132,7 +132,7 @@ def advance_to_stage(simulation: SimulatedRun, stage: str) -> None:
     """
     free_ticks = 0
 
-    def reached(out: Any) -> bool:
+    def is_stage_reached(out: Any) -> bool:
         nonlocal free_ticks
         if stage == ARMING_STAGE:
             return bool(out.mode == Mode.ARMING)
@@ -146,7 +146,7 @@ def advance_to_stage(simulation: SimulatedRun, stage: str) -> None:
         )
         return bool(free if stage == FREE_STAGE else holds)
 
-    if not simulation.run_until(reached, STAGE_TIMEOUT_S):
+    if not simulation.run_until(is_stage_reached, STAGE_TIMEOUT_S):
         failure = simulation.state.failure or simulation.state.mode.name
         raise ConfigError(
             f"the simulated hand does not reach stage {stage}: {failure}",

@@ -163,11 +163,11 @@ def run_sequences(
     sequences = [draw_sequence(hand, protocol, 1e3 / rate_hz, seed) for seed in seeds]
     results = list[ScenarioResult]()
 
-    def done(result: ScenarioResult) -> None:
+    def add_result(result: ScenarioResult) -> None:
         results.append(result)
         on_progress(len(results))
 
-    run_experiments(hand, rate_hz, sequences, jobs, run_sequence, done, on_failure)
+    run_experiments(hand, rate_hz, sequences, jobs, run_sequence, add_result, on_failure)
     return results
 
 

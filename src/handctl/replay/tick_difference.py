@@ -89,14 +89,14 @@ def differing_fields(
     k = logged.tick_in.k
     t_s = logged.tick_in.t_ns / 1e9
 
-    def text(field: str, was: object, now: object) -> Iterator[TickDifference]:
+    def text_difference(field: str, was: object, now: object) -> Iterator[TickDifference]:
         if was != now:
             yield TickDifference(k, t_s, field, "", str(was), str(now))
 
-    yield from text("mode", logged.mode.name, computed.mode.name)
-    yield from text("action", logged.action.name, computed.action.name)
-    yield from text("phase", logged.phase, computed.phase)
-    yield from text("events", _events_text(logged.events), _events_text(computed.events))
+    yield from text_difference("mode", logged.mode.name, computed.mode.name)
+    yield from text_difference("action", logged.action.name, computed.action.name)
+    yield from text_difference("phase", logged.phase, computed.phase)
+    yield from text_difference("events", _events_text(logged.events), _events_text(computed.events))
     packed = computed.telemetry.packed()[: len(numbers)]  # an earlier version lacks the last fields
     if packed != numbers:
         for column, was, now in _changed_numbers(numbers, packed):
@@ -109,10 +109,10 @@ def differing_fields(
                 now,
                 distance_in_ulps(was, now),
             )
-    yield from text("number of frames", len(logged.frames), len(computed.frames))
+    yield from text_difference("number of frames", len(logged.frames), len(computed.frames))
     for i, (old, new) in enumerate(zip(logged.frames, computed.frames, strict=False)):
-        yield from text(f"frames[{i}]", _frame_text(old), _frame_text(new))
-    yield from text("state_hash", logged.state_hash.hex(), computed.state_hash.hex())
+        yield from text_difference(f"frames[{i}]", _frame_text(old), _frame_text(new))
+    yield from text_difference("state_hash", logged.state_hash.hex(), computed.state_hash.hex())
 
 
 def state_difference(

@@ -105,23 +105,23 @@ def _checks_of_files(args: argparse.Namespace, hand: Hand) -> list[Callable[[], 
     """
     buses = hand.bus_names
 
-    def task() -> None:
+    def check_task() -> None:
         """Check the given task, or the default task of the demo."""
         load_task_for_hand(args.task, hand)
 
-    def calibration() -> None:
+    def check_calibration() -> None:
         """Check the calibration file that the user has named."""
         if args.calibration and not args.calibration.exists():
             raise ConfigError("no such file", str(args.calibration), "a calibration to check")
         find_calibration(args, hand)
 
-    def design() -> None:
+    def check_design() -> None:
         """Check that the gains lead to a valid design of the controller at the control rate."""
         check_gain_margins(
             hand, layered_gains(args, hand).gains, control_rate(None, hand, bus_loads(hand))
         )
 
-    def scene() -> None:
+    def check_scene() -> None:
         """Check that the hand can be simulated in the given scene, if a scene is given."""
         if args.scene:
             # No other check needs this import of the simulated hand.
@@ -134,10 +134,10 @@ def _checks_of_files(args: argparse.Namespace, hand: Hand) -> list[Callable[[], 
         *drives,
         lambda: make_drives(hand),
         lambda: layered_gains(args, hand),
-        design,
-        task,
-        calibration,
-        scene,
+        check_design,
+        check_task,
+        check_calibration,
+        check_scene,
     ]
 
 

@@ -36,12 +36,12 @@ def reader_of_choice(words: Collection[str]) -> Callable[[str], str]:
     For other texts, the function raises ValueError.
     """
 
-    def read(text: str) -> str:
+    def read_choice(text: str) -> str:
         if text not in words:
             raise ValueError(text)
         return text
 
-    return read
+    return read_choice
 
 
 TENDON_QUESTIONS = (

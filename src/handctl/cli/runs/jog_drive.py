@@ -128,14 +128,14 @@ def _describe_motion(
         ConfigError: the protocol has no such mode or option.
     """
 
-    def make(motor: Motor) -> Drive:
+    def make_jog_drive(motor: Motor) -> Drive:
         if motor.protocol in ("odrive", "cia402"):
             motor = motor.model_copy(update={"position_range_rad": MAX_POSITION_RANGE_RAD})
         if goal.mode == DriveMode.FORCE_POSITION and node and "torque_max_N_m" in node.settings:
             motor = _with_current_limit(motor, node.settings["torque_max_N_m"], goal.max_torque_N_m)
         return make_mode_drive(motor, 0, goal.mode, goal.limits)
 
-    return describe_drive(args, options, node, make)
+    return describe_drive(args, options, node, make_jog_drive)
 
 
 def _with_current_limit(motor: Motor, full_scale: float, torque: float) -> Motor:

@@ -112,12 +112,12 @@ def _measure_all(jobs: int) -> dict[str, Any]:
     done = 0
     with progress_bar("starting the simulator", job_count()) as update_progress:
 
-        def at(job: ExperimentJob, finished: bool) -> None:
+        def show_job(job: ExperimentJob, finished: bool) -> None:
             nonlocal done
             done += finished
             update_progress(done, label=None if finished else job_description(job))
 
-        with worker_pool(jobs, at) as workers:
+        with worker_pool(jobs, show_job) as workers:
             return run_experiments(workers)
 
 

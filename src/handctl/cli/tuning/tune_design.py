@@ -152,7 +152,7 @@ def _print_design(result: Any, rate: float, plants: int) -> None:
 def _margin_cells(before: Any, after: Any) -> list[str]:
     from handctl.tune.loops.margins import MAX_DELAY_S, MAX_GAIN_DB
 
-    def one(margins: Any, name: str, scale: float, digits: int) -> str:
+    def margin_text(margins: Any, name: str, scale: float, digits: int) -> str:
         limit = {"gain_db": MAX_GAIN_DB, "delay_s": MAX_DELAY_S}.get(name, math.inf)
         value = getattr(margins, name)
         if not margins.stable:
@@ -163,13 +163,13 @@ def _margin_cells(before: Any, after: Any) -> list[str]:
             else f"{'>' if value >= limit else ''}{value * scale:.{digits}f}"
         )
 
-    def pair(name: str, scale: float = 1.0, digits: int = 1) -> str:
-        return f"{one(before, name, scale, digits)}\u2192{one(after, name, scale, digits)}"
+    def before_and_after_text(name: str, scale: float = 1.0, digits: int = 1) -> str:
+        return f"{margin_text(before, name, scale, digits)}\u2192{margin_text(after, name, scale, digits)}"
 
     return [
-        pair("gain_db"),
-        pair("phase_deg", 1.0, 0),
-        pair("disk", 1.0, 2),
-        pair("delay_s", 1e3),
-        pair("crossover_hz", 1.0, 0),
+        before_and_after_text("gain_db"),
+        before_and_after_text("phase_deg", 1.0, 0),
+        before_and_after_text("disk", 1.0, 2),
+        before_and_after_text("delay_s", 1e3),
+        before_and_after_text("crossover_hz", 1.0, 0),
     ]

@@ -156,14 +156,14 @@ def curve_of_tendon(measured: Mapping[str, Any], noise: float) -> TendonCurve:
 def _fit_knee(displacement: Array, force: Array, slope: float) -> tuple[float, float]:
     """Return the tension at the knee from a least-squares fit, and its standard deviation [N]."""
 
-    def law(x: Array, knee: float, ratio: float, width: float) -> Array:
+    def knee_curve(x: Array, knee: float, ratio: float, width: float) -> Array:
         tendon = TendonElasticity(slope, ratio * slope, knee, width, 0.0)
         return np.array([tendon.elastic_tension(value) for value in x.tolist()])
 
     bounds = ([100.0, 0.05, 1e-5], [300.0, 0.95, 2e-3])
     # Every fourth sample is enough. Further samples need time, and tell little about the knee.
     parameters, covariance = curve_fit(
-        law, displacement[::4], force[::4], (180.0, 0.5, 2e-4), bounds=bounds
+        knee_curve, displacement[::4], force[::4], (180.0, 0.5, 2e-4), bounds=bounds
     )
     return float(parameters[0]), float(np.sqrt(covariance[0, 0]))
 

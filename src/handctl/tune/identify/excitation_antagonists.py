@@ -102,7 +102,7 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
     middle = 0.5 * (low + high)
     half = 0.5 * (high - low)
 
-    def step(
+    def excite_step(
         step_name: str, kind: str, duration_s: float, targets: Array | None = None, **more: object
     ) -> ExciteStep:
         angles_or_tensions = () if targets is None else tuple(targets.tolist())
@@ -111,14 +111,14 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
 
     sweeps = []
     for signs in _sign_patterns(len(middle)):
-        sweeps.append(step("approach", "move", 0.4, middle - signs * half))
+        sweeps.append(excite_step("approach", "move", 0.4, middle - signs * half))
         for duration in SWEEP_DURATIONS_S:
             sweeps += [
-                step("sweep", "move", duration, middle + side * signs * half)
+                excite_step("sweep", "move", duration, middle + side * signs * half)
                 for side in (1.0, -1.0)
             ]
     amplitudes = tuple(_swing_amplitudes(hand, digit, middle, half).tolist())
-    swing = step(
+    swing = excite_step(
         "swing",
         "chirp",
         SWING_DURATION_S,
@@ -134,14 +134,16 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
     stretch_steps = []
     for lower, upper in stretches:
         duration = float(np.abs(upper - lower).max()) / TENSION_RATE_N_PER_S + SETTLE_S
-        stretch_steps.append(step("close", "tension", 0.5, lower, rate=80.0, held=True))
+        stretch_steps.append(excite_step("close", "tension", 0.5, lower, rate=80.0, held=True))
         for _ in range(PAIR_STRETCHES if pairs else STRETCH_COUNT):
             for goal in (upper, lower):
                 stretch_steps.append(
-                    step("stretch", "tension", duration, goal, rate=TENSION_RATE_N_PER_S, held=True)
+                    excite_step(
+                        "stretch", "tension", duration, goal, rate=TENSION_RATE_N_PER_S, held=True
+                    )
                 )
     return [
-        step(
+        excite_step(
             "taut",
             "tension" if pairs else "taut",
             0.4,
@@ -149,10 +151,10 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
             rate=40.0,
         ),
         *sweeps,
-        step("approach", "move", 0.4, middle),
+        excite_step("approach", "move", 0.4, middle),
         swing,
-        step("approach", "move", 0.6, low),
-        step(
+        excite_step("approach", "move", 0.6, low),
+        excite_step(
             "close",
             "tension",
             CLOSING_DURATION_S if pairs else 0.8,
@@ -161,9 +163,11 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
             held=True,
         ),
         *stretch_steps,
-        step("open", "tension", 0.4, rest if pairs else stretches[0][0], rate=100.0, held=True),
-        step("open", "move", OPENING_DURATION_S, low),
-        step("rest", "limp", 0.1),
+        excite_step(
+            "open", "tension", 0.4, rest if pairs else stretches[0][0], rate=100.0, held=True
+        ),
+        excite_step("open", "move", OPENING_DURATION_S, low),
+        excite_step("rest", "limp", 0.1),
     ]
 
 

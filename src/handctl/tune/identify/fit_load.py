@@ -107,23 +107,28 @@ def average_in_bins(
     reach = max(2, round(BIN_DURATION_S / data.period))
     speed, acceleration = _central_rates(data.travel, data.period, reach)
 
-    def table(values: Array) -> Array:
+    def values_in_bins(values: Array) -> Array:
         return values[: n * count].reshape(n, count)
 
-    complete = table(mask.astype(float)).all(axis=1) & np.isfinite(
-        table(data.tension + data.travel)
+    complete = values_in_bins(mask.astype(float)).all(axis=1) & np.isfinite(
+        values_in_bins(data.tension + data.travel)
     ).all(axis=1)
     if moving:
-        speeds = table(speed)
+        speeds = values_in_bins(speed)
         complete &= np.abs(speeds).min(axis=1) > MIN_SPEED_M_S
         # The signs in a bin are equal if the absolute value of their sum is the number of samples.
         complete &= np.abs(np.sign(speeds).sum(axis=1)) == count
 
-    def mean(values: Array) -> Array:
-        return np.asarray(table(values).mean(axis=1)[complete])
+    def mean_of_bins(values: Array) -> Array:
+        return np.asarray(values_in_bins(values).mean(axis=1)[complete])
 
     return SignalBins(
-        mean(data.t), mean(data.travel), mean(data.tension), mean(speed), mean(acceleration), count
+        mean_of_bins(data.t),
+        mean_of_bins(data.travel),
+        mean_of_bins(data.tension),
+        mean_of_bins(speed),
+        mean_of_bins(acceleration),
+        count,
     )
 
 

@@ -343,7 +343,7 @@ def _operating_point(
     bench = _LinearizationBench(model)
     point = _operating_block(bench, tendon, kind)
 
-    def tick(values: Matrix, reading: Matrix) -> Matrix:
+    def run_linear_tick(values: Matrix, reading: Matrix) -> Matrix:
         block = point.copy()
         table = bench.layout.table(block, "tendon")
         table[STATE_ROWS, tendon] = values
@@ -356,7 +356,7 @@ def _operating_point(
 
     table = bench.layout.table(point, "tendon")
     return (
-        tick,
+        run_linear_tick,
         table[STATE_ROWS, tendon].copy(),
         table[MEASUREMENT_ROWS, tendon].copy(),
         _STATE_SIZE * DIFFERENCE_STEPS["state"],
