@@ -16,7 +16,7 @@ from handctl.hand.load import load_hand
 from handctl.tune.scoring import GainScore, evaluate_job
 from handctl.tune.search.ensemble import draw_ensemble
 from handctl.tune.search.search import (
-    RANDOM_BATCHES,
+    RANDOM_BATCH_COUNT,
     SearchPlan,
     SearchResult,
     SearchTrial,
@@ -73,7 +73,7 @@ def test_the_sampler_knows_which_trials_keep_their_margins(
     ]
     with warnings.catch_warnings():
         warnings.simplefilter("error", FutureWarning)
-        _make_sampler(plan.seed, RANDOM_BATCHES)
+        _make_sampler(plan.seed, RANDOM_BATCH_COUNT)
 
 
 class RecordedWorkers:
@@ -154,7 +154,7 @@ def long_search(
 ) -> tuple[SearchPlan, SearchResult, bytes]:
     """Return the plan of a search with more than random batches, its result, and the bytes of its journal."""
     longer = replace(
-        plan, trials=8 * RANDOM_BATCHES + 2, others=(Gains(motion=MotionGains(force_N=20.0)),)
+        plan, trials=8 * RANDOM_BATCH_COUNT + 2, others=(Gains(motion=MotionGains(force_N=20.0)),)
     )
     path = tmp_path_factory.mktemp("study") / "whole"
     return longer, run_search(longer, path, FakeWorkers(), _nothing), path.read_bytes()

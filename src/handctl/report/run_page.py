@@ -24,7 +24,7 @@ from handctl.report.truth_record import TruthRecord
 
 MAX_EVENTS = 500
 """Largest number of events on the page. If a run has more, only the first events are shown."""
-MAX_CONTACTS = 20
+MAX_LISTED_CONTACTS = 20
 """Largest number of contacts on the page. If a run has more, only the first contacts are shown."""
 
 PAGE_STYLE = """
@@ -200,7 +200,7 @@ def _contact_times(log: RunLog) -> str:
         f"{_escaped_text(event.event.text)} at {event.t_ns / 1e9:.3f} s"
         for event in _events_named(log, "contact")
     )
-    return "<br>".join(islice(lines, MAX_CONTACTS))
+    return "<br>".join(islice(lines, MAX_LISTED_CONTACTS))
 
 
 def _events_named(log: RunLog, name: str) -> Iterator[LoggedEvent]:

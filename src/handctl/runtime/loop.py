@@ -42,9 +42,9 @@ class OpenTick(Protocol[T]):
         ...
 
 
-CUT_TRIES = 20
+CUT_SEND_TRIES = 20
 """Number of attempts to send the cut after an error, on an interface that refuses frames."""
-CUT_PAUSE_S = 1e-3
+CUT_RETRY_PAUSE_S = 1e-3
 """Pause between two of these attempts [s]. A frame takes 0.1 ms on the wire."""
 
 CUT_CONFIRMATION_NS = 500_000_000
@@ -263,11 +263,11 @@ class ControlLoop(Generic[S]):
             (bus, [f for f in self.cut_frames if f.bus == index or alone])
             for index, bus in enumerate(self.buses)
         ]
-        for _ in range(CUT_TRIES):
+        for _ in range(CUT_SEND_TRIES):
             self._send_cut_once(left)
             if not any(frames for _, frames in left):
                 return
-            time.sleep(CUT_PAUSE_S)
+            time.sleep(CUT_RETRY_PAUSE_S)
 
     def _send_cut_once(self, left: list[tuple[LoopBus, list[Frame]]]) -> None:
         """Send the frames in ``left`` on their buses, and remove the accepted frames from ``left``.

@@ -188,9 +188,9 @@ COMPARED_MEASURES = {
     "peak_tension_N": ("peak tension", "N"),
 }
 """Name and unit of each compared measure, by its field in `GainScore`."""
-ONE_RUN_SPREAD = 0.1
+ASSUMED_SPREAD_FRACTION = 0.1
 """If there is only one run, this spread of a measure is assumed, as a fraction of the old value."""
-MIN_DIFFERENCE = 0.02
+SAME_VALUE_FRACTION = 0.02
 """Largest difference between old and new value that is judged as "same", as a fraction of the old value."""
 
 
@@ -229,11 +229,11 @@ def compare_rounds(runs: list[list[GainScore]]) -> list[MeasureComparison]:
         mean = float(old.mean())
         change = float((new - old).mean())
         spread = (
-            ONE_RUN_SPREAD * mean
+            ASSUMED_SPREAD_FRACTION * mean
             if n == 1
             else float(student.ppf(0.975, n - 1) * (new - old).std(ddof=1) / n**0.5)
         )
-        counts = abs(change) > max(spread, MIN_DIFFERENCE * mean)
+        counts = abs(change) > max(spread, SAME_VALUE_FRACTION * mean)
         verdict = ("worse" if change > 0.0 else "better") if counts else "same"
         columns.append(MeasureComparison(name, unit, mean, float(new.mean()), spread, verdict))
     return columns

@@ -28,7 +28,7 @@ QUICK_FAULT_FREE_S = 4.0
 FAULT_FREE_S = 60.0
 """Simulated time of the runs without faults for each protocol, in a full campaign [s]."""
 MAX_JOBS = 64
-FIRST_LABEL = "bringing the hand to its stages"
+FIRST_PROGRESS_LABEL = "bringing the hand to its stages"
 MAX_FAULT_FREE_S = 86_400.0
 
 
@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     fault_free_s = (
         args.calm if args.calm is not None else QUICK_FAULT_FREE_S if args.quick else FAULT_FREE_S
     )
-    with progress_bar(FIRST_LABEL, quiet=args.json) as update_progress:
+    with progress_bar(FIRST_PROGRESS_LABEL, quiet=args.json) as update_progress:
         report = run_campaign(
             args.hand,
             protocols,

@@ -8,7 +8,7 @@ from handctl.campaign.run_stages import hand_with_protocol
 from handctl.cli.console.options import check_seed, print_json
 from handctl.cli.console.progress import progress_bar
 from handctl.cli.studies.fault_campaign import (
-    FIRST_LABEL,
+    FIRST_PROGRESS_LABEL,
     MAX_JOBS,
     failure_log_writer,
     report_folder,
@@ -32,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
     hand = hand_with_protocol(args.hand, args.protocol)
     folder = report_folder(args)
     seeds = range(args.seed, args.seed + args.count)
-    with progress_bar(FIRST_LABEL, quiet=args.json) as update_progress:
+    with progress_bar(FIRST_PROGRESS_LABEL, quiet=args.json) as update_progress:
         results = sequences.run_sequences(
             hand,
             args.protocol,

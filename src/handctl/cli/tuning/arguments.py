@@ -28,7 +28,7 @@ from handctl.cli.parsing.parser import (
     add_sub_verb,
 )
 
-NEW_GAINS = "printf 'schema = 1\\n[motion]\\nforce_N = 12.0\\n' > new.toml;"
+WRITE_GAINS_COMMAND = "printf 'schema = 1\\n[motion]\\nforce_N = 12.0\\n' > new.toml;"
 """Shell command that writes a small gains file."""
 
 EXAMPLES = {
@@ -39,7 +39,7 @@ EXAMPLES = {
     "gains show": CommandExample("handctl gains show --hand jamia"),
     "gains diff": CommandExample("handctl gains diff packaged present --hand jamia"),
     "gains apply": CommandExample(
-        f"{NEW_GAINS} handctl gains apply new.toml --hand jamia --note 'a softer motion loop'"
+        f"{WRITE_GAINS_COMMAND} handctl gains apply new.toml --hand jamia --note 'a softer motion loop'"
     ),
     "gains rollback": CommandExample("handctl gains rollback --to 0 --hand jamia"),
     "gains log": CommandExample("handctl gains log --hand jamia"),
@@ -54,7 +54,7 @@ EXAMPLES = {
         "handctl tune search --hand jamia --plants 1 --trials 2 --output found.toml"
     ),
     "tune verify": CommandExample(
-        f"{NEW_GAINS} handctl tune verify new.toml --hand jamia --lockstep --dry-run"
+        f"{WRITE_GAINS_COMMAND} handctl tune verify new.toml --hand jamia --lockstep --dry-run"
     ),
 }
 """Example command line for the help of each command and subcommand."""

@@ -21,7 +21,7 @@ ERROR_COUNTER_TEXTS = {
     "rx_dropped": "received frames dropped", "tx_dropped": "dropped transmit frames",
 }  # fmt: skip
 """Text for each reported counter of ``CanLinkState.event_counts``."""
-FULL_SPEED_HZ = 333
+MAX_RATE_AT_FULL_SPEED_HZ = 333
 """Highest control rate of a hand behind a USB full-speed adapter [Hz].
 
 Source: docs/how-to/adapters.md.
@@ -119,7 +119,9 @@ def adapter_findings(
     usb = f", USB {adapter.usb_speed_mbit_s:g} Mbit/s" if adapter.usb_speed_mbit_s else ""
     what = f"adapter of driver {adapter.driver or 'unknown'}{usb}"
     if adapter.is_full_speed:
-        what += f": one exchange each millisecond, at most {FULL_SPEED_HZ} Hz for a hand"
+        what += (
+            f": one exchange each millisecond, at most {MAX_RATE_AT_FULL_SPEED_HZ} Hz for a hand"
+        )
     rows = [LinkFinding(what, True)]
     if adapter.driver == "mcp251x":
         what = "MCP2515 has two receive buffers and loses frames of a bus at 1 Mbit/s"

@@ -66,9 +66,9 @@ STOP_BIN_S = 0.05
 At the stop, the travel changes slowly. In a bin of this duration, it passes enough encoder counts
 for the quantisation to average out.
 """
-MIN_SCALE = 0.02
+MIN_SCALED_PARAMETER = 0.02
 """Lower bound of scaled parameters that must be positive."""
-MAX_SCALE = 20.0
+MAX_SCALED_PARAMETER = 20.0
 """Upper bound of scaled parameters that must be positive."""
 CONFIDENCE_LEVEL = 0.95
 """Confidence level of all intervals."""
@@ -161,8 +161,8 @@ class TendonFitProblem:
         sized = [
             i for i, name in enumerate(PARAMETER_NAMES) if name not in ("delay", "stretch_offset")
         ]
-        low[sized] = MIN_SCALE
-        high[sized] = MAX_SCALE
+        low[sized] = MIN_SCALED_PARAMETER
+        high[sized] = MAX_SCALED_PARAMETER
         return low, high
 
     def _first_offset(self) -> float:

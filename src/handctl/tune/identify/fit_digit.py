@@ -20,8 +20,8 @@ from handctl.hand.dynamics import inverse_dynamics
 from handctl.tune.identify.contact_detection import ResidualRamp, steepest_ramp
 from handctl.tune.identify.fit import (
     DEFAULT_PRIOR_DEVIATION,
-    MAX_SCALE,
-    MIN_SCALE,
+    MAX_SCALED_PARAMETER,
+    MIN_SCALED_PARAMETER,
     PARAMETER_NAMES,
     PRIOR_DEVIATIONS,
     TendonFit,
@@ -231,8 +231,8 @@ def fit_digit(balance: TorqueBalance) -> FitSolution:
         )
 
     start = np.append(np.ones(n + tendons), np.zeros(tendons))
-    low = np.append(np.full(n + tendons, MIN_SCALE), np.full(tendons, -np.inf))
-    high = np.append(np.full(n + tendons, MAX_SCALE), np.full(tendons, np.inf))
+    low = np.append(np.full(n + tendons, MIN_SCALED_PARAMETER), np.full(tendons, -np.inf))
+    high = np.append(np.full(n + tendons, MAX_SCALED_PARAMETER), np.full(tendons, np.inf))
     return solve_least_squares(residuals, start, (low, high), np.repeat(balance.t, arms.shape[1]))
 
 

@@ -28,8 +28,8 @@ from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
 from handctl.hand.tree import HandTree
 from handctl.tune.identify.fit import (
     DEFAULT_PRIOR_DEVIATION,
-    MAX_SCALE,
-    MIN_SCALE,
+    MAX_SCALED_PARAMETER,
+    MIN_SCALED_PARAMETER,
     PARAMETER_NAMES,
     SCALE_OFFSET_M,
     TendonFit,
@@ -57,7 +57,7 @@ PAIR_PARAMETERS = (
 In the vector of the fit, two parameters follow: the error of the model's link inertia, and the time
 difference of the encoders.
 """
-PAIR_PRIOR = {
+PAIR_PRIOR_DEVIATIONS = {
     "link_mass": 0.5, "joint_damping": 0.4, "pretension": 0.5, "tendon_stiffness": 1.0, "stretch_offset": 100.0,
 }  # fmt: skip
 """Prior standard deviation of parameters of a spool pair, divided by the scale of the parameter.
@@ -88,7 +88,7 @@ The second fit uses the standard deviation that the residuals of the first fit s
 """
 MIN_NOISE_N = 0.02
 """Smallest standard deviation that is used for the motor equation's residuals [N]."""
-START_FACTORS = (1.0, 1.5, 2.2)
+PRETENSION_START_FACTORS = (1.0, 1.5, 2.2)
 """The fit starts several times, with the pretension of the hand file multiplied by each of these factors."""
 MIN_READINGS = 3
 """The stretch in a window is used only if the window contains at least this number of joint readings."""
@@ -348,7 +348,14 @@ class PairProblem:
         known = np.isfinite(w.excursion)
         second = np.where(known, self.stretch(z) - by_tension, 0.0) / noise
         spread = np.array(
-            [*(PAIR_PRIOR.get(name, DEFAULT_PRIOR_DEVIATION) for name in PAIR_PARAMETERS), 1.0, 1.0]
+            [
+                *(
+                    PAIR_PRIOR_DEVIATIONS.get(name, DEFAULT_PRIOR_DEVIATION)
+                    for name in PAIR_PARAMETERS
+                ),
+                1.0,
+                1.0,
+            ]
         )
         return np.concatenate([motor, second, (z - self.start_parameters) / spread])
 
@@ -357,7 +364,9 @@ class PairProblem:
         signed = np.array(
             [name in ("delay", "stretch_offset") for name in PAIR_PARAMETERS] + [True, True]
         )
-        return np.where(signed, -np.inf, MIN_SCALE), np.where(signed, np.inf, MAX_SCALE)
+        return np.where(signed, -np.inf, MIN_SCALED_PARAMETER), np.where(
+            signed, np.inf, MAX_SCALED_PARAMETER
+        )
 
     def with_noise_of(self, z: Array) -> "PairProblem":
         """Return the input of the fit with a new noise of the motor equation.
@@ -422,7 +431,7 @@ def _start_candidates(first: Array) -> list[Array]:
     parameters.
     """
     starts = []
-    for factor in START_FACTORS:
+    for factor in PRETENSION_START_FACTORS:
         start = first.copy()
         start[PAIR_PARAMETERS.index("pretension")] *= factor
         starts.append(start)

@@ -15,8 +15,8 @@ import numpy as np
 from handctl.hand.digit import DigitModel
 from handctl.tune.identify.fit import (
     DEFAULT_PRIOR_DEVIATION,
-    MAX_SCALE,
-    MIN_SCALE,
+    MAX_SCALED_PARAMETER,
+    MIN_SCALED_PARAMETER,
     PARAMETER_NAMES,
     SCALE_OFFSET_M,
     TendonFit,
@@ -123,7 +123,7 @@ def fit_travel(
     start = np.concatenate([np.ones(2), np.zeros(1 + len(knots))])
     low = np.full(len(start), -np.inf)
     high = np.full(len(start), np.inf)
-    low[:2], high[:2] = MIN_SCALE, MAX_SCALE
+    low[:2], high[:2] = MIN_SCALED_PARAMETER, MAX_SCALED_PARAMETER
     solution = solve_least_squares(residuals, start, (low, high), t)
     merged = merge_solution(fit, solution, len(t), TRAVEL_PARAMETERS, range(len(TRAVEL_PARAMETERS)))
     return with_model_error(merged, TRAVEL_MODEL_ERROR)

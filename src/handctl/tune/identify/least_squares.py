@@ -28,7 +28,7 @@ If the solver needs more, the data do not determine the parameters.
 """
 OUTLIER_RESIDUAL = 2.5
 """Residual above which a row gets less weight, for example during an unexpected contact [standard deviations]."""
-BLOCK_S = 0.25
+NOISE_BLOCK_S = 0.25
 """Duration of the blocks of time [s]. Residuals of different blocks count as independent."""
 MAX_BLOCK_ROWS = 500
 """Largest number of rows in a block. The computing time increases with the third power of this number.
@@ -89,7 +89,7 @@ def _block_rows(times: Array) -> Iterator[NDArray[np.intp]]:
 
     Long blocks are divided into parts of `MAX_BLOCK_ROWS`.
     """
-    order = np.floor((times - times.min()) / BLOCK_S).astype(int)
+    order = np.floor((times - times.min()) / NOISE_BLOCK_S).astype(int)
     for block in np.unique(order):
         rows = np.flatnonzero(order == block)
         yield from np.array_split(rows, -(-len(rows) // MAX_BLOCK_ROWS))

@@ -191,7 +191,7 @@ def is_loop_ringing(model: HandModel, factors: PlantFactors) -> bool:
     return False
 
 
-WITHOUT_FEEDBACK = {
+GAINS_WITHOUT_FEEDBACK = {
     "motion": {"disturbance_rejection": 0.0},
     "tension": {
         "force_N": 0.2,
@@ -201,12 +201,12 @@ WITHOUT_FEEDBACK = {
     },
 }
 """Gains with almost no feedback while a tension is held."""
-CHATTER_SEEDS = 3
+RUNS_WITHOUT_FEEDBACK = 3
 """Number of runs without feedback. The largest oscillation of these runs is used.
 
 The chatter of pressed links varies by a factor of two between seeds of the noise.
 """
-MIN_FRICTION = {"friction": 1.0 - MIN_FACTOR_SPREAD["friction"]}
+LOWEST_FRICTION_FACTORS = {"friction": 1.0 - MIN_FACTOR_SPREAD["friction"]}
 """Factors of a plant that is nominal except for its friction, which is the lowest of any ensemble."""
 
 
@@ -256,8 +256,8 @@ class RestTest:
             f"plant {i + 1} of {len(self.plants)}": (self.factors[i], self.seed + i)
             for i in indices
         }
-        cases[f"the plant with {MIN_FRICTION['friction']:g} of the friction"] = (
-            MIN_FRICTION,
+        cases[f"the plant with {LOWEST_FRICTION_FACTORS['friction']:g} of the friction"] = (
+            LOWEST_FRICTION_FACTORS,
             self.seed,
         )
         for name, (factors, seed) in cases.items():
@@ -285,10 +285,11 @@ class RestTest:
         """
         if name not in self._chatter:
             still = HandModel.of(
-                model.hand, Gains.model_validate(WITHOUT_FEEDBACK), 1.0 / model.period
+                model.hand, Gains.model_validate(GAINS_WITHOUT_FEEDBACK), 1.0 / model.period
             )
             runs = [
-                simulate_swing(self.hand, still, factors, seed + i) for i in range(CHATTER_SEEDS)
+                simulate_swing(self.hand, still, factors, seed + i)
+                for i in range(RUNS_WITHOUT_FEEDBACK)
             ]
             none = (0.0,) * model.tendon_count
             each = zip(*(none if run.failure else run.hold_swings_N for run in runs), strict=True)

@@ -24,7 +24,7 @@ from handctl.tune.search.workers import SearchWorkers
 
 BATCH_SIZE = 8
 """Number of trials in a batch. Further workers would be idle."""
-RANDOM_BATCHES = 2
+RANDOM_BATCH_COUNT = 2
 """Number of batches with random trials. Later batches use the results of earlier trials."""
 STUDY_NAME = "handctl"
 """Name of the study in the journal."""
@@ -324,7 +324,7 @@ def _make_sampler(seed: int, batch: int) -> Any:
 
     # Because of the prime factor, batches of different studies have different seeds.
     batch_seed = (seed * 7919 + batch) % (1 << 31)
-    if batch < RANDOM_BATCHES:
+    if batch < RANDOM_BATCH_COUNT:
         return RandomSampler(seed=batch_seed)
     return TPESampler(seed=batch_seed, multivariate=True, constant_liar=True)
 
