@@ -25,7 +25,7 @@ from pathlib import Path
 run, path = lively.header(), Path("run.mcap")
 writer = LogWriter(path, run, lambda event, number: None, 1)
 for tick in lively.ticks(run):
-    writer.add(pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :])
+    writer.add_tick(pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :])
 writer.finish("finished", 0)
 with AnyReader([path]) as reader:
     peaks = [reader.deserialize(raw, connection.msgtype).tension

@@ -27,7 +27,7 @@ from handctl.campaign.fault_matrix import (
 )
 from handctl.campaign.run_stages import (
     MIN_CONTROL_RATE_HZ,
-    STAGE_SETTLING_TIME_S,
+    FREE_STAGE_DELAY_S,
     advance_to_stage,
     hand_with_protocol,
     homed_run,
@@ -221,7 +221,7 @@ def test_a_free_motion_is_disturbed_while_it_moves(name, rate_hz):
         advance_to_stage(simulation, FREE_STAGE)
         free = [out for _, out in simulation.recorded_ticks if out.phase == "free"]
         assert len(free) * simulation.period_ns == pytest.approx(
-            STAGE_SETTLING_TIME_S * 1e9, abs=2 * simulation.period_ns
+            FREE_STAGE_DELAY_S * 1e9, abs=2 * simulation.period_ns
         )
         speed = free[-1].telemetry.dq_goal
         assert np.degrees(speed).max() > 10.0

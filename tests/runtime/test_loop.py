@@ -246,13 +246,23 @@ def raise_error(*_: object) -> None:
 
 
 @pytest.mark.parametrize(
-    "stage", ["tick", "record", "show", "requests", "host_events", "send", "drain", "take_events"]
+    "stage",
+    [
+        "tick",
+        "record_tick",
+        "show_tick",
+        "take_requests",
+        "take_host_events",
+        "send",
+        "drain",
+        "take_events",
+    ],
 )
 def test_any_error_cuts_the_drives_and_is_raised_again(stage: str) -> None:
     left = FakeBus()
     right = FakeBus(1)
     run = Run(5, buses=[left, right], frames=(Frame(9, b"torque"),))
-    stages = {"record", "show", "requests", "host_events"}
+    stages = {"record_tick", "show_tick", "take_requests", "take_host_events"}
     if stage == "tick":
         run.fail = lambda entry: raise_error() if entry.k == 2 else None
     elif stage in stages:

@@ -48,7 +48,7 @@ CAMPAIGN_TASK: dict[str, Any] = {
 """Task that the hand executes in all runs: a free motion, then a grasp that is held for the rest of the run."""
 RUN_STAGES = (ARMING_STAGE, FREE_STAGE, GRASP_STAGE)
 """Stages of a run in the order of time."""
-STAGE_SETTLING_TIME_S = 0.2
+FREE_STAGE_DELAY_S = 0.2
 """Time from the start of the free motion to the stage FREE, at which faults are injected [s]."""
 STAGE_TIMEOUT_S = 12.0
 """Longest simulated time until a run reaches the next stage [s]."""
@@ -139,7 +139,7 @@ def advance_to_stage(simulation: SimulatedRun, stage: str) -> None:
         # A run has reached the grasp if at least one digit is in contact and a tendon has at least
         # 16 N.
         free_ticks += out.phase == "free"
-        free = free_ticks * simulation.period_ns > STAGE_SETTLING_TIME_S * 1e9
+        free = free_ticks * simulation.period_ns > FREE_STAGE_DELAY_S * 1e9
         holds = (
             out.phase == "hold"
             and min(out.telemetry.contact.max(), out.telemetry.tension.max() / 16.0) >= 1.0
