@@ -26,8 +26,8 @@ from handctl.campaign.fault_matrix import (
     scenarios_of_hand,
 )
 from handctl.campaign.run_stages import (
-    MIN_CONTROL_RATE_HZ,
     FREE_STAGE_DELAY_S,
+    MIN_CONTROL_RATE_HZ,
     advance_to_stage,
     hand_with_protocol,
     homed_run,
