@@ -80,7 +80,10 @@ def test_the_simulator_names_its_extra_as_well() -> None:
 
 
 def test_the_api_names_the_extra_of_the_simulated_hand() -> None:
-    code = f"{HIDE}from handctl.session.simulate import SimulatorSettings\nSimulatorSettings('jamia').check_constructible()"
+    code = (
+        f"{HIDE}from handctl.session.simulate import SimulatorSettings\n"
+        "SimulatorSettings('jamia').check_constructible()"
+    )
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert ran.stderr.splitlines()[-1].endswith(
         "the simulated hand needs mujoco: pip install 'handctl[sim]'"
