@@ -51,7 +51,7 @@ def relative_error(difference: TickDifference) -> float:
 
 @dataclass(slots=True)
 class DifferenceTally:
-    """Counts of the differences found so far. The class Execution explains the attributes."""
+    """Counts of the differences found so far. The class LogExecution explains the attributes."""
 
     ticks: int = 0
     differing_ticks: int = 0

@@ -145,7 +145,7 @@ def _check_configures(device: DeviceUnderTest) -> str:
 
 
 def _enable_drive(rig: DriveRig) -> None:
-    """Enable the drive. Raises Failed if the drive does not report the state enabled."""
+    """Enable the drive. Raises CheckFailed if the drive does not report the state enabled."""
     if not rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 2.0):
         raise CheckFailed(
             rig.state.error_text or "does not report that it is enabled within 2 s of the command"
@@ -203,7 +203,7 @@ def _check_no_torque_when_ready(device: DeviceUnderTest) -> str:
 def _check_ignores_torque(device: DeviceUnderTest) -> str:
     """Send torque commands up to the limit to a disabled drive.
 
-    Raises Failed if the drive follows them.
+    Raises CheckFailed if the drive follows them.
     """
     rig = device.rig
     if not rig.drive.torque_frames(0.0):

@@ -61,7 +61,7 @@ class JogResult(NamedTuple):
 
     Attributes:
         failure: reason of an early stop in one line, empty for a complete motion.
-        moved: angle of the shaft at the end, relative to its start [rad].
+        moved_rad: angle of the shaft at the end, relative to its start [rad].
         max_speed_rad_s: largest measured speed [rad/s].
         max_torque_N_m: largest reported torque [N m], NaN if the drive reports none.
         final_speed_rad_s: speed at the end, shortly before the drive is disabled [rad/s].

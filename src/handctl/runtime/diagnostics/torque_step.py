@@ -34,7 +34,7 @@ class TorqueStep(NamedTuple):
     """Response of a shaft to a torque ramp.
 
     Attributes:
-        moved: angle in the direction of the torque, minus the angle by which the shaft would have
+        moved_rad: angle in the direction of the torque, minus the angle by which the shaft would have
             coasted anyway [rad].
         commanded_torque_N_m: last commanded torque [N m].
         reported_torque_N_m: torque reported by the drive at the end of the ramp [N m].
