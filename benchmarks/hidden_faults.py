@@ -15,7 +15,7 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import Any
 
-from handctl.campaign.stage import CAMPAIGN_TASK, hand_with_protocol, homed_run
+from handctl.campaign.run_stages import CAMPAIGN_TASK, hand_with_protocol, homed_run
 from handctl.core.tick_types import HandMode
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from handctl.safety.action import SafetyAction
@@ -92,7 +92,7 @@ def run_with_fault(simulation: SimulatedRun, text: str) -> dict[str, Any]:
     The result has the identifiers of the reported faults, the delay of the reaction [ms], and the
     largest true tension [N].
     """
-    simulation.peer.inject(text)
+    simulation.simulated_hand.inject(text)
     start = simulation.k
     detected = []
     reacted = -1.0
@@ -104,8 +104,8 @@ def run_with_fault(simulation: SimulatedRun, text: str) -> dict[str, Any]:
     )
     for i in range(end):
         stops = i == watched and reacted < 0
-        out = simulation.tick(requests=(STOP_REQUEST,) if stops else ())
-        effect = simulation.peer.fault_states()[-1]
+        out = simulation.run_tick(requests=(STOP_REQUEST,) if stops else ())
+        effect = simulation.simulated_hand.fault_states()[-1]
         effect_ns = effect["first_ns"] if effect["first_ns"] >= 0 else start * simulation.period_ns
         detected += [
             e.text.split()[0] for e in out.events if e.name == "fault" and e.level != "info"
@@ -116,13 +116,13 @@ def run_with_fault(simulation: SimulatedRun, text: str) -> dict[str, Any]:
             and (out.action >= SafetyAction.RELAX or out.mode in (HandMode.RELAX, HandMode.CUT))
         ):
             reacted = (simulation.k * simulation.period_ns - effect_ns) * 1e-6
-        largest = max(simulation.peer.truth()["tension"])
+        largest = max(simulation.simulated_hand.truth()["tension"])
         tension = max(tension, largest)
         stopped = max(stopped, largest) if i >= watched else stopped
         if out.mode == HandMode.DONE:
             break
     return {"found": list(dict.fromkeys(detected)), "ms": reacted, "tension": tension, "stopped": stopped,
-            "felt": bool(simulation.peer.fault_states()[-1]["felt"])}  # fmt: skip
+            "felt": bool(simulation.simulated_hand.fault_states()[-1]["felt"])}  # fmt: skip
 
 
 def fault_rows(
@@ -145,7 +145,7 @@ def fault_rows(
         for stage in FAULT_STAGES:
             first = 0
             for _ in range(round(15.0 * rate)):
-                out = simulation.tick()
+                out = simulation.run_tick()
                 first += out.phase == "free"
                 if is_at_stage(stage, out, first):
                     break

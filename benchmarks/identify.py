@@ -135,7 +135,7 @@ def excite_and_fit(
         plan, ExciteProgram(excitation_steps(hand, (digit,))), None, arm_at_once=True
     )
     began = time.process_time()
-    with SimulatorSettings(hand_name, None, seed, factors, homed=True).clock(
+    with SimulatorSettings(hand_name, None, seed, factors, homed=True).lockstep_clock(
         plan.period_ns
     ) as clock:
         held = HoldLimit()
@@ -146,8 +146,8 @@ def excite_and_fit(
         "simulated_s": outcome.state.k * 1e-9 * plan.period_ns,
     }
     row["excite_cpu_s"] = time.process_time() - began
-    if outcome.state.failure or held.reason:
-        return {}, row | {"failure": held.reason or outcome.state.failure}
+    if outcome.state.failure or held.stop_reason:
+        return {}, row | {"failure": held.stop_reason or outcome.state.failure}
     with RunLog(log) as record:
         result = identify_tendons(record, hand)
     log.unlink()
@@ -169,7 +169,12 @@ def measure_digit(seed: int, digit: str, folder: Path, hand_name: str = "jamia")
     if not result:
         return row
     row["refused"] = sorted(
-        {reason for one in result.values() for reason in (one.contact, one.blocked) if reason}
+        {
+            reason
+            for one in result.values()
+            for reason in (one.contact_text, one.blocked_event)
+            if reason
+        }
     )
     shared = {
         name: one
@@ -189,7 +194,7 @@ def measure_digit(seed: int, digit: str, folder: Path, hand_name: str = "jamia")
 def compare_parameter(name: str, tendon: str, real: float, result: TendonResult) -> ResultRow:
     """Compare one parameter with its true value. Error and half widths are fractions of the true value."""
     identified = name in result.identifiability.names
-    error = result.fit.values[name] / real - 1.0
+    error = result.fit.parameter_values[name] / real - 1.0
     width = result.fit.half_widths[name] / real
     together = result.fit.half_widths_of(max(1, len(result.identifiability.names)))[name] / real
     return {

@@ -68,15 +68,15 @@ class LockstepStack:
         )
         self._open = ExitStack()
         self.simulation = self._open.enter_context(
-            SimulatorSettings(hand, scene.scene, homed=True).against(controller)
+            SimulatorSettings(hand, scene.scene, homed=True).begin_run(controller)
         )
-        self.simulation.record = False
-        self.peer = self.simulation.peer
+        self.simulation.record_ticks = False
+        self.peer = self.simulation.simulated_hand
         self.engine = self.peer.world.plant.engine
 
     def run(self, seconds: float) -> list[float]:
         """Run for a simulated time [s]. Return the CPU time of each tick [s]."""
-        tick = self.simulation.tick
+        tick = self.simulation.run_tick
         took = []
         now = time.process_time
         for _ in range(round(seconds * 1e9) // self.simulation.period_ns):

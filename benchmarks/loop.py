@@ -149,11 +149,11 @@ def bare_spin(seconds: float, rate_hz: float) -> tuple[float, float, list[int]]:
 
     This clock sleeps until shortly before a deadline. With real-time priority it then spins.
     """
-    from handctl.runtime.clocks.priority import take_priority
+    from handctl.runtime.clocks.priority import request_priority
     from handctl.runtime.clocks.real import RealClock
 
     clock = RealClock(round(1e9 / rate_hz))
-    clock.spin = take_priority().realtime
+    clock.busy_wait = request_priority().realtime
     clock.start()
     late = []
     k = 1
@@ -177,9 +177,9 @@ def both_cores_loaded():
 
 def bare_sleep(seconds: float, rate_hz: float) -> tuple[float, float, list[int]]:
     """Measure the lateness of sleeping until absolute deadlines, without work and with the priority of the loop."""
-    from handctl.runtime.clocks.priority import take_priority
+    from handctl.runtime.clocks.priority import request_priority
 
-    take_priority()
+    request_priority()
     start = time.monotonic_ns()
     late = []
     for k in range(1, int(seconds * rate_hz)):

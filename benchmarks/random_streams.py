@@ -72,7 +72,10 @@ def stream_random_targets(env: TrackEnv, kind: str, seed: int) -> tuple[str, flo
     while True:
         action = ACTION_SOURCES[kind](random, action, step)
         _, _, ended, truncated, information = env.step(action.astype(np.float32))
-        largest = max(largest, float(np.max(np.abs(list(env.run.peer.world.plant.tensions())))))
+        largest = max(
+            largest,
+            float(np.max(np.abs(list(env.simulated_run.simulated_hand.world.plant.tensions())))),
+        )
         step += 1
         if ended or truncated:
             return str(information["failure"]) if ended else "", largest

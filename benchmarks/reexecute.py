@@ -15,7 +15,7 @@ from cpu_profile import cpu_time_fractions
 
 from handctl.controller.tick import Controller
 from handctl.log.read.reader import RunLog
-from handctl.replay.rebuild import rebuild_controller
+from handctl.replay.controller_rebuild import rebuild_controller
 from handctl.replay.tick_difference import are_outputs_equal
 
 GOLDEN_FOLDER = Path(__file__).resolve().parent.parent / "logs" / "golden"
@@ -69,10 +69,10 @@ def execute_once(log: RunLog, controller: Controller) -> dict:
     """
     cpu = time.process_time
     began = cpu()
-    for _ in zip(log.ticks(), log.packed(), strict=True):
+    for _ in zip(log.ticks(), log.packed_telemetry(), strict=True):
         pass  # The outputs are not kept, as in a re-execution.
     read = cpu() - began
-    logged = list(zip(log.ticks(), log.packed(), strict=True))
+    logged = list(zip(log.ticks(), log.packed_telemetry(), strict=True))
     state = controller.initial_state()
     outs = []
     took = []

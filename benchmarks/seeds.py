@@ -15,7 +15,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from handctl.campaign.scenarios import ALL_PROTOCOLS
+from handctl.campaign.fault_matrix import ALL_PROTOCOLS
 from handctl.cli.main import main as handctl
 from handctl.hand.hand_loading import load_hand, packaged_hands
 

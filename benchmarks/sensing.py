@@ -130,15 +130,15 @@ def run_grasp(model: HandModel, scene: str, task: Task, seed: int, fault: str = 
     """Run the grasp on a homed hand."""
     record = SensingRun()
     names = model.hand.digit_names
-    with SimulatorSettings(model.hand, scene, seed, homed=True).against(
+    with SimulatorSettings(model.hand, scene, seed, homed=True).begin_run(
         homed_controller(model, TaskProgram(task))
     ) as run:
-        run.record = False
-        plant = run.peer.world.plant
+        run.record_ticks = False
+        plant = run.simulated_hand.world.plant
         if fault:
-            run.peer.inject(fault)
+            run.simulated_hand.inject(fault)
         start = np.array(plant.engine.object_pose()[:3])
-        for entry, out in run.ticks(30.0):
+        for entry, out in run.run_ticks(30.0):
             t = entry.k * model.period
             for event in out.events:
                 if event.name == "fault":

@@ -15,7 +15,7 @@ from pathlib import Path
 from lockstep import SETUP_BY_SCENE, record_rollout, repeat_rollout, sum_of_shortest
 from lockstep_stack import RATE_BY_HAND_HZ, LockstepStack
 
-from handctl.campaign.stage import hand_with_protocol
+from handctl.campaign.run_stages import hand_with_protocol
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
 
 SIMULATED_S = 3.0

@@ -29,7 +29,7 @@ from handctl.core.tick_types import HandMode
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
-from handctl.report.truth import TruthRecord, read_truth
+from handctl.report.truth_record import TruthRecord, read_truth
 
 STREAMED_DIGIT = "index"
 RATE_HZ = 100.0
@@ -525,7 +525,7 @@ def _status_ages_ms(hand: HandClient, seconds: float) -> list[float]:
         now_ns = time.monotonic_ns()
         seen = hand.observe()
         reader = hand._open_reader()
-        record = reader.read(reader.seen - 1 - (seen.k - line["k"]))
+        record = reader.read_record(reader.last_read_number - 1 - (seen.k - line["k"]))
         if record is not None and line["k"] != last and int(record["k"]) == line["k"]:
             ages.append((now_ns - int(record["published_ns"])) / 1e6)
         last = line["k"]

@@ -139,7 +139,8 @@ def compare_searches(
             )
         ]
         scores = [
-            GainScore(**score) for _, score in sorted(crew.scores(jobs), key=lambda pair: pair[0])
+            GainScore(**score)
+            for _, score in sorted(crew.compute_scores(jobs), key=lambda pair: pair[0])
         ]
     finally:
         crew.close()
@@ -149,7 +150,7 @@ def compare_searches(
         scores.append(
             _with_model(hand, HandModel.from_hand(twin, _best_gains(detuned, fitted), rate))
         )
-    costs = [score.cost(scores[0]) for score in scores]
+    costs = [score.relative_cost(scores[0]) for score in scores]
     return {
         "hand": hand_name,
         "rate_hz": rate,
@@ -174,7 +175,7 @@ def _run_timed_search(
     began = time.monotonic()
 
     def print_progress(result: SearchResult) -> None:
-        best = f"{result.cost(result.best):.3f}" if result.best else "none good yet"
+        best = f"{result.relative_cost(result.best):.3f}" if result.best else "none good yet"
         print(
             f"\r{storage.name}: trial {len(result.trials)} of {plan.trials}, best {best}   ",
             end="",
@@ -202,7 +203,7 @@ def _judge_job(plan: SearchPlan, gains: Gains) -> dict[str, Any]:
         "seed": JUDGE_SEED,
         "must_keep_margins": False,
     }
-    return plan.job(0, {}) | table
+    return plan.trial_job(0, {}) | table
 
 
 def _with_model(hand: Hand, model: HandModel) -> GainScore:

@@ -54,8 +54,8 @@ def measure_search(count: int, work: list[ResultRow]) -> tuple[ResultRow, list[R
     began = time.monotonic()
     crew = ProcessPool(count)
     try:
-        scores = dict(crew.scores(work))
-        spent = [cpu_s(pid) for pid in crew.pids]
+        scores = dict(crew.compute_scores(work))
+        spent = [cpu_s(pid) for pid in crew.process_ids]
     finally:
         crew.close()
     row = {

@@ -14,17 +14,17 @@ from handctl.programs.live_session import LiveProgram
 from handctl.session.simulate import SimulatorSettings, homed_controller
 
 model = HandModel.from_hand(load_hand("jamia"), Gains(), 500.0)
-with SimulatorSettings("jamia", seed=1, homed=True).against(
+with SimulatorSettings("jamia", seed=1, homed=True).begin_run(
     homed_controller(model, LiveProgram())
 ) as run:
-    run.until(lambda out: out.phase == "live", 5.0)
-    run.tick(
+    run.run_until(lambda out: out.phase == "live", 5.0)
+    run.run_tick(
         requests=(json.dumps({"do": "move", "angle_deg": {"index": 60.0}, "duration_s": 1.0}),)
     )
-    run.until(lambda out: out.telemetry.q[0] > 0.5, 2.0)
+    run.run_until(lambda out: out.telemetry.q[0] > 0.5, 2.0)
     broken_s = run.k * model.period
-    run.peer.inject("snap tendon=index_tendon")
-    for entry, out in run.ticks(broken_s + 5.0):
+    run.simulated_hand.inject("snap tendon=index_tendon")
+    for entry, out in run.run_ticks(broken_s + 5.0):
         for event in out.events:
             if event.name in ("fault", "mode"):
                 print(

@@ -11,7 +11,7 @@ from handctl.core.gains.gains import Gains
 from handctl.hand.hand_loading import hand_path, load_hand
 from handctl.programs.default_task import default_task
 from handctl.programs.task_program import TaskProgram
-from handctl.session.simulate import SimulatorSettings, simulate
+from handctl.session.simulate import SimulatorSettings, simulate_controller
 
 own_hand_path = Path("mine.toml")
 own_hand_text = hand_path("jamia").read_text("utf-8").replace('name = "jamia"', 'name = "mine"', 1)
@@ -37,6 +37,6 @@ def note_contacts(entry, out):
     touching_digits.update(event.where for event in out.events if event.name == "contact")
 
 
-state = simulate(controller, SimulatorSettings(hand, "cylinder", homed=True), note_contacts)
+state = simulate_controller(controller, SimulatorSettings(hand, "cylinder", homed=True), note_contacts)
 print("in contact:", ", ".join(sorted(touching_digits)))
 print("result:", state.failure or "complete, relaxed and disarmed")

@@ -59,10 +59,10 @@ for stiffness in (0.0, 30.0):
         hand, Gains(), 500.0, TaskProgram(push_task(stiffness)), None, arm_at_once=True
     )
     force, place = [], []
-    with SimulatorSettings(hand, PUSH_SCENE, homed=True).against(controller) as run:
-        for entry, _ in run.ticks(START_S + LARGEST_N / RATE_N_PER_S):
+    with SimulatorSettings(hand, PUSH_SCENE, homed=True).begin_run(controller) as run:
+        for entry, _ in run.run_ticks(START_S + LARGEST_N / RATE_N_PER_S):
             force.append(max(0.0, RATE_N_PER_S * (entry.t_ns / 1e9 - START_S)))
-            place.append(run.peer.world.plant.engine.object_pose()[0])
+            place.append(run.simulated_hand.world.plant.engine.object_pose()[0])
     pushed = np.array(force) > 0.0
     force_now = np.array(force)[pushed]  # [N]
     moved_mm = 1e3 * (np.array(place)[pushed] - place[int(np.argmax(pushed))])

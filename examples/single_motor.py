@@ -25,14 +25,16 @@ MOTOR_SPEC = Motor.model_validate({
 
 with bus_lock(BUS_SPEC):  # one host at a time
     clock = RealClock(PERIOD_NS)
-    bus = open_bus(BUS_SPEC, 0, 1_000_000, stamp=clock.of)
+    bus = open_bus(BUS_SPEC, 0, 1_000_000, stamp=clock.run_time_of)
     rig = DriveRig(make_drive(MOTOR_SPEC, 0), bus, clock)
     try:
-        if not rig.until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0):
+        if not rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0):
             raise SystemExit(
                 f"the drive is not ready: {rig.state.error_text or rig.state.phase.name}"
             )
-        if not rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 1.0):
+        if not rig.run_until(
+            DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 1.0
+        ):
             raise SystemExit(
                 f"the drive does not enable: {rig.state.error_text or rig.state.phase.name}"
             )
@@ -43,7 +45,7 @@ with bus_lock(BUS_SPEC):  # one host at a time
                 STIFFNESS_N_M_PER_RAD * (goal - state.position)
                 - DAMPING_N_M_S_PER_RAD * state.velocity
             )
-            rig.tick(DriveTarget.ENABLE, max(-LIMIT_N_M, min(LIMIT_N_M, torque)))
+            rig.run_tick(DriveTarget.ENABLE, max(-LIMIT_N_M, min(LIMIT_N_M, torque)))
             if tick % 50 == 0:
                 print(
                     f"{tick * PERIOD_NS / 1e9:4.2f} s: {goal - rig.state.position:+.3f} rad to go"

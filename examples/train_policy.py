@@ -55,7 +55,7 @@ def run_episode(policy, seed):
         seen, reward, ended, truncated, _ = env.step(policy_action(policy, seen))
         rewards.append(reward)
         rows.append([np.degrees(env.values_of(env.true_q)), env.reference_deg(env.t_s)])
-    return sum(rewards) / env.longest, np.array(rows)
+    return sum(rewards) / env.max_steps, np.array(rows)
 
 
 rng = np.random.default_rng(0)
@@ -85,7 +85,7 @@ before, after = (run_episode(p, TEST_SEEDS[0])[1] for p in (first, policy))
 figure, axes = plt.subplots(1, 3, figsize=(11, 3.4), layout="constrained")
 axes[0].plot(range(1, ITERATIONS + 1), curve)
 axes[0].set(xlabel="iteration", ylabel="mean reward", ylim=(0, 1), title="Test episodes")
-t = env.step_s * np.arange(1, env.longest + 1)
+t = env.step_s * np.arange(1, env.max_steps + 1)
 for axis, rows, title in ((axes[1], before, "Before"), (axes[2], after, "After")):
     for d, name in enumerate(env.names):
         axis.plot(t[: len(rows)], rows[:, 0, d], color=COLORS[d], label=name)

@@ -62,7 +62,7 @@ def main() -> int:
     hand = load_hand("jamia")
     plan = RunPlan(hand, Gains(), 500.0, ())
     simulator = SimulatorSettings("jamia", "none", 1, homed=True)
-    with tempfile.TemporaryDirectory() as folder, simulator.clock(plan.period_ns) as clock:
+    with tempfile.TemporaryDirectory() as folder, simulator.lockstep_clock(plan.period_ns) as clock:
         task = Path(folder) / "long.toml"
         task.write_text(SOAK_TASK)
         program = TaskProgram(load_task(task))
@@ -73,7 +73,7 @@ def main() -> int:
     print(
         json.dumps(
             {
-                "ticks": outcome.stats.ticks,
+                "ticks": outcome.loop_stats.ticks,
                 "failure": outcome.state.failure,
                 "rss_slope_mib_per_h": grows,
             }

@@ -19,8 +19,8 @@ from handctl.log.read.logfile import LogFile
 from handctl.log.read.reader import RunLog
 from handctl.log.read.record_scan import RecordScan, scan_records
 from handctl.log.read.recover import recover_log
-from handctl.log.topics.chain import CHAIN_TOPIC as CHAIN_TOPIC
 from handctl.log.topics.clock_pairs import CLOCK_PAIRS_TOPIC as CLOCK_TOPIC
+from handctl.log.topics.hash_chain import CHAIN_TOPIC as CHAIN_TOPIC
 from handctl.log.topics.topic_set import TICK_TOPIC, VALUES_TOPIC
 from tests.log import synthetic_run
 
@@ -54,7 +54,7 @@ def read_all(path: Path) -> None:
     with RunLog(path) as log:
         log.field(TELEMETRY_FIELDS[0]), log.field(TELEMETRY_FIELDS[-1])
         len(log), list(log.ticks()), log.events, log.phases, log.gaps, log.clock_pairs
-        list(log.tick_digests()), list(log.messages()), list(log.packed())
+        list(log.tick_digests()), list(log.tick_messages()), list(log.packed_telemetry())
 
 
 def small_log(folder: Path, seconds: float = 0.3) -> Path:
@@ -113,7 +113,7 @@ def _log_parts(path: Path) -> list[list[bytes]]:
     result = RecordScan()
     scan_records(file, result)
     raw = path.read_bytes()
-    contents = [bytes(file.content(place)) for place in result.chunks]
+    contents = [bytes(file.chunk_content(place)) for place in result.chunks]
     file.close()
     channels = schemas_and_channels(contents[0]).channels
     schemas = {number: schema for number, schema, topic, _, _ in channels if topic in KEPT_TOPICS}

@@ -48,14 +48,16 @@ def enabled_controller(motors):
     from handctl.hand.hand_loading import load_hand
     from handctl.programs.task_program import TaskProgram
     from handctl.session.simulate import SimulatorSettings, homed_controller
-    from handctl.session.tasks import find_task
+    from handctl.session.tasks import load_task_for_hand
 
     name = {4: "jamia", 11: "jamia11"}[motors]
     model = HandModel.from_hand(load_hand(name), Gains(), RATE_HZ)
-    controller = homed_controller(model, TaskProgram(find_task(Path("grasp"), model.hand)[0]))
-    with SimulatorSettings(name, homed=True).against(controller) as run:
-        assert run.until(lambda out: out.mode == HandMode.ACTIVE, 20.0)
-        run.tick()
+    controller = homed_controller(
+        model, TaskProgram(load_task_for_hand(Path("grasp"), model.hand)[0])
+    )
+    with SimulatorSettings(name, homed=True).begin_run(controller) as run:
+        assert run.run_until(lambda out: out.mode == HandMode.ACTIVE, 20.0)
+        run.run_tick()
         return controller, run.state
 
 

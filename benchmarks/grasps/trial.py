@@ -18,7 +18,7 @@ from handctl.programs.task import HoldPhase
 from handctl.programs.task_program import TaskProgram
 from handctl.session.plan import default_rate
 from handctl.session.simulate import SimulatorSettings, homed_controller
-from handctl.session.tasks import find_task
+from handctl.session.tasks import load_task_for_hand
 
 TIMEOUT_S = 120.0
 LOST_DISTANCE_M = 0.3
@@ -78,7 +78,7 @@ def task_program(task: str, hand: str, hold_s: float | None = None) -> TaskProgr
 
     ``hold_s`` replaces the duration of each hold [s].
     """
-    packaged_task, _ = find_task(Path(task), load_hand(hand))
+    packaged_task, _ = load_task_for_hand(Path(task), load_hand(hand))
     phases = [
         phase.model_copy(update={"duration_s": hold_s})
         if hold_s is not None and isinstance(phase, HoldPhase)
@@ -118,12 +118,12 @@ def simulate_grasp(
     phases = []
     events = []
     stages = []
-    with SimulatorSettings(hand, scene, seed, perturb, homed=True).against(
+    with SimulatorSettings(hand, scene, seed, perturb, homed=True).begin_run(
         controller
     ) as simulation:
-        plant = simulation.peer.world.plant
-        simulation.record = False
-        for entry, out in simulation.ticks(timeout):
+        plant = simulation.simulated_hand.world.plant
+        simulation.record_ticks = False
+        for entry, out in simulation.run_ticks(timeout):
             k = entry.k
             state = simulation.state
             states = state.tendon[s.TRAVEL : s.STRETCH_OFFSET + 1].T.ravel()

@@ -10,11 +10,11 @@ from handctl.core.tick_types import HandMode
 from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.hand_loading import load_hand
 from handctl.log.header import RunHeader
-from handctl.log.record import pack_tick_record
+from handctl.log.tick_record import pack_tick_record
 from handctl.log.write.recorder import Recorder
 from handctl.programs.program import ProgramProgress, motion_to
 from handctl.runtime.buses.open import open_bus
-from handctl.runtime.clocks.priority import awake_processors, take_priority
+from handctl.runtime.clocks.priority import awake_processors, request_priority
 from handctl.runtime.clocks.real import RealClock
 from handctl.runtime.loop import ControlLoop
 from handctl.runtime.mailbox import STOP_REQUEST
@@ -77,18 +77,18 @@ def run_loop(hand_name: str, bus_name: str, seconds: float, rate_hz: float | Non
     controller = make_controller(plan, StayProgram(), None, arm_at_once=True)
     bus = open_bus(plan.buses[0], 0, 1_000_000)
     clock = RealClock(plan.period_ns) if rate_hz else UnpacedClock(bus.fileno())
-    priority = take_priority()
+    priority = request_priority()
     if rate_hz:
-        clock.spin = priority.realtime
+        clock.busy_wait = priority.realtime
     described = {"hand.toml": hand.to_toml().encode(), "hand.urdf": urdf_text(hand).encode()}
     recorder = Recorder.start(
-        log, RunHeader.of_hand(hand.to_toml(), plan.period_ns, attachments=described)
+        log, RunHeader.from_hand(hand.to_toml(), plan.period_ns, attachments=described)
     )
     counter = ActiveTickCounter(seconds)
     cut = controller.cut_frames()
 
     def record(entry, out):
-        recorder.record(pack_tick_record(entry, out))
+        recorder.send_record(pack_tick_record(entry, out))
 
     took = []
     # Timing takes a few microseconds, which a rate without deadlines must not contain.
@@ -98,8 +98,8 @@ def run_loop(hand_name: str, bus_name: str, seconds: float, rate_hz: float | Non
         else controller.begin_tick
     )
     loop = ControlLoop(
-        clock, plan.period_ns, [bus], begin, cut, counter.requests, lambda: list(recorder.events()), record, counter,
-        urgent=awake_processors,
+        clock, plan.period_ns, [bus], begin, cut, counter.requests, lambda: list(recorder.take_events()), record,
+        counter, tick_priority=awake_processors,
     )  # fmt: skip
     state = loop.run(controller.initial_state())
     recorder.close("done")

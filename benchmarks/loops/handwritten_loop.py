@@ -12,7 +12,7 @@ from filterpy.kalman import KalmanFilter
 
 from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.hand_loading import load_hand
-from handctl.runtime.clocks.priority import take_priority
+from handctl.runtime.clocks.priority import request_priority
 
 ENABLE_PAYLOAD = b"\xff" * 7 + b"\xfc"
 DISABLE_PAYLOAD = b"\xff" * 7 + b"\xfd"
@@ -111,7 +111,7 @@ class BaselineLoop:
 def run_loop(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, log: Path):
     """Run the hand-written loop for some time, and return results like those of ``handctl_loop.run_loop``."""
     loop = BaselineLoop(hand_name, bus_name, log)
-    take_priority()
+    request_priority()
     loop.send_all(ENABLE_PAYLOAD)
     start = time.monotonic()
     ticks = 0

@@ -77,7 +77,7 @@ def misprinted_torque(
         names[f"I{i + 1}"] = float(digit.inertias[i, 2, 2]) if here else 0.0
     names["g"] = -float((digit.gravity @ digit.mount_rotation)[1])
     printed = [
-        sum(float(term.readings[0].value(names)) for term in terms)
+        sum(float(term.readings[0].evaluate(names)) for term in terms)
         for terms in equations.TORQUE_TERMS
     ]
     joint = (sum(printed), printed[1] + printed[2], printed[2])[: digit.joint_count]

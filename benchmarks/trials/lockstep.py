@@ -18,7 +18,7 @@ from handctl.core.gains.gains import Gains
 from handctl.core.tick_types import TELEMETRY_FIELDS, HandMode, TickIn, TickOut
 from handctl.hand.description import Hand
 from handctl.programs.program import Program
-from handctl.report.truth import TruthRecord, read_truth
+from handctl.report.truth_record import TruthRecord, read_truth
 from handctl.session.simulate import SimulatorSettings
 from trials.hands import hand_by_name, hand_file_of, packaged_name
 
@@ -99,7 +99,7 @@ class TrialRecord:
 
     def truth(self, names: Iterable[str], delay_ns: int = 0) -> Array:
         """Return columns of the true values at each tick, or a delay before each tick (ticks, names)."""
-        return self.real.table(list(names), self.t_ns - delay_ns)
+        return self.real.columns_at(list(names), self.t_ns - delay_ns)
 
     def tension(self, delay_ns: int = 0) -> Array:
         """Return the true tension (ticks, N) [N]."""
@@ -138,9 +138,9 @@ def run_trial(trial: LockstepTrial) -> TrialRecord:
             file, trial.scene, trial.seed, dict(trial.perturb or {}), homed=True, truth=path
         )
         rows: list[TickRow] = []
-        with twin.against(controller) as run:
+        with twin.begin_run(controller) as run:
             inputs = run.state.tendon[[s.FILTER_FORCE, s.PLANNED_TENSION_RATE]].T
-            for entry, out in run.ticks(trial.limit_s):
+            for entry, out in run.run_ticks(trial.limit_s):
                 rows.append((entry, out, inputs, run.state))
                 inputs = run.state.tendon[[s.FILTER_FORCE, s.PLANNED_TENSION_RATE]].T
         return _trial_record(hand, controller, rows, read_truth(path), run.state)

@@ -15,7 +15,7 @@ from mcap_ros2.decoder import DecoderFactory
 from benchmarks.writers.library_writers import LIBRARY_WRITERS, LogMessage
 from benchmarks.writers.sustained_recording import measure_sustained, packed_tick
 from handctl.log.read.reader import RunLog
-from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record
+from handctl.log.tick_record import RECORD_FRAMING_STRUCT, pack_tick_record
 from handctl.log.write.recorder import Recorder
 from handctl.log.write.writer import LogWriter
 
@@ -73,13 +73,15 @@ def measure_handctl(path: Path, run: Any, ticks: list[Any]) -> dict[str, float]:
     records: list[bytes] = []
     packing = _cpu_s(lambda: records.extend(pack_tick_record(*tick) for tick in ticks))
     recorder = Recorder.start(path.with_suffix(".pipe.mcap"), run)
-    handing = _cpu_s(lambda: [(recorder.record(record), recorder.events()) for record in records])
+    handing = _cpu_s(
+        lambda: [(recorder.send_record(record), recorder.take_events()) for record in records]
+    )
     recorder.close("finished")
     writer = LogWriter(path, run, print, 1)
 
     def write() -> None:
         for record in records:
-            writer.add(record[RECORD_FRAMING_STRUCT.size :])
+            writer.add_tick(record[RECORD_FRAMING_STRUCT.size :])
         writer.finish("finished", 0)
 
     writing = _cpu_s(write)

@@ -28,9 +28,9 @@ from handctl.core.tick_types import (
 from handctl.drives.frame import Frame
 from handctl.drives.frame_records import Frames, frames_as_records
 from handctl.log.read.reader import RunLog
-from handctl.log.record import pack_tick_record
+from handctl.log.tick_record import pack_tick_record
 from handctl.log.write.recorder import Recorder
-from handctl.runtime.clocks.priority import restore_priority, take_priority
+from handctl.runtime.clocks.priority import request_priority, restore_priority
 from handctl.runtime.clocks.real import RealClock
 from handctl.runtime.loop import ControlLoop, LoopStats
 
@@ -67,7 +67,7 @@ def measure_sustained(path: Path, seconds: float) -> dict[str, Any]:
         spent = _processor_s(recorder._child.pid)
         start = time.perf_counter()
         logged = _run_loop(
-            seconds, granted, ticks, _record_function(recorder), lambda: list(recorder.events())
+            seconds, granted, ticks, _record_function(recorder), lambda: list(recorder.take_events())
         )
         fraction = (_processor_s(recorder._child.pid) - spent) / (time.perf_counter() - start)
         after = _run_loop(seconds / 2, granted, ticks, lambda entry, out: None, list)
@@ -108,7 +108,7 @@ def _on_separate_cores(recorder: int) -> Iterator[bool]:
         os.sched_setaffinity(recorder, {max(cores)})
         os.sched_setaffinity(0, {min(cores)})
     try:
-        yield take_priority().realtime
+        yield request_priority().realtime
     finally:
         restore_priority()
         if cores:
@@ -173,7 +173,7 @@ def _run_loop(
             state + 1, out._replace(mode=HandMode.DONE) if entry.k >= last else out
         )
 
-    clock = RealClock(PERIOD_NS, spin=spin)
+    clock = RealClock(PERIOD_NS, busy_wait=spin)
     loop = ControlLoop(
         clock,
         PERIOD_NS,
@@ -193,7 +193,7 @@ def _record_function(recorder: Recorder) -> Callable[[TickIn, TickOut], None]:
     """Return a function that packs a tick and passes it to the recorder."""
 
     def record(entry: TickIn, out: TickOut) -> None:
-        recorder.record(pack_tick_record(entry, out))
+        recorder.send_record(pack_tick_record(entry, out))
 
     return record
 
@@ -206,8 +206,10 @@ def _processor_s(pid: int) -> float:
 
 def _lateness_figures(*parts: LoopStats) -> dict[str, float]:
     """Return percentiles of the lateness [us] and the fraction of missed deadlines."""
-    us = np.concatenate([np.array(part.late_ns) for part in parts]) / 1e3
-    missed = sum(part.missed for part in parts) / sum(part.ticks + part.missed for part in parts)
+    us = np.concatenate([np.array(part.tick_lateness_ns) for part in parts]) / 1e3
+    missed = sum(part.missed_ticks for part in parts) / sum(
+        part.ticks + part.missed_ticks for part in parts
+    )
     return {name: float(np.percentile(us, mark)) for name, mark in LATENESS_PERCENTILES.items()} | {
         "missed_share": missed
     }

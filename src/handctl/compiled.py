@@ -52,9 +52,9 @@ MAX_CACHE_FOLDERS = 16
 
 The code of older versions is deleted.
 """
-MAX_WORKERS = 8
+MAX_COMPILER_PROCESSES = 8
 """Largest number of processes that compile kernels in parallel."""
-POLL_PERIOD_S = 0.1
+COMPILER_POLL_PERIOD_S = 0.1
 """Time between two checks of the progress of the compilation [s]."""
 
 _KERNEL_DISPATCHERS: dict[str, tuple[Any, tuple[Any, ...]]] = {}
@@ -94,7 +94,7 @@ def kernel(*arguments: str) -> Callable[[F], F]:
             write into.
     """
 
-    def mark(function: F) -> F:
+    def mark_kernel(function: F) -> F:
         dispatcher = _mark_function(function)
         _KERNEL_DISPATCHERS[f"{function.__module__}.{function.__name__}"] = (
             dispatcher,
@@ -102,7 +102,7 @@ def kernel(*arguments: str) -> Callable[[F], F]:
         )
         return dispatcher
 
-    return mark
+    return mark_kernel
 
 
 def kernel_helper(function: F) -> F:
@@ -332,7 +332,7 @@ def _compile_together(
     with contextlib.suppress(OSError), open(folder / "lock", "w") as lock:
         while not _try_lock(lock):
             report(_compiled_count(folder, waiting), len(waiting))
-            time.sleep(POLL_PERIOD_S)
+            time.sleep(COMPILER_POLL_PERIOD_S)
         if _compiled_count(folder, waiting) == len(waiting):
             return
         with _cached_in(
@@ -347,13 +347,13 @@ def _compile_together(
         os.close(giving)
         workers = [
             _start_compiler_process(todo, waiting)
-            for _ in range(min(os.cpu_count() or 1, MAX_WORKERS))
+            for _ in range(min(os.cpu_count() or 1, MAX_COMPILER_PROCESSES))
         ]
         os.close(todo)
         while workers:
             workers = [one for one in workers if os.waitpid(one, os.WNOHANG)[0] == 0]
             report(_compiled_count(folder, waiting), len(waiting))
-            time.sleep(POLL_PERIOD_S)
+            time.sleep(COMPILER_POLL_PERIOD_S)
 
 
 def _try_lock(lock: IO[str]) -> bool:

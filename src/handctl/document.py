@@ -32,12 +32,12 @@ class Document(BaseModel):
     )
 
 
-D = TypeVar("D", bound=Document)
+DocumentT = TypeVar("DocumentT", bound=Document)
 MAX_LISTED_KEYS = 12
 """Largest number of valid keys that a message lists."""
 
 
-def load_document(path: Path, model: type[D]) -> D:
+def load_document(path: Path, model: type[DocumentT]) -> DocumentT:
     """Read a TOML file, and validate the content.
 
     Raises:
@@ -46,7 +46,7 @@ def load_document(path: Path, model: type[D]) -> D:
     return validate_content(read_toml(path), model, str(path))
 
 
-def validate_content(content: Mapping[str, Any], model: type[D], source: str) -> D:
+def validate_content(content: Mapping[str, Any], model: type[DocumentT], source: str) -> DocumentT:
     """Validate content that was parsed from TOML.
 
     The content is converted to JSON for this. Strict validation of JSON accepts a list as a tuple

@@ -14,7 +14,7 @@ from typing import Any
 
 from handctl.errors import ConfigError
 
-NO_LINKS = {errno.EPERM, errno.ENOTSUP, errno.ENOSYS}
+NO_HARD_LINK_ERRNOS = {errno.EPERM, errno.ENOTSUP, errno.ENOSYS}
 """Error numbers of file systems that have no links, such as FAT on a memory stick."""
 LOG_SUFFIX, LOG_MAGIC = ".mcap", b"\x89MCAP0\r\n"
 """Suffix and first bytes of a log. An output never overwrites a log."""
@@ -180,7 +180,7 @@ def _move_into_place(beside: Path, target: Path, new: bool) -> None:
         try:
             os.link(beside, target)
         except OSError as error:
-            if error.errno not in NO_LINKS:
+            if error.errno not in NO_HARD_LINK_ERRNOS:
                 raise
         else:
             return

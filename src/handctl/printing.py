@@ -11,9 +11,9 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any, cast
 
-LONGEST_MESSAGE = 500
+MAX_MESSAGE_CHARACTERS = 500
 """Largest length of a printed message [characters]."""
-LONGEST_WORD = 60
+MAX_WORD_CHARACTERS = 60
 """Largest length of a word that is quoted, or compared with names [characters]."""
 OMISSION_MARK = " [...] "
 """Text that replaces the middle of a longer message."""
@@ -36,9 +36,9 @@ def _escaped_character(character: str) -> str:
     return character.encode("unicode_escape", "replace").decode()
 
 
-def printable_text(text: str, most: int = 200) -> str:
-    """Escape a text, and cut the result after ``most`` characters."""
-    return escape_text(text[:most]) + ("..." if len(text) > most else "")
+def printable_text(text: str, max_characters: int = 200) -> str:
+    """Escape a text, and cut the result after ``max_characters`` characters."""
+    return escape_text(text[:max_characters]) + ("..." if len(text) > max_characters else "")
 
 
 def similar_name(word: str, names: Iterable[str], cutoff: float = 0.6) -> str:
@@ -49,23 +49,23 @@ def similar_name(word: str, names: Iterable[str], cutoff: float = 0.6) -> str:
         names: the valid names.
         cutoff: lowest similarity that is accepted, from 0 (none) to 1 (equal).
     """
-    near = difflib.get_close_matches(word[:LONGEST_WORD], list(names), n=1, cutoff=cutoff)
+    near = difflib.get_close_matches(word[:MAX_WORD_CHARACTERS], list(names), n=1, cutoff=cutoff)
     return near[0] if near else ""
 
 
-def one_line_message(text: str, most: int = LONGEST_MESSAGE) -> str:
+def one_line_message(text: str, max_characters: int = MAX_MESSAGE_CHARACTERS) -> str:
     """Return a text as one line of limited length. Line ends become spaces. The middle of a long text is left out.
 
     The beginning of a message has the mistake, and the end has the expected value, so both are
     kept.
     """
-    if len(text) > 4 * most:  # escaping never makes a text shorter
-        text = text[: 2 * most] + text[-2 * most :]
+    if len(text) > 4 * max_characters:  # escaping never makes a text shorter
+        text = text[: 2 * max_characters] + text[-2 * max_characters :]
     line = escape_text(text.replace("\n", " "))
-    if len(line) <= most:
+    if len(line) <= max_characters:
         return line
-    end = most // 3
-    return line[: most - end - len(OMISSION_MARK)] + OMISSION_MARK + line[-end:]
+    end = max_characters // 3
+    return line[: max_characters - end - len(OMISSION_MARK)] + OMISSION_MARK + line[-end:]
 
 
 def escape_surrogates(text: str) -> str:

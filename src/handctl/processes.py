@@ -11,7 +11,7 @@ def usable_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def run_in_copy(work: Callable[[], str]) -> tuple[int, int]:
+def run_in_forked_copy(work: Callable[[], str]) -> tuple[int, int]:
     """Run a function in a forked copy of this process. The copy ends without running the exit handlers of this process.
 
     Args:

@@ -20,7 +20,7 @@ from handctl.hand.hand_loading import (
     load_hand,
     packaged_hands,
 )
-from handctl.log.attached_meshes import MAX_BYTES
+from handctl.log.attached_meshes import MAX_MESH_BYTES
 from handctl.session.plan import RunChoice, make_plan
 from tests.cli.command_refusals import refusal_line, refusal_lines
 from tests.cli.test_config_import import TRIPOD_URDF
@@ -121,7 +121,7 @@ def test_a_mesh_that_is_no_mesh_is_refused_and_a_run_begins_without_it(
 
 def test_meshes_too_large_for_a_log_are_reported_before_the_run(copy_t42_with_meshes: Path) -> None:
     with (copy_t42_with_meshes.parent / "t42" / "outer.stl").open("r+b") as large:
-        large.truncate(MAX_BYTES)
+        large.truncate(MAX_MESH_BYTES)
     messages: list[str] = []
     plan = make_plan(RunChoice(copy_t42_with_meshes), tell=messages.append)
     assert not plan.attachments

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from handctl.cli.console.bench import parse_options
+from handctl.cli.console.bench_drive import parse_options
 from handctl.cli.main import main
 from handctl.drives.frame import Frame
 from handctl.drives.mit.codec import MotorRanges, command_message

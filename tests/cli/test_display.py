@@ -1,6 +1,6 @@
 """Test the lines that the display process shows to an operator during a run."""
 
-from handctl.campaign.stage import homed_run
+from handctl.campaign.run_stages import homed_run
 from handctl.cli.console import display
 from handctl.cli.console.display import DisplayProcess
 from handctl.core.tick_types import HandMode, TickEvent
@@ -17,17 +17,20 @@ def test_the_first_line_of_a_fault_is_followed_by_its_remedy(capfd) -> None:
     """
     hand = load_hand("jamia")
     with homed_run(hand, RATE_HZ, 1) as simulation:
-        assert simulation.until(lambda out: out.mode == HandMode.ACTIVE, 3.0), (
+        assert simulation.run_until(lambda out: out.mode == HandMode.ACTIVE, 3.0), (
             simulation.state.failure
         )
-        display = DisplayProcess.start(hand, RATE_HZ, 0.5)
-        simulation.peer.inject("off node=index_motor")
+        display = DisplayProcess.start_display(hand, RATE_HZ, 0.5)
+        simulation.simulated_hand.inject("off node=index_motor")
         for _ in range(round(0.5 * RATE_HZ)):
-            simulation.tick()
-            display.show(*simulation.recorded[-1])
+            simulation.run_tick()
+            display.show_tick(*simulation.recorded_ticks[-1])
         display.close()
     faults = [
-        event for _, out in simulation.recorded for event in out.events if event.name == "fault"
+        event
+        for _, out in simulation.recorded_ticks
+        for event in out.events
+        if event.name == "fault"
     ]
     errors = {event.text for event in faults if event.level == "error"}
     assert errors, "the fault was not detected"

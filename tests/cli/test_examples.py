@@ -25,15 +25,14 @@ EXAMPLE_BY_COMMAND = {
 COMMANDS_WITH_FINDINGS = {"doctor", "bus doctor"}
 """Commands whose exit code may be 1, because they find a defect of the test's machine."""
 EXAMPLES_ALONE = sorted(
-    words for words, example in EXAMPLE_BY_COMMAND.items() if not example.beside
-)
+    words for words, example in EXAMPLE_BY_COMMAND.items() if not example.parallel_commands)
 EXAMPLES_BESIDE_SIMULATOR = sorted(
     words
     for words, example in EXAMPLE_BY_COMMAND.items()
-    if example.beside and RUNNING_HAND not in example.beside
+    if example.parallel_commands and RUNNING_HAND not in example.parallel_commands
 )
 EXAMPLES_BESIDE_RUN = sorted(
-    words for words, example in EXAMPLE_BY_COMMAND.items() if RUNNING_HAND in example.beside
+    words for words, example in EXAMPLE_BY_COMMAND.items() if RUNNING_HAND in example.parallel_commands
 )
 READY_TIMEOUT_S = 60.0
 """Longest time in which a simulator and a controller start [s], including compilation."""
@@ -53,7 +52,7 @@ def run_in_shell():
 def run_example(run_in_shell, words):
     """Run the example of a command in a shell, and check that it worked."""
     how = {"shell": True, "capture_output": True, "text": True, "timeout": 280, "check": False}
-    ended = run_in_shell(EXAMPLE_BY_COMMAND[words].line, **how)
+    ended = run_in_shell(EXAMPLE_BY_COMMAND[words].command_line, **how)
     assert ended.returncode in ({0, 1} if words in COMMANDS_WITH_FINDINGS else {0}), ended.stderr
     assert ended.stdout.strip()
     assert "Traceback" not in ended.stderr
@@ -97,7 +96,7 @@ def repeat_until_success(run_in_shell, command):
 def test_examples_work_beside_a_simulator_and_a_running_hand(
     run_in_shell, start_others, repeat_time_scale
 ):
-    simulator, run = EXAMPLE_BY_COMMAND["stop"].beside
+    simulator, run = EXAMPLE_BY_COMMAND["stop"].parallel_commands
     start_others(f"{simulator} --time-scale {TIME_SCALE * repeat_time_scale:g}")
     repeat_until_success(run_in_shell, "handctl fault kinds --bus local:demo")
     for words in EXAMPLES_BESIDE_SIMULATOR:

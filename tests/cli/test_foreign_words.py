@@ -16,7 +16,7 @@ from handctl.errors import ConfigError
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.hand_loading import PACKAGED_HANDS_FOLDER, parse_toml
 from handctl.printing import (
-    LONGEST_MESSAGE,
+    MAX_MESSAGE_CHARACTERS,
     EscapedStream,
     escape_surrogates,
     escape_text,
@@ -53,7 +53,7 @@ def test_unprintable_characters_are_escaped():
 @pytest.mark.parametrize("letter", ["x", "\x1b"])
 def test_a_message_keeps_its_beginning_and_its_end(size, letter):
     line = one_line_message("what" + letter * (size - 8) + "right\n"[:4])
-    assert len(line) <= LONGEST_MESSAGE
+    assert len(line) <= MAX_MESSAGE_CHARACTERS
     assert line.startswith("what")
     assert line.endswith("righ")
     assert line.isprintable()
@@ -63,7 +63,7 @@ def test_a_message_keeps_its_beginning_and_its_end(size, letter):
 def test_an_error_is_one_harmless_line():
     line = str(ConfigError(f"{ESCAPE_SEQUENCES}\n" * 1000, "where", "this"))
     assert line.isprintable()
-    assert len(line) <= LONGEST_MESSAGE
+    assert len(line) <= MAX_MESSAGE_CHARACTERS
     assert line.startswith("where: ")
     assert line.endswith("; expected this")
 
@@ -117,7 +117,7 @@ def test_rich_writes_its_codes_past_the_escaping_stream(monkeypatch, capsys):
 
 def test_a_long_line_is_cut(capsys):
     print_escaped("a" * 2000)
-    assert len(capsys.readouterr().out) <= LONGEST_MESSAGE + 1
+    assert len(capsys.readouterr().out) <= MAX_MESSAGE_CHARACTERS + 1
 
 
 @pytest.mark.parametrize("verb", VERB_HELP)
@@ -130,7 +130,7 @@ def test_argparse_messages_are_escaped_and_shortened(capsys, verb):
         assert exit_code([verb, *words, "--no-such-option", ESCAPE_SEQUENCES]) == 2
         out, err = capsys.readouterr()
         assert is_harmless(out + err)
-        assert len(err.splitlines()[-1]) < LONGEST_MESSAGE + 60
+        assert len(err.splitlines()[-1]) < MAX_MESSAGE_CHARACTERS + 60
     assert exit_code([ESCAPE_SEQUENCES]) == 2
     assert is_harmless(capsys.readouterr().err)
 
@@ -166,7 +166,7 @@ def test_texts_of_files_are_escaped_and_shortened(work_folder, capsys, what, con
     assert len(lines) == 1 or what == "hand"  # a hand file may give several lines
     for line in lines:
         assert line[:-1].isprintable()
-        assert len(line) < LONGEST_MESSAGE + 20
+        assert len(line) < MAX_MESSAGE_CHARACTERS + 20
 
 
 def test_a_name_and_a_note_are_escaped_where_all_is_well(work_folder, capsys):
@@ -205,7 +205,7 @@ def test_very_long_number_in_a_file_is_refused(work_folder, capsys, what, number
     (work_folder / "odd.toml").write_text(f"schema = 1\nname = {WIDE_NUMBERS[number]}\n")
     line = refusal_line(capsys, *READING_COMMANDS[what])
     assert "odd.toml" in line
-    assert len(line) < LONGEST_MESSAGE
+    assert len(line) < MAX_MESSAGE_CHARACTERS
 
 
 def test_the_largest_numbers_of_toml_are_read():
@@ -250,7 +250,7 @@ def test_invalid_node_number_is_refused(capsys, drive, number):
     out, err = capsys.readouterr()
     assert out == ""
     assert is_harmless(err)
-    assert len(err.splitlines()[-1]) < LONGEST_MESSAGE + 60
+    assert len(err.splitlines()[-1]) < MAX_MESSAGE_CHARACTERS + 60
 
 
 def test_a_pipe_without_a_reader_is_not_waited_for(work_folder, capsys):

@@ -11,7 +11,7 @@ import pytest
 
 from handctl.cli.main import VERB_GROUPS, VERB_HELP, main, verb_parser
 from handctl.cli.parsing.parser import VerbParser
-from handctl.cli.parsing.renamed import RENAMED_OPTIONS
+from handctl.cli.parsing.renamed_options import RENAMED_OPTIONS
 from handctl.core.gains.gain_bounds import gain_bounds
 from tests.cli.command_refusals import refusal_line
 

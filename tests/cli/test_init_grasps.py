@@ -13,7 +13,7 @@ import pytest
 from handctl.cli.main import main
 from handctl.hand.hand_loading import load_hand
 from handctl.programs.default_task import default_scene
-from handctl.report.truth import read_truth
+from handctl.report.truth_record import read_truth
 from handctl.session.plan import default_rate
 from tests.cli.command_refusals import refusal_line
 from tests.conftest import NIGHTLY
@@ -77,7 +77,7 @@ def test_new_hand_grasps_holds_and_releases(
     forces = [name for name in truth.columns if name.startswith("contact_force/")]
     assert forces
     # At the end no digit touches anything, because the object lies on the table.
-    assert abs(truth.table(forces, truth.t_ns[-1:])).max() == 0.0
+    assert abs(truth.columns_at(forces, truth.t_ns[-1:])).max() == 0.0
 
 
 def test_the_object_suits_the_digits(work_folder: Path) -> None:

@@ -122,7 +122,7 @@ def test_a_limit_stops_a_drive_in_another_process(capsys):
     ],
 )
 def test_wrong_input_is_one_line_and_opens_no_bus(words, expected, capsys, monkeypatch):
-    monkeypatch.setattr("handctl.cli.console.bench.open_bus", None)
+    monkeypatch.setattr("handctl.cli.console.bench_drive.open_bus", None)
     assert main([*JOG_OPTIONS, *words.split(), "--yes"]) == 2
     text = capsys.readouterr().err
     assert expected in text
@@ -130,7 +130,7 @@ def test_wrong_input_is_one_line_and_opens_no_bus(words, expected, capsys, monke
 
 
 def test_a_dry_run_opens_no_bus(capsys, monkeypatch):
-    monkeypatch.setattr("handctl.cli.console.bench.open_bus", None)
+    monkeypatch.setattr("handctl.cli.console.bench_drive.open_bus", None)
     words = ["--mode", "velocity", "--setpoint", "2", "--protocol", "cia402", "--dry-run", "--json"]
     assert main([*JOG_OPTIONS, *words]) == 0
     assert json.loads(capsys.readouterr().out) == {

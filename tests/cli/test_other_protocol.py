@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from handctl.campaign.scenarios import ALL_PROTOCOLS
+from handctl.campaign.fault_matrix import ALL_PROTOCOLS
 from handctl.cli.main import main
 from handctl.cli.runs.other_protocol import hand_in_protocol
 from handctl.hand.hand_loading import load_hand, packaged_hands

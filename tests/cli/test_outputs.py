@@ -194,7 +194,7 @@ def test_a_picture_keeps_the_requested_file_name(work_folder):
 
 
 def test_a_recording_is_not_begun_without_room_for_it(monkeypatch, capsys):
-    monkeypatch.setattr("handctl.view.feed.DISK_SPACE_FACTOR", 10**12)
+    monkeypatch.setattr("handctl.view.rerun_conversion.DISK_SPACE_FACTOR", 10**12)
     for words in (
         ("log", "export", "--rrd", GOLDEN_LOG_TEXT, "--output", "new.rrd", "--json"),
         ("view", GOLDEN_LOG_TEXT, "--save", "new.rrd"),

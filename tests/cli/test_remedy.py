@@ -10,10 +10,10 @@ from handctl.controller.controller_state import ControllerState
 from handctl.core.gains.gains import Gains
 from handctl.hand.hand_loading import load_hand
 from handctl.runtime.loop import LoopStats
-from handctl.session import pace
-from handctl.session.pace import pace_advice
+from handctl.session import time_scale_advice
 from handctl.session.plan import RunPlan
 from handctl.session.run import RunOutcome
+from handctl.session.time_scale_advice import pace_advice
 
 LATE_FAULTS, TORN_TENDON_FAULTS = ("B03b", "N02"), ("T01",)
 
@@ -74,9 +74,11 @@ def test_the_advised_pace_is_measured(
     """
     answer = {"pace": {"advice": advice, "plant_s_per_cpu_s": capacity}}
     monkeypatch.setattr(
-        pace, "ask_simulator", lambda path, question: answer if question == {"pace": True} else {}
+        time_scale_advice,
+        "ask_simulator",
+        lambda path, question: answer if question == {"pace": True} else {},
     )
-    monkeypatch.setattr(pace, "usable_cores", lambda: 2)
+    monkeypatch.setattr(time_scale_advice, "usable_cores", lambda: 2)
     plan = RunPlan(load_hand("jamia"), Gains(), 500.0, (0.6,), ("local:lab",))
     assert pace_advice(plan, run_with_faults(*LATE_FAULTS, cpu_s=cpu_s)).endswith(
         f"handctl sim with --time-scale {number:g}"
@@ -85,10 +87,10 @@ def test_the_advised_pace_is_measured(
 
 def test_simulator_and_controller_share_a_core(monkeypatch: pytest.MonkeyPatch) -> None:
     answer = {"pace": {"advice": None, "plant_s_per_cpu_s": 2.0}}
-    monkeypatch.setattr(pace, "ask_simulator", lambda path, question: answer)
-    monkeypatch.setattr(pace, "usable_cores", lambda: 1)
+    monkeypatch.setattr(time_scale_advice, "ask_simulator", lambda path, question: answer)
+    monkeypatch.setattr(time_scale_advice, "usable_cores", lambda: 1)
     plan = RunPlan(load_hand("jamia"), Gains(), 500.0, (0.6,), ("local:lab",))
-    assert pace.slower_time_scale(plan, run_with_faults(*LATE_FAULTS, cpu_s=1.8)) == 0.5
+    assert time_scale_advice.slower_time_scale(plan, run_with_faults(*LATE_FAULTS, cpu_s=1.8)) == 0.5
 
 
 def test_virtual_time_is_not_slowed(capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,7 +6,7 @@ Every command then ends with exit code 71, even after other errors.
 import pytest
 
 from handctl.cli.checks import conformance
-from handctl.cli.console import bench
+from handctl.cli.console import bench_drive
 from handctl.cli.main import main
 from handctl.cli.runs import commission
 from handctl.cli.tuning import identify
@@ -69,7 +69,7 @@ def test_a_check_that_is_interrupted_says_whether_the_drive_is_off(monkeypatch, 
         yield
 
     monkeypatch.setattr(conformance, "run_checks", interrupted)
-    monkeypatch.setattr(bench, "open_bus", lambda *what: SilentBus())
+    monkeypatch.setattr(bench_drive, "open_bus", lambda *what: SilentBus())
     monkeypatch.setattr(conformance, "find_drive", lambda args: DiscoveredNode("mit", 1))
     monkeypatch.setattr(DriveRig, "confirm_off", lambda rig, watchdog_s: off)
     words = (

@@ -14,7 +14,7 @@ from firmware_sim.bus.frame import Frame as SimFrame
 from firmware_sim.nodes.moteus import registers
 from firmware_sim.programs.drive import SimulatedDriveBench
 from firmware_sim.programs.drive_types import drive_spec
-from handctl.cli.checks.fragment import hand_file_snippet
+from handctl.cli.checks.hand_file_snippet import hand_file_snippet
 from handctl.cli.main import main
 from handctl.drives.discovery import TWO_DRIVES_WARNING
 from handctl.drives.frame import EXTENDED_FLAG, REMOTE_FLAG, Frame
@@ -67,12 +67,12 @@ def scan_bench(
 
 def test_damiao_and_canopen_drives_are_found_on_one_bus():
     result, bench, _ = scan_bench(("mit", 1, "dm4310"), ("mit", 9, "dm4340", True), ("cia402", 33))
-    assert [(node.protocol, node.node_id) for node in result.found] == [
+    assert [(node.protocol, node.node_id) for node in result.found_nodes] == [
         ("mit", 1),
         ("mit", 9),
         ("cia402", 33),
     ]
-    first, second, _ = result.found
+    first, second, _ = result.found_nodes
     assert first.settings == {
         "position_range_rad": 12.5,
         "velocity_range_rad_s": 30.0,
@@ -87,12 +87,12 @@ def test_damiao_and_canopen_drives_are_found_on_one_bus():
 
 def test_moteus_controllers_are_found_by_classical_frames():
     result, bench, bus = scan_bench(("moteus", 1), ("moteus", 17), ("mit", 3))
-    assert [(node.protocol, node.node_id) for node in result.found] == [
+    assert [(node.protocol, node.node_id) for node in result.found_nodes] == [
         ("mit", 3),
         ("moteus", 1),
         ("moteus", 17),
     ]
-    first, second = result.found[1:]
+    first, second = result.found_nodes[1:]
     assert (first.firmware, first.state, first.error, first.twins) == (
         "1.0.1",
         "stopped",
@@ -111,9 +111,12 @@ def test_robstride_motors_are_found_by_their_identity():
     result, bench, bus = scan_bench(
         ("robstride", 1), ("robstride", 0x7F), ("mit", 3), ("moteus", 5)
     )
-    found = [(node.protocol, node.node_id) for node in result.found]
+    found = [(node.protocol, node.node_id) for node in result.found_nodes]
     assert found == [("mit", 3), ("moteus", 5), ("robstride", 1), ("robstride", 0x7F)]
-    assert [node.serial for node in result.found[2:]] == ["5253050000000001", "525305000000007f"]
+    assert [node.serial for node in result.found_nodes[2:]] == [
+        "5253050000000001",
+        "525305000000007f",
+    ]
     assert [node.mode for node in bench.nodes[:2]] == [0, 0]
     assert bench.nodes[3].command == registers.REGISTER_DEFAULTS, (
         "to moteus node 5 the request writes no register"
@@ -124,7 +127,7 @@ def test_robstride_motors_are_found_by_their_identity():
 @pytest.mark.parametrize("protocol", ["moteus", "robstride"])
 def test_two_drives_with_one_number_are_named(protocol):
     bench = SimulatedDriveBench([drive_spec(protocol, 7)], fault="twin")
-    (node,) = scan_bus(BenchBus(bench), listen=advance_and_listen).found
+    (node,) = scan_bus(BenchBus(bench), listen=advance_and_listen).found_nodes
     assert node.twins
 
 
@@ -133,7 +136,7 @@ def test_scan_only_listens_if_another_robstride_host_is_active(kind):
     result, _, bus = scan_bench(
         ("robstride", 1), talk=[Frame(EXTENDED_FLAG | kind << 24 | 0xFD01, bytes(8))]
     )
-    assert result.foreign
+    assert result.foreign_frames
     assert bus.heard == []
 
 
@@ -153,17 +156,17 @@ def test_scan_does_not_change_an_enabled_moteus_or_robstride():
 
 def test_scan_only_listens_if_another_moteus_host_is_active():
     result, _, bus = scan_bench(("moteus", 1), talk=[Frame(EXTENDED_FLAG | 0x8101, b"\x11\x00")])
-    assert result.foreign
+    assert result.foreign_frames
     assert bus.heard == []
 
 
 def test_scan_sends_no_frame_that_an_odrive_would_obey():
     result, bench, bus = scan_bench(("odrive", 3), ("odrive", 48), ("mit", 1))
-    assert [(node.protocol, node.node_id) for node in result.found] == [
+    assert [(node.protocol, node.node_id) for node in result.found_nodes] == [
         ("odrive", 3),
         ("odrive", 48),
     ]
-    drive = result.found[0]
+    drive = result.found_nodes[0]
     assert (drive.firmware, drive.serial, drive.state) == ("0.6.10", "0D5A11000003", "idle")
     orders = [
         frame
@@ -171,7 +174,7 @@ def test_scan_sends_no_frame_that_an_odrive_would_obey():
         if not frame.can_id & REMOTE_FLAG and frame.can_id >> 5 in (3, 48, 0x3F)
     ]
     assert orders == [], "0x7ff is Enter_DFU_Mode, 0x602 the Estop of node 48"
-    assert 0x7FF in {frame.can_id for frame in result.omitted}
+    assert 0x7FF in {frame.can_id for frame in result.omitted_requests}
     assert [node.state for node in bench.nodes[:2]] == [1, 1]
 
 
@@ -179,7 +182,7 @@ def test_an_enabled_drive_stays_as_it_is():
     bench = SimulatedDriveBench([drive_spec("mit", 2)])
     bench.receive(SimFrame(2, b"\xff" * 7 + b"\xfc"))
     result = scan_bus(BenchBus(bench), listen=advance_and_listen)
-    assert [node.state for node in result.found] == ["enabled"]
+    assert [node.state for node in result.found_nodes] == ["enabled"]
     assert bench.motors[0].servo.torque == 0.0
 
 
@@ -195,9 +198,9 @@ def test_an_enabled_drive_stays_as_it_is():
 )
 def test_scan_only_listens_if_another_host_is_active(talk):
     result, _, bus = scan_bench(("mit", 1), talk=[talk])
-    assert result.foreign
+    assert result.foreign_frames
     assert bus.heard == []
-    assert scan_bench(("mit", 1), talk=[talk], force=True)[0].found
+    assert scan_bench(("mit", 1), talk=[talk], force=True)[0].found_nodes
 
 
 def test_scan_reports_no_firmware_if_another_host_is_active():
@@ -208,18 +211,18 @@ def test_scan_reports_no_firmware_if_another_host_is_active():
     request = Frame(3 << 5 | 0x09 | REMOTE_FLAG, b"")
     result, _, bus = scan_bench(("odrive", 3), talk=[request])
     assert bus.heard == []
-    (drive,) = result.found
+    (drive,) = result.found_nodes
     assert (drive.firmware, drive.options, drive.origins) == ("", {}, {})
     assert "firmware unknown, because nothing was asked" in drive.notes
-    assert "firmware =" not in hand_file_snippet({"a": result.found}, 1_000_000, None)
+    assert "firmware =" not in hand_file_snippet({"a": result.found_nodes}, 1_000_000, None)
 
 
 def test_the_hand_file_part_marks_firmware_05_as_concluded():
     result, _, _ = scan_bench(("odrive", 3, "", False, None, "0.5"))
-    (drive,) = result.found
+    (drive,) = result.found_nodes
     assert drive.options == {"firmware": "0.5"}
     assert 'firmware = "0.5"    # concluded: no answer to Get_Version' in hand_file_snippet(
-        {"a": result.found}, 1_000_000, None
+        {"a": result.found_nodes}, 1_000_000, None
     )
 
 
@@ -229,16 +232,19 @@ def test_the_hand_file_part_marks_firmware_05_as_concluded():
     ids=str,
 )
 def test_two_drives_with_one_number_are_found(spec):
-    (alone,) = scan_bench(spec)[0].found
+    (alone,) = scan_bench(spec)[0].found_nodes
     assert (alone.twins, TWO_DRIVES_WARNING in alone.notes) == (False, False)
-    (drive,) = scan_bench(spec, fault="twin")[0].found
+    (drive,) = scan_bench(spec, fault="twin")[0].found_nodes
     assert (drive.twins, drive.notes[0]) == (True, TWO_DRIVES_WARNING)
 
 
 def test_two_motors_that_answer_on_one_identifier_are_found():
     specs = [drive_spec("mit", 1), replace(drive_spec("mit", 2), options={"reply_id": 0x11})]
     result = scan_bus(BenchBus(SimulatedDriveBench(specs)), listen=advance_and_listen)
-    assert ["answers on 0x11 as motor" in node.notes[0] for node in result.found] == [True, True]
+    assert ["answers on 0x11 as motor" in node.notes[0] for node in result.found_nodes] == [
+        True,
+        True,
+    ]
 
 
 def test_a_torque_too_large_for_a_hand_file_is_not_taken_from_the_drive():
@@ -247,7 +253,7 @@ def test_a_torque_too_large_for_a_hand_file_is_not_taken_from_the_drive():
     The printed part of a hand file has the largest permitted torque and a comment.
     """
     result, _, _ = scan_bench(("mit", 1, "dm8009"))
-    text = hand_file_snippet({"a": result.found}, 1_000_000, None)
+    text = hand_file_snippet({"a": result.found_nodes}, 1_000_000, None)
     assert "torque_max_N_m = 50.0    # the drive reports 54, a hand file takes at most 50" in text
 
 
@@ -265,17 +271,17 @@ def test_a_sensor_node_is_found_unless_drives_on_the_bus_use_sync(tmp_path):
         bench = HandBench(hand_file(tmp_path, [protocol]))
         result = scan_bus(BenchBus(bench.simulated_hand.world), listen=advance_and_listen)
         bench.simulated_hand.close()
-        assert len([node for node in result.found if node.protocol == protocol]) == 4
-        sensors = [node for node in result.found if node.protocol == "sensor"]
+        assert len([node for node in result.found_nodes if node.protocol == protocol]) == 4
+        sensors = [node for node in result.found_nodes if node.protocol == "sensor"]
         assert [node.node_id for node in sensors] == ([0x1A0] if seen else [])
-        assert (0x080 in {frame.can_id for frame in result.omitted}) is not seen
+        assert (0x080 in {frame.can_id for frame in result.omitted_requests}) is not seen
         assert not seen or "4 channels" in sensors[0].notes[0]
 
 
 def test_unrequested_frames_of_an_odrive_are_no_other_host():
     result, _, _ = scan_bench(("odrive", 0), ("odrive", 4))
-    assert result.foreign == ()
-    assert [node.node_id for node in result.found] == [0, 4]
+    assert result.foreign_frames == ()
+    assert [node.node_id for node in result.found_nodes] == [0, 4]
 
 
 def test_no_scan_request_enables_torque():
@@ -341,4 +347,4 @@ def test_the_last_frame_of_a_host_that_has_ended_is_no_host():
     bench = SimulatedDriveBench([drive_spec("mit", 1)])
     bus = BenchBus(bench)
     bus.waiting = [SimFrame(0x7FF, bytes(8))]
-    assert scan_bus(bus, listen=advance_and_listen).foreign == ()
+    assert scan_bus(bus, listen=advance_and_listen).foreign_frames == ()

@@ -8,7 +8,7 @@ import os
 import pytest
 
 from benchmarks.seeds import run_demo
-from handctl.campaign.scenarios import ALL_PROTOCOLS
+from handctl.campaign.fault_matrix import ALL_PROTOCOLS
 from handctl.hand.hand_loading import packaged_hands
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"

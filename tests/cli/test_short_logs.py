@@ -8,7 +8,7 @@ import pytest
 
 from handctl.cli.main import main
 from handctl.log.read.reader import RunLog
-from handctl.log.record import TICK_SIZES_STRUCT
+from handctl.log.tick_record import TICK_SIZES_STRUCT
 from handctl.log.write.writer import LogWriter
 
 GRASP_LOG = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
@@ -16,8 +16,8 @@ GRASP_LOG = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 
 def ticks_of(log: RunLog) -> list[bytes]:
     """Return the ticks of a log in the form in which the recorder receives them."""
-    axes = [len(log.header.axis(name)) for name in ("joint", "tendon", "motor", "digit")]
-    pairs = zip(log.messages(), log.packed(), strict=True)
+    axes = [len(log.header.axis_names(name)) for name in ("joint", "tendon", "motor", "digit")]
+    pairs = zip(log.tick_messages(), log.packed_telemetry(), strict=True)
     return [
         TICK_SIZES_STRUCT.pack(len(message), *axes) + message + numbers
         for message, numbers in pairs
@@ -28,7 +28,7 @@ def write_log(path: Path, log: RunLog, ticks: Sequence[bytes]) -> str:
     """Write a complete log with the header of another log and given ticks, and return its path."""
     writer = LogWriter(path, log.header, lambda *what: None, 1)
     for tick in ticks:
-        writer.add(tick)
+        writer.add_tick(tick)
     writer.finish("done", 0)
     return str(path)
 

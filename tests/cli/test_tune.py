@@ -35,7 +35,8 @@ def fake_search(monkeypatch):
     """Replace the search for gains by one that returns at once. Return the list of its trials."""
     trials = []
     monkeypatch.setattr(
-        "handctl.tune.search.search.run_search", lambda *words: SearchResult.of(tuple(trials))
+        "handctl.tune.search.search.run_search",
+        lambda *words: SearchResult.from_trials(tuple(trials)),
     )
     monkeypatch.setattr("handctl.cli.tuning.tune_search._designed_gains", lambda *words: ())
     return trials
@@ -64,7 +65,7 @@ def test_a_design_without_stable_gains_writes_nothing(work_folder, capsys, monke
 
 def test_poles_that_are_not_stable_in_simulation_are_not_written(work_folder, capsys, monkeypatch):
     monkeypatch.setattr(
-        "handctl.tune.loops.steps.RestTest._simulate",
+        "handctl.tune.loops.step_tests.RestTest._simulate",
         lambda self, model: ": plant 1 of 1 swings by 9 N",
     )
     assert main(["tune", "design", "--plants", "1", "--poles-Hz", "5,25"]) == 1
@@ -80,7 +81,7 @@ def gain_score(tracking):
 
 
 def test_a_measure_is_worse_only_beyond_its_spread():
-    from handctl.tune.verify import compare_rounds
+    from handctl.tune.gains_verification import compare_rounds
 
     runs = [
         [gain_score(1.0), gain_score(1.0 + 0.01 * i), *[gain_score(3.0 + 0.01 * i)] * 3]
@@ -205,7 +206,7 @@ def test_a_calibration_in_lockstep_does_not_replace_the_real_one(work_folder, ca
         own.read_bytes(),
         SimpleNamespace(failure="", progress=SimpleNamespace(finished=True)),
     )
-    outcome = SimpleNamespace(state=ended, refuse_unfinished=lambda where: None)
+    outcome = SimpleNamespace(state=ended, check_finished=lambda where: None)
     monkeypatch.setattr("handctl.cli.tuning.identify._in_lockstep", lambda *words: (made, outcome))
     monkeypatch.setattr("handctl.cli.tuning.identify.RunLog", lambda log: nullcontext())
     monkeypatch.setattr("handctl.cli.tuning.identify.identify_tendons", lambda *words: {})
@@ -225,20 +226,29 @@ def result_of_digit(digit, stiffness, blocked="", met="", names=("tendon_stiffne
     from handctl.tune.identify.identify import TendonResult
 
     values = dict.fromkeys(PARAMETER_NAMES, 1.0) | {"tendon_stiffness": stiffness}
-    problem = SimpleNamespace(nominal=np.ones(len(PARAMETER_NAMES)))
+    problem = SimpleNamespace(parameter_scales=np.ones(len(PARAMETER_NAMES)))
     fit = SimpleNamespace(
-        problem=problem, covariance=np.eye(len(PARAMETER_NAMES)), values=values, half_widths=values
+        problem=problem,
+        covariance=np.eye(len(PARAMETER_NAMES)),
+        parameter_values=values,
+        half_widths=values,
     )
     judged = SimpleNamespace(names=names, missing=())
     spectrum = (np.zeros(1), np.zeros(1))
     return TendonResult(
-        SimpleNamespace(digit=digit), fit, judged, 1.0, spectrum, blocked=blocked, contact=met
+        SimpleNamespace(digit=digit),
+        fit,
+        judged,
+        1.0,
+        spectrum,
+        blocked_event=blocked,
+        contact_text=met,
     )
 
 
 def _replace_identification(monkeypatch, made, found):
     """Let ``handctl identify --lockstep`` use a given calibration and given results."""
-    outcome = SimpleNamespace(refuse_unfinished=lambda where: None)
+    outcome = SimpleNamespace(check_finished=lambda where: None)
     monkeypatch.setattr("handctl.cli.tuning.identify._in_lockstep", lambda *words: (made, outcome))
     monkeypatch.setattr("handctl.cli.tuning.identify.RunLog", lambda log: nullcontext())
     monkeypatch.setattr("handctl.cli.tuning.identify.identify_tendons", lambda *words: found)
@@ -279,7 +289,7 @@ def test_a_fit_of_a_blocked_digit_is_not_written(work_folder, capsys, monkeypatc
     made = Calibration(
         hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00", tendon=rows
     )
-    entry = result_of_digit("index", 9e4).identified(Path("a"), "t")
+    entry = result_of_digit("index", 9e4).calibration_entry(Path("a"), "t")
     before = made.model_copy(update={"identified": {"index_tendon": entry}})
     write_calibration(path, before)
     known = path.read_bytes()
@@ -456,17 +466,17 @@ def test_the_printed_next_command_has_the_options_of_the_same_hand(capsys):
 
 @pytest.mark.parametrize("fit", [None, Path("x.calibration.toml")])
 def test_plants_are_perturbed_unless_the_perturbed_hand_was_identified(fit):
-    from handctl.cli.tuning.tune_files import plants_of
+    from handctl.cli.tuning.tune_files import ensemble_of_tuned_hand
 
     args = Namespace(
         hand="jamia", perturb=["stiffness=0.5", "torque_constant=1.1"], plants=3, seed=0, fit=fit
     )
-    plain = plants_of(Namespace(**vars(args) | {"perturb": []}), {}, 8)
+    plain = ensemble_of_tuned_hand(Namespace(**vars(args) | {"perturb": []}), {}, 8)
     factors = {"stiffness": 0.5, "torque_constant": 1.1} if fit is None else {}
     wanted = tuple(
         one | {key: one.get(key, 1.0) * x for key, x in factors.items()} for one in plain
     )
-    assert plants_of(args, {}, 8) == wanted
+    assert ensemble_of_tuned_hand(args, {}, 8) == wanted
 
 
 @pytest.mark.nightly

@@ -122,21 +122,24 @@ def small_log(tmp_path_factory):
     from handctl.core.tick_types import TELEMETRY_AXES, HandMode, Telemetry, TickIn, TickOut
     from handctl.hand.hand_loading import load_hand
     from handctl.log.header import RunHeader
-    from handctl.log.record import pack_tick_record
+    from handctl.log.tick_record import pack_tick_record
     from handctl.log.write.recorder import Recorder
     from handctl.safety.action import SafetyAction
 
     hand = load_hand("jamia")
     path = tmp_path_factory.mktemp("log") / "run.mcap"
-    header = RunHeader.of_hand(hand.to_toml(), 2_000_000, offset_ns=0, deterministic=True)
+    header = RunHeader.from_hand(hand.to_toml(), 2_000_000, offset_ns=0, deterministic=True)
     recorder = Recorder.start(path, header)
     random = np.random.default_rng(0)
     for k in range(3000):
         numbers = Telemetry(
-            **{name: random.random(len(header.axis(axis))) for name, axis in TELEMETRY_AXES.items()}
+            **{
+                name: random.random(len(header.axis_names(axis)))
+                for name, axis in TELEMETRY_AXES.items()
+            }
         )
         out = TickOut((), HandMode.ACTIVE, "hold", SafetyAction.PASS, numbers, (), bytes(8))
-        recorder.record(pack_tick_record(TickIn(k, k * 2_000_000), out))
+        recorder.send_record(pack_tick_record(TickIn(k, k * 2_000_000), out))
     assert recorder.close("done")["complete"]
     return path
 

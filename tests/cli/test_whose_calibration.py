@@ -15,7 +15,7 @@ from handctl.log.read.reader import RunLog
 from handctl.programs.calibration import load_calibration
 from handctl.programs.live_session import JogProgram
 from handctl.programs.requests import MoveDigits
-from handctl.runtime.clocks.lockstep import SIMULATED_HAND_ENTRY, LockstepClock, load_peer
+from handctl.runtime.clocks.lockstep import SIMULATED_HAND_ENTRY, LockstepClock, load_simulator
 from handctl.session.calibration import previous_identified, run_commissioning, write_calibration
 from handctl.session.run import make_controller, run_lockstep
 from tests.drives.protocol_bench import hand_file
@@ -36,7 +36,7 @@ class CalibratedBench:
         add_run_options(parser, bus_required=False)
         self.args = parser.parse_args(["--hand", str(hand), "--json"])
         self.plan, self.work_folder = make_plan(self.args, lockstep=True), work_folder
-        self.peer = load_peer(
+        self.peer = load_simulator(
             SIMULATED_HAND_ENTRY,
             hand_path=str(hand),
             period_ns=self.plan.period_ns,

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from handctl.campaign.stage import FIRST_NODE, with_drives
+from handctl.campaign.run_stages import FIRST_NODE_NUMBER, with_drives
 from handctl.controller.controller_state import ControllerState
 from handctl.controller.run_setup import make_controller
 from handctl.controller.tick import Controller
@@ -104,7 +104,7 @@ def random_hand(tendons: int, rng: RandomGenerator) -> Hand:
         loop |= {"kp_N_m_per_rad": 1.0, "kd_N_m_s_per_rad": 0.02}
     motors = [
         one.model_copy(
-            update={"node_id": FIRST_NODE + n % MOTORS_PER_BUS}
+            update={"node_id": FIRST_NODE_NUMBER + n % MOTORS_PER_BUS}
             | (loop if one.name in servos else {})
         )
         for n, one in enumerate(hand.motor)

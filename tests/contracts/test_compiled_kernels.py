@@ -30,7 +30,7 @@ from handctl.core.block_schema import BlockLayout
 from handctl.core.control_law.streamed_motion import begin_segments
 from handctl.core.state_block import STATE_SCHEMA, STREAM_RANGE
 from handctl.log.read.reader import RunLog
-from handctl.replay.rebuild import rebuild_controller
+from handctl.replay.controller_rebuild import rebuild_controller
 from tests.contracts.random_hands import TICKS_PER_HAND, tick_hashes
 
 REPOSITORY = Path(__file__).parents[2]

@@ -17,7 +17,7 @@ CONTRIBUTING_PAGE = (REPOSITORY / "CONTRIBUTING.md").read_text(encoding="utf-8")
 READ_BACK = """
 import json, sys
 import varied_run
-from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record
+from handctl.log.tick_record import RECORD_FRAMING_STRUCT, pack_tick_record
 from handctl.log.write.writer import LogWriter
 from rosbags.highlevel import AnyReader
 from pathlib import Path
@@ -25,7 +25,7 @@ from pathlib import Path
 run, path = varied_run.varied_header(), Path("run.mcap")
 writer = LogWriter(path, run, lambda event, number: None, 1)
 for tick in varied_run.varied_ticks(run):
-    writer.add(pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :])
+    writer.add_tick(pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :])
 writer.finish("finished", 0)
 with AnyReader([path]) as reader:
     peaks = [reader.deserialize(raw, connection.msgtype).tension

@@ -79,7 +79,7 @@ def test_only_one_module_builds_the_simulated_hand() -> None:
     builders = {
         str(path.relative_to(REPOSITORY))
         for path in source_files("src", "benchmarks", "fuzz")
-        if re.search(r"\b(load_peer|LockstepClock)\(", path.read_text(encoding="utf-8"))
+        if re.search(r"\b(load_simulator|LockstepClock)\(", path.read_text(encoding="utf-8"))
     }
     assert builders == {"src/handctl/runtime/clocks/lockstep.py", "src/handctl/session/simulate.py"}
 

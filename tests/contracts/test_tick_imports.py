@@ -27,14 +27,14 @@ requests = [
     {"do": "grasp", "task": {"schema": 1, "name": "x", "phase": [follow]}},
     {"do": "stop"},
 ]
-with SimulatorSettings(hand.name, homed=True).against(controller) as run:
-    run.tick()  # the loop warms up with one tick
+with SimulatorSettings(hand.name, homed=True).begin_run(controller) as run:
+    run.run_tick()  # the loop warms up with one tick
     before = set(sys.modules)
-    assert run.until(lambda out: out.phase == "live", 10.0)
+    assert run.run_until(lambda out: out.phase == "live", 10.0)
     for request in requests:
-        run.tick(requests=(json.dumps({"client": "one", **request}),))
+        run.run_tick(requests=(json.dumps({"client": "one", **request}),))
         for _ in range(60):
-            run.tick()
+            run.run_tick()
 print(*sorted(set(sys.modules) - before))
 """
 

@@ -63,11 +63,11 @@ def run_on_plant(
         plant_factors: factors on parameters of the plant. The controller does not know them.
     """
     result = PlantRun()
-    with SimulatorSettings(hand, scene, seed, plant_factors, homed=True).against(
+    with SimulatorSettings(hand, scene, seed, plant_factors, homed=True).begin_run(
         homed_controller(model_of(hand), program)
     ) as run:
-        plant, run.record = run.peer.world.plant, False
-        for entry, out in run.ticks(seconds):
+        plant, run.record_ticks = run.simulated_hand.world.plant, False
+        for entry, out in run.run_ticks(seconds):
             t = entry.k / CONTROL_RATE_HZ
             result.time_s.append(t)
             result.object_position.append(plant.engine.object_pose()[:3])

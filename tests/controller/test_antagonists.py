@@ -105,16 +105,16 @@ def begin_run(
     controller = make_controller(
         hand or n_plus_1_hand(), Gains(), RATE_HZ, program, calibration, arm_at_once=True
     )
-    run = SimulatedRun.of(controller, peer)
+    run = SimulatedRun.begin(controller, peer)
     run.k = first_tick
-    run.record = False
+    run.record_ticks = False
     run.state.set_run_integer(s.K, first_tick - 1)
-    return run, (None for _ in run.ticks(first_tick / RATE_HZ + 120.0))
+    return run, (None for _ in run.run_ticks(first_tick / RATE_HZ + 120.0))
 
 
 def events_of(run: SimulatedRun) -> tuple[TickEvent, ...]:
-    assert run.out is not None
-    return run.out.events
+    assert run.last_output is not None
+    return run.last_output.events
 
 
 HAND_BY_KIND = {
@@ -135,7 +135,7 @@ def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(
     """
     hand = HAND_BY_KIND[kind]()
     period_ns = round(1e9 / RATE_HZ)
-    with SimulatorSettings(hand, None, seed).peer(period_ns) as peer:
+    with SimulatorSettings(hand, None, seed).simulated_hand(period_ns) as peer:
         plant = peer.world.plant
         run, ticks = begin_run(peer, CommissionProgram(), None, 0, hand)
         for _ in ticks:
@@ -214,7 +214,7 @@ sink_speed_m_s = 0.2
 
 @pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
 def test_an_antagonistic_hand_grasps_holds_and_releases(seed: int) -> None:
-    with SimulatorSettings(n_plus_1_hand(), CYLINDER_SCENE, seed, homed=True).peer(
+    with SimulatorSettings(n_plus_1_hand(), CYLINDER_SCENE, seed, homed=True).simulated_hand(
         round(1e9 / RATE_HZ)
     ) as peer:
         plant = peer.world.plant

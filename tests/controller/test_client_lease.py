@@ -58,7 +58,7 @@ def test_a_hand_relaxes_if_its_client_is_silent_after_a_hold(jamia: HandModel) -
         text = "client one has been silent for"
         assert client.run.state.failure.startswith(text)
         assert [event.startswith(text) for event in lease_events(client)] == [True, True]
-        assert client.run.until(lambda out: out.mode == HandMode.DONE, 5.0)
+        assert client.run.run_until(lambda out: out.mode == HandMode.DONE, 5.0)
         assert client.run.state.unconfirmed == ()
         assert client.reported_faults == set()
 
@@ -135,7 +135,7 @@ def test_the_ticks_of_a_lost_client_repeat_to_the_last_bit(jamia: HandModel) -> 
     with live_client(jamia) as client:
         client.send_command("move", angle_deg={"index": 50.0}, duration_s=1.0, lease_s=LEASE_S)
         run_with_signs_of_life(client, LEASE_S)
-        middle, at = snapshot_bytes(client.run.state), len(client.run.recorded)
+        middle, at = snapshot_bytes(client.run.state), len(client.run.recorded_ticks)
         client.wait(2.2 * LEASE_S)
         assert client.tick_outputs[-1].mode >= HandMode.RELAX
         check_ticks_repeat(client.run, middle, at)

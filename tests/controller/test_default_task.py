@@ -12,7 +12,7 @@ from handctl.hand.readiness import coordinate_range_deg
 from handctl.programs.default_task import default_scene, default_task, grasp_warnings
 from handctl.programs.task import ClosePhase, HoldPhase, load_task
 from handctl.programs.task_checks import check_task_for_hand
-from handctl.session.tasks import find_task
+from handctl.session.tasks import load_task_for_hand
 from tests.hand.random_chains import RANDOM_CHAIN_SEEDS, random_tree
 
 
@@ -63,8 +63,8 @@ def test_the_default_task_keeps_spreading_joints_centred_and_extensors_taut() ->
 
 
 def test_without_a_name_a_jamia_takes_its_grasp_and_another_hand_the_default() -> None:
-    assert find_task(None, load_hand("jamia"))[0].name == "power grasp"
-    task, text = find_task(None, load_hand("t42"))
+    assert load_task_for_hand(None, load_hand("jamia"))[0].name == "power grasp"
+    task, text = load_task_for_hand(None, load_hand("t42"))
     assert task.name == "close, hold, open"
     assert b"t42" in text
 

@@ -9,8 +9,8 @@ import math
 import numpy as np
 import pytest
 
-from handctl.campaign.scenarios import GRASP_STAGE
-from handctl.campaign.stage import advance_to, hand_with_protocol, homed_run
+from handctl.campaign.fault_matrix import GRASP_STAGE
+from handctl.campaign.run_stages import advance_to_stage, hand_with_protocol, homed_run
 from handctl.controller.controller_state import ControllerState
 from handctl.core import state_block as s
 from handctl.core import tick_stages
@@ -98,8 +98,8 @@ def test_a_goal_has_no_speed_while_its_time_is_stopped(jamia: HandModel) -> None
 def warm_grasp():
     """Return a hand with MIT drives that holds a cylinder."""
     with homed_run(hand_with_protocol("jamia", "mit"), 250.0, 0) as begun:
-        advance_to(begun, GRASP_STAGE)
-        begun.until(lambda out: False, 0.6)  # the tensions settle
+        advance_to_stage(begun, GRASP_STAGE)
+        begun.run_until(lambda out: False, 0.6)  # the tensions settle
         yield begun
 
 
@@ -108,17 +108,17 @@ def test_derating_affects_the_warm_drive_only(warm_grasp) -> None:
 
     At 84 degC one fifteenth of its range is left, which gives 14 N instead of 24 N.
     """
-    before = warm_grasp.peer.truth()["tension"]
-    warm_grasp.peer.inject("hot node=index_motor size=84 for=800ms")
+    before = warm_grasp.simulated_hand.truth()["tension"]
+    warm_grasp.simulated_hand.inject("hot node=index_motor size=84 for=800ms")
     events = []
     for _ in range(190):
-        events += warm_grasp.tick().events
-    after = warm_grasp.peer.truth()["tension"]
+        events += warm_grasp.run_tick().events
+    after = warm_grasp.simulated_hand.truth()["tension"]
     assert min(before) > 20.0
     assert after[0] < 14.0 + 2.0 * warm_grasp.controller.model.space.coulomb[0]
     assert min(after[1:]) > 20.0
     assert any(event.text.startswith("N09a") for event in events)
-    assert warm_grasp.out.mode == HandMode.ACTIVE
+    assert warm_grasp.last_output.mode == HandMode.ACTIVE
 
 
 def test_no_tension_grows_during_a_hold_by_safety(warm_grasp) -> None:
@@ -127,7 +127,7 @@ def test_no_tension_grows_during_a_hold_by_safety(warm_grasp) -> None:
     The limit ends with it.
     """
     state, controller = warm_grasp.state.copy(), warm_grasp.controller
-    tension = np.array(warm_grasp.peer.truth()["tension"])
+    tension = np.array(warm_grasp.simulated_hand.truth()["tension"])
 
     def state_of_limited_goals(
         before: ControllerState,
@@ -161,10 +161,10 @@ def test_a_hold_keeps_the_hand_as_it_is(warm_grasp) -> None:
 
     The control law reports it.
     """
-    warm_grasp.peer.inject("drop node=thumb_motor p=0.25 seed=3 for=700ms")
-    before, seen = warm_grasp.peer.truth()["tension"], []
+    warm_grasp.simulated_hand.inject("drop node=thumb_motor p=0.25 seed=3 for=700ms")
+    before, seen = warm_grasp.simulated_hand.truth()["tension"], []
     for _ in range(300):
-        out = warm_grasp.tick()
+        out = warm_grasp.run_tick()
         seen.append((out.action, bool(warm_grasp.state.run_integer(s.HOLDING))))
         if out.mode != HandMode.ACTIVE:
             break
@@ -172,4 +172,4 @@ def test_a_hold_keeps_the_hand_as_it_is(warm_grasp) -> None:
     assert held
     assert all(held)
     assert not any(kept for action, kept in seen if action < SafetyAction.HOLD)
-    assert max(warm_grasp.peer.truth()["tension"]) < max(before) + 5.0
+    assert max(warm_grasp.simulated_hand.truth()["tension"]) < max(before) + 5.0

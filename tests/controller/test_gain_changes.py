@@ -29,7 +29,7 @@ from handctl.hand.hand_loading import hand_path
 from handctl.programs.commission import CommissionProgram
 from handctl.programs.live_session import LiveProgram
 from handctl.programs.requests import parse_request
-from handctl.runtime.clocks.lockstep import load_peer
+from handctl.runtime.clocks.lockstep import load_simulator
 from handctl.safety.action import SafetyAction
 from tests.controller.controller_bench import (
     ControllerBench,
@@ -52,7 +52,7 @@ def noiseless_hand(model: HandModel) -> ControllerBench:
     Its tendons are taut, and it waits for requests.
     """
     options = {"hand_path": str(hand_path("jamia")), "homed": True, "perturb": {"noise": 0.0}}
-    peer = load_peer("firmware_sim.lockstep_hand:LockstepHand", **options)
+    peer = load_simulator("firmware_sim.lockstep_hand:LockstepHand", **options)
     desk = ControllerBench(uncommissioned_controller(model, LiveProgram()), peer)
     desk.run_until_mode(HandMode.ACTIVE)
     while desk.state.progress.phase != "live":
@@ -112,7 +112,7 @@ def test_a_hand_that_is_commissioned_keeps_its_gains(jamia: HandModel) -> None:
     """A change of gains is refused while a hand is commissioned, because the next run would not have the new gains."""
     desk = ControllerBench(
         uncommissioned_controller(jamia, CommissionProgram()),
-        load_peer("firmware_sim.lockstep_hand:LockstepHand", hand_path=str(hand_path("jamia"))),
+        load_simulator("firmware_sim.lockstep_hand:LockstepHand", hand_path=str(hand_path("jamia"))),
     )
     desk.run_until_mode(HandMode.ACTIVE)
     out = desk.tick(gain_request({"motion.force_N": 20.0}))

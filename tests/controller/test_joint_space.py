@@ -33,12 +33,12 @@ def move_phase(angles: dict[str, Any], seconds: float = 0.4) -> dict[str, Any]:
 def final_joint_angles(hand: str, program: Task, seconds: float) -> dict[str, float]:
     """Return the true joint angles [deg] of a simulated hand after a task."""
     check_task_for_hand(program, load_hand(hand), "t")
-    with SimulatorSettings(hand, None, 0, homed=True).against(
+    with SimulatorSettings(hand, None, 0, homed=True).begin_run(
         homed_controller(model_of(hand), TaskProgram(program))
     ) as run:
-        run.record = False
-        for _entry, out in run.ticks(seconds):
-            angles = np.degrees(run.peer.world.plant.engine.q)
+        run.record_ticks = False
+        for _entry, out in run.run_ticks(seconds):
+            angles = np.degrees(run.simulated_hand.world.plant.engine.q)
             if out.events and any(event.text == "task complete" for event in out.events):
                 break
         assert not run.state.failure

@@ -47,10 +47,10 @@ def mean_nis_and_events(hand: str, rate_hz: float, seed: int) -> tuple[float, li
     """
     nis: list[np.ndarray] = []
     events: list[TickEvent] = []
-    with SimulatorSettings(hand, seed=seed, homed=True).against(
+    with SimulatorSettings(hand, seed=seed, homed=True).begin_run(
         controller_at(hand, rate_hz)
     ) as run:
-        for _, out in run.ticks(3.0):
+        for _, out in run.run_ticks(3.0):
             events += [event for event in out.events if event.name in ("estimate", "fault")]
             if out.mode == HandMode.ACTIVE:
                 nis.append(out.telemetry.nis)

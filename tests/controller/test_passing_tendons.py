@@ -63,14 +63,16 @@ def simulate_control_errors(known: Hand, hand: Hand, seed: int) -> ControlErrors
     apart = list[np.ndarray]()
     external = list[float]()
     controller = homed_controller(model, TaskProgram(waving_task(known)), hand)
-    with SimulatorSettings(hand, None, seed, homed=True).against(controller) as run:
-        run.record = False
-        for _, out in run.ticks(10.0):
+    with SimulatorSettings(hand, None, seed, homed=True).begin_run(controller) as run:
+        run.record_ticks = False
+        for _, out in run.run_ticks(10.0):
             if [event for event in out.events if event.level == "error"]:
                 return None
             if run.state.mode == HandMode.ACTIVE and run.state.progress.phase.startswith("move"):
                 apart.append(
-                    np.degrees(along @ (run.state.view("q_goal") - run.peer.world.plant.engine.q))
+                    np.degrees(
+                        along @ (run.state.view("q_goal") - run.simulated_hand.world.plant.engine.q)
+                    )
                 )
                 external.append(run.state.view("external")[0])
         assert run.state.mode == HandMode.DONE

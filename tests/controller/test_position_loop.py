@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 from firmware_sim.nodes.mit.codec import FrameRanges, decode_command
-from handctl.campaign.scenarios import FREE_STAGE, GRASP_STAGE
-from handctl.campaign.stage import advance_to, hand_with_protocol, homed_run
+from handctl.campaign.fault_matrix import FREE_STAGE, GRASP_STAGE
+from handctl.campaign.run_stages import advance_to_stage, hand_with_protocol, homed_run
 from handctl.controller.monitor.safety_thresholds import servo_resolutions
 from handctl.controller.run_setup import make_controller, make_drives
 from handctl.core import state_block as s
@@ -104,8 +104,8 @@ def begin_to_and_fro(
         None,
         arm_at_once=True,
     )
-    with SimulatorSettings(hand, None, seed, homed=True).against(controller) as run:
-        assert run.until(lambda out: out.phase == "move 0", 5.0)
+    with SimulatorSettings(hand, None, seed, homed=True).begin_run(controller) as run:
+        assert run.run_until(lambda out: out.phase == "move 0", 5.0)
         yield run
 
 
@@ -122,13 +122,13 @@ def mean_errors(hand: Hand, seed: int) -> tuple[np.ndarray, float]:
     errors, peak = list[np.ndarray](), 0.0
     with begin_to_and_fro(hand, seed, moves=2) as run:
         arms = run.controller.model.hand.own_arms
-        plant: Any = run.peer.world.plant  # type: ignore[attr-defined]
-        for _, out in run.ticks(8.0):
+        plant: Any = run.simulated_hand.world.plant  # type: ignore[attr-defined]
+        for _, out in run.run_ticks(8.0):
             if not out.phase.startswith("move"):
                 break
             q = np.array(plant.engine.q[: len(out.telemetry.q)])
             errors.append(np.degrees(arms @ (q - out.telemetry.q_goal) / np.abs(arms).sum(axis=1)))
-            peak = max(peak, *run.peer.truth()["tension"])
+            peak = max(peak, *run.simulated_hand.truth()["tension"])
         assert run.state.latched == ()
     return np.sqrt((np.array(errors) ** 2).mean(axis=0)), peak
 
@@ -156,7 +156,7 @@ def test_a_moteus_command_makes_the_predicted_torque(direction: int) -> None:
     with begin_to_and_fro(hand) as run:
         model, sent = run.controller.model, 0
         for _ in range(400):
-            out = run.tick()
+            out = run.run_tick()
             commands = {
                 frame.can_id & 0xFF: frame.data for frame in out.frames if len(frame.data) == 48
             }
@@ -193,7 +193,7 @@ def test_a_position_command_makes_the_predicted_torque() -> None:
         model, ranges = run.controller.model, FrameRanges(12.5, 50.0, 0.8)
         sent = 0
         for _ in range(400):
-            out = run.tick()
+            out = run.run_tick()
             commands = {frame.can_id: frame.data for frame in out.frames if 0 < frame.can_id < 5}
             for n in range(4):
                 given = decode_command(commands[n + 1], ranges)
@@ -259,18 +259,18 @@ def test_a_grasp_with_position_loops_has_no_position_commands_in_contact(
 ) -> None:
     hand = hand_with_position_loop(name, protocol, None)
     with homed_run(hand, RATE_HZ, 0) as run:
-        advance_to(run, FREE_STAGE)
+        advance_to_stage(run, FREE_STAGE)
         assert (sent_stiffness(run) > 0.0).all()
-        advance_to(run, GRASP_STAGE)
-        run.tick()
+        advance_to_stage(run, GRASP_STAGE)
+        run.run_tick()
         assert not sent_stiffness(run).any()
         np.testing.assert_allclose(run.state.view("servo_torque"), run.state.view("torque"))
         for _ in range(round(RATE_HZ)):
-            assert run.tick().mode == HandMode.ACTIVE
+            assert run.run_tick().mode == HandMode.ACTIVE
             assert not sent_stiffness(run).any()
-        run.tick(requests=(STOP_REQUEST,))
+        run.run_tick(requests=(STOP_REQUEST,))
         while run.state.mode != HandMode.DONE:
-            run.tick()
+            run.run_tick()
             assert not sent_stiffness(run).any()
         assert run.state.latched == ()
 
@@ -280,12 +280,12 @@ def test_a_grasp_with_position_loops_has_no_position_commands_in_contact(
 def test_an_obstacle_bounds_the_tension(kp: float | None, protocol: str, seed: int) -> None:
     with begin_to_and_fro(hand_with_position_loop("jamia", protocol, kp), seed) as run:
         for _ in range(round((0.15 + 0.01 * seed) * RATE_HZ)):
-            run.tick()
-        run.peer.inject("block digit=index")
+            run.run_tick()
+        run.simulated_hand.inject("block digit=index")
         peak, blocked = 0.0, False
         for _ in range(round(1.5 * RATE_HZ)):
-            run.tick()
-            peak = max(peak, *run.peer.truth()["tension"])
+            run.run_tick()
+            peak = max(peak, *run.simulated_hand.truth()["tension"])
             if run.state.view("blocked")[0]:
                 blocked = True
                 assert sent_stiffness(run)[0] == 0.0
@@ -302,22 +302,22 @@ def test_a_dead_host_at_an_obstacle_is_bounded_by_the_limit_in_the_command(
     """A moteus moves its target on until its watchdog fires after 50 ms. Without the limit it pulls 70 N here."""
     with begin_to_and_fro(hand_with_position_loop(protocol="moteus"), seed) as run:
         for _ in range(round((0.1 + 0.06 * seed) * RATE_HZ)):
-            run.tick()
-        run.peer.inject("block digit=index")
+            run.run_tick()
+        run.simulated_hand.inject("block digit=index")
         for _ in range(round(1e-3 * ahead_ms * RATE_HZ)):
-            run.tick()
-        motors: Any = run.peer.world.plant.motors  # type: ignore[attr-defined]
+            run.run_tick()
+        motors: Any = run.simulated_hand.world.plant.motors  # type: ignore[attr-defined]
         in_loop = sent_stiffness(run) > 0.0
         forces = np.abs(run.state.view("torque")) / run.controller.model.space.spool
         limit = forces + LIMIT_MARGIN_N * in_loop
         sent = run.state.view("servo_limit") / run.controller.model.space.spool
         np.testing.assert_allclose(sent[in_loop], limit[in_loop])
         assert in_loop.sum() >= 3, "only the blocked digit has a torque command"
-        at_host = np.array(run.peer.truth()["tension"])
+        at_host = np.array(run.simulated_hand.truth()["tension"])
         peak = np.zeros(4)
         for _ in range(round(0.1 * RATE_HZ)):
             run._step()
-            peak = np.maximum(peak, run.peer.truth()["tension"])
+            peak = np.maximum(peak, run.simulated_hand.truth()["tension"])
         assert [motor.servo.kp for motor in motors.values()] == [0.0] * 4, (
             "the watchdogs have fired"
         )
@@ -332,7 +332,7 @@ def test_missed_ticks_are_no_fault_of_a_drive_that_moves_its_target(seed: int) -
     with begin_to_and_fro(hand_with_position_loop(protocol="moteus"), seed) as run:
         apart = []
         for _ in range(1200):
-            run.tick(skip=int(draw.integers(0, 4)) if draw.random() < 0.1 else 0)
+            run.run_tick(skip=int(draw.integers(0, 4)) if draw.random() < 0.1 else 0)
             apart.append(run.state.view("servo_report") - run.state.view("measured_force"))
         assert run.state.latched == ()
         assert run.state.mode == HandMode.ACTIVE
@@ -348,16 +348,16 @@ def test_relaxing_from_a_position_loop_raises_no_command(
 ) -> None:
     with begin_to_and_fro(hand_with_position_loop("jamia", protocol), seed) as run:
         for _ in range(round((0.1 + 0.03 * seed) * RATE_HZ)):
-            run.tick()
+            run.run_tick()
         assert (sent_stiffness(run) > 0.0).any()
         if fault:
-            run.peer.inject(fault)
+            run.simulated_hand.inject(fault)
         check_relaxing(run, run.k + 40, round(0.06 * RATE_HZ), fault)
 
 
 def lose_gains(run: SimulatedRun, name: str) -> None:
     """Let a drive make only the torque of its commands, as if it ignored the gains kp and kd in them."""
-    motor: Any = run.peer.world.plant.motors[name]  # type: ignore[attr-defined]
+    motor: Any = run.simulated_hand.world.plant.motors[name]  # type: ignore[attr-defined]
     motor.power_stage_fault = lambda _: float(
         np.clip(motor.servo.torque, -motor.servo.limit, motor.servo.limit)
     )
@@ -379,11 +379,11 @@ EXPECTED_FAULTS = {
 def test_faults_are_found_with_a_position_loop(fault: str, protocol: str, seed: int) -> None:
     with begin_to_and_fro(hand_with_position_loop("jamia", protocol), seed) as run:
         for _ in range(round((0.1 + 0.02 * seed) * RATE_HZ)):
-            run.tick()
-        run.peer.inject(fault)
+            run.run_tick()
+        run.simulated_hand.inject(fault)
         peak = 0.0
-        while run.tick().mode < HandMode.DISARM and run.k < 5.0 * RATE_HZ:
-            peak = max(peak, *run.peer.truth()["tension"])
+        while run.run_tick().mode < HandMode.DISARM and run.k < 5.0 * RATE_HZ:
+            peak = max(peak, *run.simulated_hand.truth()["tension"])
         assert {mark.id for mark in run.state.latched} & EXPECTED_FAULTS[fault], run.state.latched
         assert peak < TENSION_TRIP_N
 
@@ -393,8 +393,8 @@ def test_a_drive_that_ignores_kp_is_found(protocol: str, seed: int) -> None:
     with begin_to_and_fro(hand_with_position_loop("jamia", protocol), seed) as run:
         lose_gains(run, "index_motor")
         peak = 0.0
-        while run.tick().mode == HandMode.ACTIVE and run.k < 6.0 * RATE_HZ:
-            peak = max(peak, *run.peer.truth()["tension"])
+        while run.run_tick().mode == HandMode.ACTIVE and run.k < 6.0 * RATE_HZ:
+            peak = max(peak, *run.simulated_hand.truth()["tension"])
         assert {mark.id for mark in run.state.latched} & {"N14", "N17"}
         assert peak < TENSION_TRIP_N
 
@@ -407,7 +407,7 @@ def test_a_healthy_drive_reports_what_is_predicted(protocol: str, sigma: float) 
     with begin_to_and_fro(hand_with_position_loop("jamia", protocol)) as run:
         apart = []
         for _ in range(600):
-            run.tick()
+            run.run_tick()
             apart.append(run.state.view("servo_report") - run.state.view("measured_force"))
         assert np.nanstd(apart) < sigma
         assert np.nanmax(np.abs(apart)) < 10.0 * sigma
@@ -417,12 +417,12 @@ def test_a_healthy_drive_reports_what_is_predicted(protocol: str, sigma: float) 
 def test_a_report_is_predicted_within_the_limit_of_its_command(sign: int) -> None:
     with begin_to_and_fro(hand_with_position_loop(protocol="moteus")) as run:
         for _ in range(20):
-            run.tick()
+            run.run_tick()
         limit = float(run.state.view("servo_limit")[1]) / run.controller.model.space.spool[1]
         run.state.view("servo_position")[1] += 2.0 * sign
-        run.tick()
+        run.run_tick()
         # The report of a tick belongs to the command before the last.
-        run.tick()
+        run.run_tick()
         assert run.state.view("servo_report")[1] == pytest.approx(sign * limit)
         assert (
             limit < 0.5 * run.controller.model.torque_limit[1] / run.controller.model.space.spool[1]
@@ -497,7 +497,7 @@ def test_a_low_rate_lowers_the_stiffness() -> None:
     hand = with_position_loop(load_hand("jamia"), kp_N_m_per_rad=STIFF_KP)
     with begin_to_and_fro(hand, rate_hz=100.0) as run:
         for _ in range(20):
-            run.tick()
+            run.run_tick()
         assert sent_stiffness(run).max() == pytest.approx(500.0 / 4095.0)
 
 

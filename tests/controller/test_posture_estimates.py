@@ -22,7 +22,7 @@ from handctl.core.tick_types import HandMode
 from handctl.hand.hand_loading import PACKAGED_HANDS_FOLDER, load_hand
 from handctl.programs.task_program import TaskProgram
 from handctl.session.simulate import SimulatorSettings, homed_controller
-from handctl.session.tasks import find_task
+from handctl.session.tasks import load_task_for_hand
 from tests.controller.synthetic_states import (
     SyntheticEstimate,
     active_state,
@@ -77,12 +77,12 @@ def hand_file_with_encoders(folder: Path, joints: int | None = None) -> Path:
 def run_grasp(path: Path, task: str, scene: str, seed: int) -> Iterator[PostureTick]:
     """Yield the values of each tick of a simulated grasp."""
     model = HandModel.from_hand(load_hand(str(path)), Gains(), RATE_HZ)
-    program = TaskProgram(find_task(Path(task), model.hand)[0])
-    with SimulatorSettings(path, scene, seed, homed=True).against(
+    program = TaskProgram(load_task_for_hand(Path(task), model.hand)[0])
+    with SimulatorSettings(path, scene, seed, homed=True).begin_run(
         homed_controller(model, program)
     ) as run:
-        plant, run.record = run.peer.world.plant, False
-        for _, out in run.ticks():
+        plant, run.record_ticks = run.simulated_hand.world.plant, False
+        for _, out in run.run_ticks():
             numbers, real = out.telemetry, np.array(plant.engine.q)
             force = np.linalg.norm(np.reshape(plant.contact_forces(), (-1, 3)), axis=1)
             free = model.excursion_to_joints @ numbers.excursion

@@ -139,10 +139,10 @@ def test_random_targets_cause_no_fault(
     times = np.arange(round(STREAM_DURATION_S * rate)) / rate
     targets = kind(np.random.default_rng(seed), low, high, times)
     trip = np.array([tendon.tension_trip_N for tendon in model.hand.tendon])
-    with SimulatorSettings(hand, None, seed, homed=True).against(
+    with SimulatorSettings(hand, None, seed, homed=True).begin_run(
         homed_controller(model, LiveProgram())
     ) as run:
-        run.record = False
+        run.record_ticks = False
         client = StreamClient(run, model)
         assert client.open_stream(space, names, rate_Hz=rate).startswith("stream")
         for i in range(len(times) * every):
@@ -150,4 +150,4 @@ def test_random_targets_cause_no_fault(
                 *([client.target_request(*targets[i // every].tolist())] if i % every == 0 else [])
             )
             assert run.state.mode == HandMode.ACTIVE, client.reported_faults
-            assert (np.array(list(run.peer.world.plant.tensions())) < trip).all()
+            assert (np.array(list(run.simulated_hand.world.plant.tensions())) < trip).all()

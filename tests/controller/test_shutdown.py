@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from handctl.campaign.stage import homed_run
+from handctl.campaign.run_stages import homed_run
 from handctl.controller.shutdown import shutdown_step
 from handctl.core.tick_types import HandMode
 from handctl.drives.frame import Frame
@@ -21,21 +21,23 @@ def test_shutdown_waits_until_each_motor_reports_off(
 ) -> None:
     hand = load_hand(str(hand_file(tmp_path, [protocol])))
     with homed_run(hand, 500.0, 1) as course:
-        assert course.until(lambda out: out.mode == HandMode.ACTIVE, 3.0), course.state.failure
-        course.peer.step(course.k * PERIOD_NS, list(course.controller.cut_frames()))
+        assert course.run_until(lambda out: out.mode == HandMode.ACTIVE, 3.0), course.state.failure
+        course.simulated_hand.step(course.k * PERIOD_NS, list(course.controller.cut_frames()))
         state, frames, enabled = shutdown_step(
             course.controller, course.state, course.k * PERIOD_NS, []
         )
         assert enabled == tuple(motor.name for motor in hand.motor), "nothing was heard yet"
         if broken:
-            course.peer.inject("off node=index_motor")
+            course.simulated_hand.inject("off node=index_motor")
         for k in range(course.k + 1, course.k + 251):
-            heard = [Frame(*answer) for answer in course.peer.step(k * PERIOD_NS, list(frames))]
+            heard = [
+                Frame(*answer) for answer in course.simulated_hand.step(k * PERIOD_NS, list(frames))
+            ]
             state, frames, enabled = shutdown_step(
                 course.controller, state, (k + 1) * PERIOD_NS, heard
             )
             if not enabled:
                 break
         assert enabled == (("index_motor",) if broken else ())
-        torques = course.peer.truth()["torque"]
+        torques = course.simulated_hand.truth()["torque"]
         assert torques[1:] == [0.0] * 3

@@ -101,7 +101,7 @@ def test_the_simulated_spool_pulls_one_tendon_and_slackens_the_other(stretch_mm:
     tendon, motor = spool_finger().tendon[0], spool_finger().motor[0]
     pretension = tendon.pretension_N
     assert pretension is not None
-    with SimulatorSettings(spool_finger(), None, 0, homed=True).peer(2_000_000) as peer:
+    with SimulatorSettings(spool_finger(), None, 0, homed=True).simulated_hand(2_000_000) as peer:
         plant = peer.world.plant
         plant.engine.set_joints([0.0, 0.0], [0.0, 0.0])
         plant.motors[motor.name].theta = stretch_mm * 1e-3 / motor.spool_radius_m
@@ -124,9 +124,9 @@ def begin_run(
 ) -> SimulatedRun:
     """Begin a run of a program at tick ``first_tick``. The simulated hand may have run before."""
     controller = make_controller(hand, Gains(), RATE_HZ, program, calibration, arm_at_once=True)
-    run = SimulatedRun.of(controller, peer)
+    run = SimulatedRun.begin(controller, peer)
     run.k = first_tick
-    run.record = False
+    run.record_ticks = False
     run.state.set_run_integer(s.K, first_tick - 1)
     return run
 
@@ -153,10 +153,10 @@ def test_it_commissions_tracks_and_relaxes_from_a_cold_start(seed: int) -> None:
     Joints follow within a degree, and no tendon exceeds its limit.
     """
     hand = spool_finger()
-    with SimulatorSettings(hand, None, seed).peer(round(1e9 / RATE_HZ)) as peer:
+    with SimulatorSettings(hand, None, seed).simulated_hand(round(1e9 / RATE_HZ)) as peer:
         plant = peer.world.plant
         run = begin_run(peer, hand, CommissionProgram(), None, 0)
-        for _, out in run.ticks(60.0):
+        for _, out in run.run_ticks(60.0):
             assert not [event for event in out.events if event.level == "error"]
         assert not run.state.progress.failure
         calibration = calibration_of_result(
@@ -177,7 +177,7 @@ def test_it_commissions_tracks_and_relaxes_from_a_cold_start(seed: int) -> None:
         run = begin_run(peer, hand, TaskProgram(MOVES_TASK), calibration, run.k)
         errors = list[np.ndarray]()
         largest = 0.0
-        for _, out in run.ticks(run.k / RATE_HZ + 30.0):
+        for _, out in run.run_ticks(run.k / RATE_HZ + 30.0):
             assert not [event for event in out.events if event.level == "error"]
             largest = max(largest, *plant.pair_tensions())
             if run.state.mode == HandMode.ACTIVE and run.state.progress.phase.startswith("move"):
@@ -219,11 +219,11 @@ def test_it_pulls_both_ways_and_never_above_the_limit(tension: float) -> None:
     """
     hand = spool_finger()
     limit = hand.tendon[0].tension_max_N
-    with SimulatorSettings(hand, None, 0, homed=True).peer(round(1e9 / RATE_HZ)) as peer:
+    with SimulatorSettings(hand, None, 0, homed=True).simulated_hand(round(1e9 / RATE_HZ)) as peer:
         run = begin_run(peer, hand, PullProgram(tension), homed_calibration(hand, {}), 0)
         model = run.controller.model
         goal = np.clip(tension, model.floor, model.ceiling)
-        for _, out in run.ticks(4.5):
+        for _, out in run.run_ticks(4.5):
             assert not [event for event in out.events if event.level == "error"]
             assert max(peer.world.plant.pair_tensions()) < limit
         np.testing.assert_allclose(run.state.view("tension"), goal, atol=0.5)
@@ -235,12 +235,12 @@ def test_it_pulls_both_ways_and_never_above_the_limit(tension: float) -> None:
 )
 def test_a_tendon_that_snaps_under_load_is_found(tension: float, tendon: str) -> None:
     hand = spool_finger()
-    with SimulatorSettings(hand, None, 0, homed=True).peer(round(1e9 / RATE_HZ)) as peer:
+    with SimulatorSettings(hand, None, 0, homed=True).simulated_hand(round(1e9 / RATE_HZ)) as peer:
         run = begin_run(peer, hand, PullProgram(tension), homed_calibration(hand, {}), 0)
         peer.inject(f"snap tendon={tendon} at=2s")
         faults = [
             event.text
-            for _, out in run.ticks(4.5)
+            for _, out in run.run_ticks(4.5)
             for event in out.events
             if event.level == "error"
         ]
@@ -349,11 +349,13 @@ def test_orca_like_closes_its_fingers_and_does_not_spread_them() -> None:
 
 
 def test_the_log_has_both_tensions_of_each_pair() -> None:
-    header = RunHeader.of_hand(load_hand("orca_like").to_toml(), 2_500_000)
+    header = RunHeader.from_hand(load_hand("orca_like").to_toml(), 2_500_000)
     assert SPOOL_PAIRS_TOPIC in {channel.topic for channel in TopicSet(header).channels}
     assert SPOOL_PAIRS_TOPIC not in {
         channel.topic
-        for channel in TopicSet(RunHeader.of_hand(load_hand("jamia").to_toml(), 2_500_000)).channels
+        for channel in TopicSet(
+            RunHeader.from_hand(load_hand("jamia").to_toml(), 2_500_000)
+        ).channels
     }
     state = StateTopics(header, TopicRegistry())
     net = np.zeros((1, 17))

@@ -46,7 +46,7 @@ from handctl.programs.grip import GripState
 from handctl.programs.program import ProgramProgress
 from handctl.programs.stream_plans import StreamPlan
 from handctl.safety.tick_verdict import CountedFault, LatchedFault
-from handctl.session.tasks import find_task
+from handctl.session.tasks import load_task_for_hand
 from tests.conftest import NIGHTLY
 from tests.controller.controller_bench import ControllerBench
 from tests.controller.synthetic_states import uncompiled_function
@@ -384,7 +384,7 @@ def changed_progresses(before: ProgramProgress) -> Iterator[tuple[str, ProgramPr
         "grip": [grip, grip._replace(tension=np.full(4, 21.0)), grip._replace(anchor=np.zeros(4)),
                  grip._replace(ready=2.0), grip._replace(raised=1.2), grip._replace(limited=True)],
         "goals": [before.goals[::-1], *((goal, *before.goals[1:]) for _, goal in changed_goals())],
-        "task": [find_task(None, load_hand(name))[0] for name in ("jamia", "t42")],
+        "task": [load_task_for_hand(None, load_hand(name))[0] for name in ("jamia", "t42")],
     }  # fmt: skip
     assert values.keys() == {field.name for field in fields(ProgramProgress)}, (
         "a new part of the progress needs a line here"

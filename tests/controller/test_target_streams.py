@@ -52,7 +52,7 @@ class StreamClient:
     def __init__(self, run: SimulatedRun, model: HandModel, name: str = "one") -> None:
         self.run, self.model, self.name, self.sent = run, model, name, 0
         self.tick_outputs = list[TickOut]()
-        assert run.until(lambda out: out.phase == "live", 5.0)
+        assert run.run_until(lambda out: out.phase == "live", 5.0)
 
     @property
     def t_ns(self) -> int:
@@ -61,7 +61,7 @@ class StreamClient:
 
     def tick(self, *requests: str) -> TickOut:
         """Run a tick in which requests arrive, and return its output."""
-        self.tick_outputs.append(self.run.tick(requests=requests))
+        self.tick_outputs.append(self.run.run_tick(requests=requests))
         return self.tick_outputs[-1]
 
     def wait(self, seconds: float) -> None:
@@ -117,13 +117,15 @@ class StreamClient:
 def live_client(model: HandModel) -> Iterator[StreamClient]:
     """Yield a client of a simulated hand that waits for requests."""
     hand = model.hand.name
-    with SimulatorSettings(hand, homed=True).against(homed_controller(model, LiveProgram())) as run:
+    with SimulatorSettings(hand, homed=True).begin_run(
+        homed_controller(model, LiveProgram())
+    ) as run:
         yield StreamClient(run, model)
 
 
 def true_angle(run: SimulatedRun) -> float:
     """Return the mean joint angle of the first digit in the simulator [deg]."""
-    return float(np.degrees(run.peer.world.plant.engine.q[:3]).mean())
+    return float(np.degrees(run.simulated_hand.world.plant.engine.q[:3]).mean())
 
 
 def test_a_streamed_sine_is_followed_like_a_trajectory(jamia: HandModel) -> None:
@@ -176,17 +178,17 @@ def error_of_trajectory(model: HandModel) -> float:
     follow = {"kind": "follow", "name": "follow", "time_s": times.tolist(), "angle_deg": angles}
     task = {"schema": 1, "name": "sine", "phase": [stay, follow]}
     program = TaskProgram(Task.model_validate_json(json.dumps(task)))
-    with SimulatorSettings(model.hand.name, homed=True).against(
+    with SimulatorSettings(model.hand.name, homed=True).begin_run(
         homed_controller(model, program)
     ) as run:
         began, missed = None, []
-        while run.out is None or run.out.mode != HandMode.DONE:
-            if run.out is not None and run.out.phase == "follow":
+        while run.last_output is None or run.last_output.mode != HandMode.DONE:
+            if run.last_output is not None and run.last_output.phase == "follow":
                 began = run.k - 1 if began is None else began
                 t = (run.k - began) * model.period
                 if 1.0 < t < 3.0:
                     missed.append(true_angle(run) - sine_angle(t))
-            run.tick()
+            run.run_tick()
     return float(np.sqrt(np.mean(np.square(missed))))
 
 
@@ -202,7 +204,7 @@ def test_the_ticks_of_a_stream_repeat_to_the_last_bit(jamia: HandModel) -> None:
             angles = [sine_angle(i / 100) + j for j in range(3)]
             client.tick(*([client.target_request(*angles, 10.0)] if i % 5 == 0 else []))
             if i == 50:
-                middle, at = snapshot_bytes(client.run.state), len(client.run.recorded)
+                middle, at = snapshot_bytes(client.run.state), len(client.run.recorded_ticks)
         check_ticks_repeat(client.run, middle, at)
 
 
@@ -210,8 +212,8 @@ def check_ticks_repeat(run: SimulatedRun, middle: bytes, at: int) -> None:
     """Check that the recorded ticks repeat to the last bit, from the start and from a snapshot after ``at`` ticks."""
     controller = run.controller
     for state, ticks in (
-        (controller.initial_state(), run.recorded),
-        (restore_state(controller.layout, middle), run.recorded[at:]),
+        (controller.initial_state(), run.recorded_ticks),
+        (restore_state(controller.layout, middle), run.recorded_ticks[at:]),
     ):
         for entry, out in ticks:
             state, again = controller.tick(state, entry)
@@ -247,8 +249,8 @@ def test_a_jump_is_bounded_in_speed_acceleration_and_range(
             assert angle[-1] == pytest.approx(max(target, 0.0), abs=1e-6)
         clipped = stream_status(client.run.state).clipped
         assert clipped == (0 if target == 80.0 else client.sent), "reported, and no fault"
-        assert client.run.out is not None
-        assert client.run.out.mode == HandMode.ACTIVE
+        assert client.run.last_output is not None
+        assert client.run.last_output.mode == HandMode.ACTIVE
 
 
 def test_a_random_stream_never_leaves_the_limits(jamia: HandModel) -> None:
@@ -677,7 +679,7 @@ def test_a_soft_digit_yields_to_a_push(jamia: HandModel) -> None:
             client.open_stream(stiffness_N_m_per_rad=softness)
             client.stream_motion(lambda t: 40.0, 0.4)
             start = true_angle(client.run)
-            engine = client.run.peer.world.plant.engine
+            engine = client.run.simulated_hand.world.plant.engine
             engine._data.xfrc_applied[engine._model.body("index_link3").id, 1] = PUSH_FORCE_N
             client.stream_motion(lambda t: 40.0, 0.4)
             yielded[softness] = start - true_angle(client.run)

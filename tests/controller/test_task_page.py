@@ -9,7 +9,7 @@ from pathlib import Path
 from firmware_sim.scene.scene import load_scene
 from handctl.hand.hand_loading import load_hand, packaged_hands
 from handctl.programs.task import ClosePhase, FollowPhase, HoldPhase, MovePhase, ReleasePhase
-from handctl.session.tasks import find_task
+from handctl.session.tasks import load_task_for_hand
 
 REPOSITORY = Path(__file__).parents[2]
 TASKS_PAGE = (REPOSITORY / "docs" / "reference" / "tasks.md").read_text("utf-8")
@@ -20,7 +20,7 @@ def test_the_example_suits_every_jamia(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(TOML_BLOCKS[0])
     for name in (name for name in packaged_hands() if name.startswith("jamia")):
-        task, _ = find_task(path, load_hand(name))
+        task, _ = load_task_for_hand(path, load_hand(name))
         assert [phase.kind for phase in task.phase] == ["move", "close", "hold", "release", "move"]
 
 

@@ -147,14 +147,16 @@ def tracking_error_deg(model: HandModel, hand: Hand, seed: int) -> float:
         task_of_moves((5.0, 0.5), (42.0, 0.7), (15.0, 0.6), (45.0, 0.6), (10.0, 0.6))
     )
     errors = list[np.ndarray]()
-    with SimulatorSettings(hand, None, seed, homed=True).against(
+    with SimulatorSettings(hand, None, seed, homed=True).begin_run(
         homed_controller(model, task, hand)
     ) as run:
-        run.record = False
-        for _, out in run.ticks(10.0):
+        run.record_ticks = False
+        for _, out in run.run_ticks(10.0):
             assert not [event for event in out.events if event.level == "error"]
             if run.state.mode == HandMode.ACTIVE and run.state.progress.phase.startswith("move"):
-                errors.append(np.degrees(run.state.view("q_goal") - run.peer.world.plant.engine.q))
+                errors.append(
+                    np.degrees(run.state.view("q_goal") - run.simulated_hand.world.plant.engine.q)
+                )
         assert run.state.mode == HandMode.DONE
     return float(np.sqrt(np.mean(np.square(errors))))
 

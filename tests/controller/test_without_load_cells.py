@@ -116,20 +116,20 @@ def run_without_sensors(
     Injected faults contain their own times.
     """
     rows = RunWithoutCells()
-    with SimulatorSettings(hand_without_cells(), scene, seed, homed=True).against(
+    with SimulatorSettings(hand_without_cells(), scene, seed, homed=True).begin_run(
         homed_controller(model_of(), program)
     ) as run:
-        run.record = False
+        run.record_ticks = False
         for fault in faults:
-            run.peer.inject(fault)
-        for _, out in run.ticks(limit_s):
+            run.simulated_hand.inject(fault)
+        for _, out in run.run_ticks(limit_s):
             rows.phase_name.append(out.phase)
             rows.tension.append(run.state.view("tension").copy())
             rows.sigma.append(run.state.view("sigma").copy())
-            rows.true_tension.append(np.array(run.peer.world.plant.tensions()))
+            rows.true_tension.append(np.array(run.simulated_hand.world.plant.tensions()))
             rows.events += out.events
             if run.state.progress.phase == "hold":
-                rows.object_height = run.peer.world.plant.engine.object_pose()[2]
+                rows.object_height = run.simulated_hand.world.plant.engine.object_pose()[2]
     return rows
 
 
@@ -139,11 +139,11 @@ def test_hand_commissions_with_the_tares_of_its_load_cells(
     bare: tuple[str, ...], seed: int
 ) -> None:
     hand = hand_without_cells(*bare)
-    with SimulatorSettings(hand, None, seed).peer(round(1e9 / RATE_HZ)) as peer:
-        run = SimulatedRun.of(
+    with SimulatorSettings(hand, None, seed).simulated_hand(round(1e9 / RATE_HZ)) as peer:
+        run = SimulatedRun.begin(
             make_controller(hand, Gains(), RATE_HZ, CommissionProgram(), None, True), peer
         )
-        for _, out in run.ticks(30.0):
+        for _, out in run.run_ticks(30.0):
             assert not [event for event in out.events if event.level == "error"]
         found = calibration_of_result(
             model_of(*bare), run.state.progress, "2026-01-01T00:00:00+00:00"
@@ -186,9 +186,9 @@ def test_limits_are_stricter_by_the_sigma_of_the_estimate() -> None:
 def test_a_hand_without_sensors_sends_no_sync() -> None:
     hand = hand_without_cells()
     controller = homed_controller(model_of(), TaskProgram(CYLINDER_TASK))
-    with SimulatorSettings(hand, None, 0, homed=True).against(controller) as run:
+    with SimulatorSettings(hand, None, 0, homed=True).begin_run(controller) as run:
         sync = (controller.sensors.bus, hand.sensor_node.sync_id)
-        for _, out in run.ticks(1.0):
+        for _, out in run.run_ticks(1.0):
             assert sync not in {(frame.bus, frame.can_id) for frame in out.frames}
         assert run.state.mode == HandMode.ACTIVE
 
@@ -202,10 +202,10 @@ def test_cia402_drives_have_their_sync_without_sensors() -> None:
     ]
     hand = hand_from_content(content, "cia402")
     model = HandModel.from_hand(hand, Gains(), 250.0)
-    with SimulatorSettings(hand, None, 0, homed=True).against(
+    with SimulatorSettings(hand, None, 0, homed=True).begin_run(
         homed_controller(model, TaskProgram(CYLINDER_TASK))
     ) as run:
-        assert run.until(lambda out: out.mode == HandMode.ACTIVE, 10.0)
+        assert run.run_until(lambda out: out.mode == HandMode.ACTIVE, 10.0)
 
 
 @pytest.mark.parametrize(

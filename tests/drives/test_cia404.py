@@ -11,7 +11,7 @@ import pytest
 
 from firmware_sim.bus.frame import Frame as WireFrame
 from firmware_sim.lockstep_hand import LockstepHand
-from handctl.campaign.stage import GRASP_STAGE, advance_to, homed_run
+from handctl.campaign.run_stages import GRASP_STAGE, advance_to_stage, homed_run
 from handctl.controller.run_setup import make_drives, make_sensors
 from handctl.core.tick_types import HandMode
 from handctl.drives.cia404.load_cells import Cia404LoadCells
@@ -267,17 +267,17 @@ def test_a_wrong_object_refuses_to_arm(name: str) -> None:
     spoil, text = WRONG_OBJECTS[name]
     with homed_run(hand_with_amplifiers(), 500.0, 0) as simulation:
         spoil(nodes_of(simulation)[0])
-        assert simulation.until(lambda out: out.mode == HandMode.DONE, 4.0)
+        assert simulation.run_until(lambda out: out.mode == HandMode.DONE, 4.0)
     assert simulation.state.failure == f"amplifier 0x21: {text}"
-    assert not any(HandMode.ARMING <= out.mode <= HandMode.RELAX for _, out in simulation.recorded)
+    assert not any(HandMode.ARMING <= out.mode <= HandMode.RELAX for _, out in simulation.recorded_ticks)
 
 
 @pytest.mark.nightly
 def test_a_missing_amplifier_is_named() -> None:
     with homed_run(hand_with_amplifiers(), 500.0, 0) as simulation:
         nodes_of(simulation)[1].ids = frozenset()
-        simulation.peer.world.refresh_identifiers()  # type: ignore[attr-defined]
-        assert simulation.until(lambda out: out.mode == HandMode.DONE, 5.0)
+        simulation.simulated_hand.world.refresh_identifiers()  # type: ignore[attr-defined]
+        assert simulation.run_until(lambda out: out.mode == HandMode.DONE, 5.0)
     assert simulation.state.failure == "no answer from amplifier 0x22"
 
 
@@ -291,9 +291,9 @@ def test_frames_before_the_set_up_are_not_used() -> None:
             node.receive(WireFrame(0x000, bytes((0x01, 0x00))), 0)
             node.objects[0x1800, 2] = 1
         groups = simulation.state.view("group_frames")
-        assert simulation.until(lambda out: out.mode == HandMode.INVENTORY, 2.0)
+        assert simulation.run_until(lambda out: out.mode == HandMode.INVENTORY, 2.0)
         assert not simulation.state.view("group_frames").any(), groups
-        assert simulation.until(lambda out: out.mode == HandMode.READY, 4.0)
+        assert simulation.run_until(lambda out: out.mode == HandMode.READY, 4.0)
         assert abs(simulation.state.view("cell")).max() < 20.0
 
 
@@ -317,7 +317,7 @@ def test_a_restart_needs_the_set_up_again_and_not_while_torque_may_act(
 
 def nodes_of(simulation: SimulatedRun) -> list[Any]:
     """Return the simulated amplifiers of a run."""
-    return simulation.peer.world.sensor_nodes  # type: ignore[attr-defined]
+    return simulation.simulated_hand.world.sensor_nodes  # type: ignore[attr-defined]
 
 
 def faults_of(
@@ -325,12 +325,12 @@ def faults_of(
 ) -> tuple[set[str], int]:
     """Return the faults that follow a disturbance of a grasp, and the tick in which the controller first reacts."""
     with homed_run(hand, 500.0, seed) as simulation:
-        advance_to(simulation, GRASP_STAGE)
+        advance_to_stage(simulation, GRASP_STAGE)
         start(simulation)
         found: set[str] = set()
         first = -1
         for i in range(ticks):
-            out = simulation.tick()
+            out = simulation.run_tick()
             found |= {event.text.split()[0] for event in out.events if event.name == "fault"}
             if first < 0 and out.mode != HandMode.ACTIVE:
                 first = i
@@ -338,7 +338,7 @@ def faults_of(
 
 
 def fault_injection(text: str) -> Callable[[SimulatedRun], None]:
-    return lambda simulation: simulation.peer.inject(text)
+    return lambda simulation: simulation.simulated_hand.inject(text)
 
 
 def restart_all(simulation: SimulatedRun) -> None:
@@ -398,14 +398,14 @@ def test_two_amplifiers_with_one_number_are_found() -> None:
 def test_a_hand_with_amplifiers_holds_a_grasp(seed: int) -> None:
     for value in ("int32", "real32"):
         with homed_run(hand_with_amplifiers(process_value=value), 500.0, seed) as simulation:
-            advance_to(simulation, GRASP_STAGE)
+            advance_to_stage(simulation, GRASP_STAGE)
             for _ in range(500):
-                assert simulation.tick().mode == HandMode.ACTIVE
-            truth = simulation.peer.truth()["tension"]
+                assert simulation.run_tick().mode == HandMode.ACTIVE
+            truth = simulation.simulated_hand.truth()["tension"]
             error = (
                 simulation.state.tendon[:1]
-                if simulation.out is None
-                else simulation.out.telemetry.tension - truth
+                if simulation.last_output is None
+                else simulation.last_output.telemetry.tension - truth
             )
             assert abs(error).max() < 3.0
             assert simulation.state.latched == ()
@@ -517,7 +517,7 @@ def test_a_scan_finds_amplifiers_with_their_channels(bench: AmplifierBench) -> N
     from tests.cli.test_scan import BenchBus, advance_and_listen
 
     result = scan_bus(BenchBus(bench.simulated_hand.world), listen=advance_and_listen)
-    found = [node for node in result.found if node.protocol == "cia404"]
+    found = [node for node in result.found_nodes if node.protocol == "cia404"]
     assert [(node.node_id, node.options["channels_per_node"]) for node in found] == [
         (0x21, 2),
         (0x22, 2),

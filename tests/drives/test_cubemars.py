@@ -180,10 +180,10 @@ def test_a_cubemars_drive_fails_only_checks_that_need_a_reported_state() -> None
 def test_a_motor_that_does_not_disable_is_detected() -> None:
     place = VirtualBench("cubemars", "deaf")
     rig = drive_rig_on(place, "cubemars", 0.5)
-    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 1.0)
+    assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 1.0)
     place.bench.motors[0].servo.kd = 1.0
     place.bench.motors[0].omega = 8.0
-    rig.until(DriveTarget.DISABLE, lambda state: False, 0.02)
+    rig.run_until(DriveTarget.DISABLE, lambda state: False, 0.02)
     assert rig.state.phase == DrivePhase.ENABLED
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from handctl.campaign.stage import homed_run
+from handctl.campaign.run_stages import homed_run
 from handctl.core.tick_types import HandMode
 from handctl.hand.hand_loading import load_hand
 from handctl.session.simulate import SimulatedRun
@@ -14,16 +14,16 @@ SILENCE_TICKS = 500
 
 
 def run_until_mode(simulated_run: SimulatedRun, mode: HandMode) -> None:
-    assert simulated_run.until(lambda out: out.mode == mode, 3.0), simulated_run.state.failure
+    assert simulated_run.run_until(lambda out: out.mode == mode, 3.0), simulated_run.state.failure
 
 
 def run_again(simulated_run: SimulatedRun) -> SimulatedRun:
     """Return a second run on the same drives. It starts one second after the end of the first run."""
     for k in range(SILENCE_TICKS):
-        simulated_run.peer.step((simulated_run.k + k) * simulated_run.period_ns, [])
+        simulated_run.simulated_hand.step((simulated_run.k + k) * simulated_run.period_ns, [])
     return SimulatedRun(
         simulated_run.controller,
-        simulated_run.peer,
+        simulated_run.simulated_hand,
         simulated_run.period_ns,
         simulated_run.controller.initial_state(),
         simulated_run.k + k + 1,
@@ -35,7 +35,7 @@ def test_after_a_good_end_the_next_run_finds_no_fault(protocol: str, tmp_path: P
     hand = load_hand(str(hand_file(tmp_path, [protocol])))
     with homed_run(hand, 500.0, 1) as simulated_run:
         run_until_mode(simulated_run, HandMode.ACTIVE)
-        simulated_run.tick(requests=('{"do": "stop"}',))
+        simulated_run.run_tick(requests=('{"do": "stop"}',))
         run_until_mode(simulated_run, HandMode.DONE)
         assert simulated_run.state.failure == ""
         run_until_mode(run_again(simulated_run), HandMode.READY)
@@ -45,8 +45,8 @@ def test_after_a_failure_cia402_drives_stay_supervised(tmp_path: Path) -> None:
     hand = load_hand(str(hand_file(tmp_path, ["cia402"])))
     with homed_run(hand, 500.0, 1) as simulated_run:
         run_until_mode(simulated_run, HandMode.ACTIVE)
-        simulated_run.peer.inject("off node=index_motor")
-        assert simulated_run.until(lambda out: out.mode == HandMode.DONE, 5.0)
+        simulated_run.simulated_hand.inject("off node=index_motor")
+        assert simulated_run.run_until(lambda out: out.mode == HandMode.DONE, 5.0)
         assert simulated_run.state.failure
-        assert simulated_run.out is not None
-        assert simulated_run.out.frames == ()
+        assert simulated_run.last_output is not None
+        assert simulated_run.last_output.frames == ()

@@ -108,7 +108,7 @@ def test_simulated_drives_survive_every_frame(bench: ProtocolBench) -> None:
 def enabled_drive_on_bench(protocol: str) -> tuple[VirtualBench, DriveRig]:
     virtual_bench = VirtualBench(protocol)
     rig = drive_rig_on(virtual_bench, protocol, TORQUE_LIMIT_N_M)
-    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 10.0)
+    assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 10.0)
     return virtual_bench, rig
 
 

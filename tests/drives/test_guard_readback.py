@@ -95,7 +95,7 @@ def test_a_guard_that_does_not_read_back_keeps_the_drive_off(protocol, guard, na
         seen.add(state.phase)
         return False
 
-    rig.until(DriveTarget.ENABLE, record_state, 3.0)
+    rig.run_until(DriveTarget.ENABLE, record_state, 3.0)
     assert DrivePhase.FAULT in seen
     assert DrivePhase.ENABLED not in seen
     assert name in rig.state.error_text
@@ -109,7 +109,7 @@ def test_every_guarded_protocol_is_tried():
 @pytest.mark.parametrize("protocol", sorted(GUARDS_BY_PROTOCOL))
 def test_the_same_drive_is_armed_when_all_read_back(protocol):
     rig = drive_rig_on(VirtualBench(protocol), protocol, 0.5)
-    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 3.0)
+    assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 3.0)
 
 
 def test_an_unverifiable_guard_is_shown(tmp_path, capsys):

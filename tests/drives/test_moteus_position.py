@@ -9,8 +9,8 @@ import pytest
 
 from firmware_sim.nodes.moteus.node import MoteusNode
 from firmware_sim.nodes.moteus.text_channel import FACTORY_CONFIGURATION
-from handctl.campaign.scenarios import FREE_STAGE
-from handctl.campaign.stage import advance_to, homed_run
+from handctl.campaign.fault_matrix import FREE_STAGE
+from handctl.campaign.run_stages import advance_to_stage, homed_run
 from handctl.core import cyclic_frames
 from handctl.core import state_block as s
 from handctl.core.tick_types import HandMode
@@ -97,7 +97,7 @@ def test_a_motor_with_torque_commands_has_no_position_command_and_the_settings_o
 def test_the_settings_are_written_and_read_back_before_arming_and_not_stored() -> None:
     virtual_bench = VirtualBench("moteus")
     rig = armed_rig(virtual_bench)
-    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 3.0)
+    assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 3.0)
     channel = node_of(virtual_bench).channel
     for name, value in GAIN_BY_ITEM.items():
         assert channel.items[name] == pytest.approx(value, abs=1e-6)
@@ -114,7 +114,7 @@ def test_a_setting_that_does_not_read_back_keeps_the_drive_off(item: str) -> Non
     items[item] = 3.0
     keep_setting(virtual_bench, item)
     rig = armed_rig(virtual_bench)
-    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.FAULT, 3.0)
+    assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.FAULT, 3.0)
     assert f"{item} reads 3 after writing, expected" in rig.state.error_text
 
 
@@ -122,7 +122,7 @@ def test_a_firmware_without_an_item_is_refused_by_name() -> None:
     virtual_bench = VirtualBench("moteus")
     del node_of(virtual_bench).channel.items["servo.default_accel_limit"]
     rig = armed_rig(virtual_bench)
-    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.FAULT, 3.0)
+    assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.FAULT, 3.0)
     assert "servo.default_accel_limit reads ERR error reading, expected nan" in rig.state.error_text
 
 
@@ -130,9 +130,9 @@ def test_a_firmware_without_an_item_is_refused_by_name() -> None:
 def test_a_setting_that_is_lost_while_enabled_is_found(item: str) -> None:
     virtual_bench = VirtualBench("moteus")
     rig = armed_rig(virtual_bench)
-    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 3.0)
+    assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 3.0)
     node_of(virtual_bench).channel.items[item] = 7.0
-    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.FAULT, 6.0)
+    assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.FAULT, 6.0)
     assert f"{item} reads 7" in rig.state.error_text
 
 
@@ -173,7 +173,7 @@ VALUES_OUT_OF_RANGE = [
 def test_a_number_that_cannot_be_encoded_becomes_a_torque_command(row: int, value: float) -> None:
     with begin_to_and_fro(hand_with_position_loop(protocol="moteus")) as run:
         for _ in range(10):
-            run.tick()
+            run.run_tick()
         assert run.state.view("servo_kp").all()
         layout, tables = run.state.layout, run.controller.wire
         torque = run.state.tendon[s.TORQUE].copy()
@@ -218,11 +218,11 @@ def test_a_hand_whose_moteus_lost_its_settings_relaxes(seed: int) -> None:
     """The lost gains change the torque at once, and the read-back finds the lost items."""
     hand = hand_with_position_loop(protocol="moteus")
     with homed_run(hand, 500.0, seed) as course:
-        advance_to(course, FREE_STAGE)
+        advance_to_stage(course, FREE_STAGE)
         motor = hand.motor[seed % 4].name
-        course.peer.inject(f"forget node={motor}")
-        assert course.until(lambda out: out.mode in (HandMode.RELAX, HandMode.CUT), 1.2)
+        course.simulated_hand.inject(f"forget node={motor}")
+        assert course.run_until(lambda out: out.mode in (HandMode.RELAX, HandMode.CUT), 1.2)
         found = {(mark.id, mark.instance) for mark in course.state.latched}
         assert found
         assert found <= {("N12", motor), ("N14", motor), ("N17", motor)}
-        assert max(course.peer.truth()["tension"]) < 60.0
+        assert max(course.simulated_hand.truth()["tension"]) < 60.0

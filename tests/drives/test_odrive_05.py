@@ -48,9 +48,9 @@ def test_odrive_05_without_watchdog_fails_the_watchdog_check():
 def test_errors_have_texts(error, words):
     virtual_bench = VirtualBench("odrive", **OLD_FIRMWARE)
     rig = drive_rig_on(virtual_bench, "odrive", 0.1, OLD_FIRMWARE)
-    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 3.0)
+    assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 3.0)
     virtual_bench.bench.nodes[0].disarm(error)
-    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.FAULT, 1.0)
+    assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.FAULT, 1.0)
     assert words in rig.state.error_text
 
 
@@ -60,7 +60,7 @@ def test_odrive_05_is_not_asked_for_missing_messages():
     sent = []
     send = virtual_bench.send
     virtual_bench.send = lambda frames: (sent.extend(frames), send(frames))[1]
-    rig.until(DriveTarget.ENABLE, lambda state: False, 1.0)
+    rig.run_until(DriveTarget.ENABLE, lambda state: False, 1.0)
     asked = {frame.can_id & 0x1F for frame in sent if frame.can_id & REMOTE_FLAG}
     assert asked == {0x09}
     assert rig.state.phase == DrivePhase.ENABLED
@@ -73,7 +73,7 @@ def test_a_scan_names_odrive_05():
         bus.bench.advance(bus.bench.t_ns + round(for_s * 1e9))
         seen += bus.drain()
 
-    (found,) = scan_bus(virtual_bench, listen=hear_heartbeat).found
+    (found,) = scan_bus(virtual_bench, listen=hear_heartbeat).found_nodes
     assert (found.protocol, found.node_id, found.options) == ("odrive", DRIVE_NODE_ID, OLD_FIRMWARE)
     assert "0.5" in found.notes[0]
 

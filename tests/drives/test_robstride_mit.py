@@ -145,8 +145,8 @@ def test_no_numbers_share_an_identifier() -> None:
 def test_a_watchdog_set_before_in_the_private_protocol_removes_the_torque() -> None:
     place = VirtualBench("robstride_mit", motor_type="rs05", host_id=0, can_timeout=2000)
     rig = drive_rig_on(place, "robstride_mit", 0.5)
-    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 3.0)
-    rig.tick(DriveTarget.ENABLE, 0.1)
+    assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 3.0)
+    rig.run_tick(DriveTarget.ENABLE, 0.1)
     assert place.bench.motors[0].servo.torque != 0.0
     place.pass_time(0.2)
     assert place.bench.motors[0].servo.torque == 0.0

@@ -8,8 +8,8 @@ from itertools import pairwise
 
 import pytest
 
-from handctl.campaign.scenarios import ALL_PROTOCOLS, FREE_STAGE
-from handctl.campaign.stage import advance_to, hand_with_protocol, homed_run
+from handctl.campaign.fault_matrix import ALL_PROTOCOLS, FREE_STAGE
+from handctl.campaign.run_stages import advance_to_stage, hand_with_protocol, homed_run
 from handctl.core.tick_types import HandMode
 from handctl.drives import readback
 from handctl.drives.contract import DrivePhase, DriveTarget
@@ -116,10 +116,10 @@ def test_requests_without_answer_end_in_a_fault_and_a_few_do_not():
 def test_a_hand_whose_drive_lost_its_settings_is_cut(protocol, seed):
     hand = hand_with_protocol("jamia", protocol)
     with homed_run(hand, default_rate(hand), seed) as course:
-        advance_to(course, FREE_STAGE)
-        course.peer.inject(f"forget node={hand.motor[seed % 4].name}")
+        advance_to_stage(course, FREE_STAGE)
+        course.simulated_hand.inject(f"forget node={hand.motor[seed % 4].name}")
         end_s = course.k * course.period_ns * 1e-9 + 1.01
-        assert course.until(lambda out: out.mode == HandMode.CUT, 1.02)
+        assert course.run_until(lambda out: out.mode == HandMode.CUT, 1.02)
         assert course.k * course.period_ns * 1e-9 <= end_s
         latched = {(mark.id, mark.instance) for mark in course.state.latched}
         assert latched == {("N12", hand.motor[seed % 4].name)}
@@ -133,10 +133,10 @@ def test_a_hand_whose_moteus_lost_its_settings_relaxes(seed):
     """
     hand = hand_with_protocol("jamia", "moteus")
     with homed_run(hand, default_rate(hand), seed) as course:
-        advance_to(course, FREE_STAGE)
+        advance_to_stage(course, FREE_STAGE)
         motor = hand.motor[seed % 4].name
-        course.peer.inject(f"forget node={motor}")
-        assert course.until(lambda out: out.mode in (HandMode.RELAX, HandMode.CUT), 1.02)
+        course.simulated_hand.inject(f"forget node={motor}")
+        assert course.run_until(lambda out: out.mode in (HandMode.RELAX, HandMode.CUT), 1.02)
         found = {(mark.id, mark.instance) for mark in course.state.latched}
         assert found <= {("N12", motor), ("N14", motor)}
         assert found

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from handctl.campaign.stage import hand_with_protocol
+from handctl.campaign.run_stages import hand_with_protocol
 from handctl.controller.bus_load import bus_loads, with_more_buses
 from handctl.controller.run_setup import make_drives
 from handctl.core.gains.gains import Gains
@@ -48,11 +48,12 @@ def test_a_hand_on_two_buses_has_sync_on_both(tmp_path: Path) -> None:
         "the last drive of the bus without the sensor node"
     )
     model = HandModel.from_hand(hand, Gains(), 250.0)
-    with SimulatorSettings(str(path), None, 0, homed=True).against(
+    with SimulatorSettings(str(path), None, 0, homed=True).begin_run(
         homed_controller(model, LiveProgram())
     ) as run:
-        assert run.until(lambda out: out.mode == HandMode.ACTIVE, 5.0)
-        sent = [(frame.bus, len(frame.data)) for frame in run.out.frames if frame.can_id == SYNC_ID]
+        assert run.run_until(lambda out: out.mode == HandMode.ACTIVE, 5.0)
+        sent = [
+            (frame.bus, len(frame.data)) for frame in run.last_output.frames if frame.can_id == SYNC_ID]
         assert sent == [(0, 1), (1, 0)], (
             "once on each bus: with the counter for the sensor node, else empty"
         )

@@ -5,7 +5,7 @@ import os
 import numpy as np
 import pytest
 
-from handctl.campaign.stage import hand_with_protocol
+from handctl.campaign.run_stages import hand_with_protocol
 from handctl.core import state_block as s
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
@@ -40,12 +40,12 @@ def test_the_tension_does_not_oscillate_by_late_positions(seed: int) -> None:
     This ended the default task with N14b.
     """
     model = HandModel.from_hand(hand_with_protocol("n_plus_1", "odrive"), Gains(), RATE_HZ)
-    with SimulatorSettings(model.hand, None, seed, homed=True).against(
+    with SimulatorSettings(model.hand, None, seed, homed=True).begin_run(
         homed_controller(model, TaskProgram(BEND_AND_OPEN_TASK))
     ) as run:
-        run.record = False
+        run.record_ticks = False
         largest = 0.0
-        for _, out in run.ticks(4.0):
+        for _, out in run.run_ticks(4.0):
             largest = max(largest, float(run.state.tendon[s.SWING_SQUARE].max()))
             if out.mode == HandMode.RELAX:
                 break

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from handctl.campaign import campaign
-from handctl.campaign.scenario_run import ScenarioResult, run_scenario
-from handctl.campaign.scenarios import (
+from handctl.campaign.fault_matrix import (
     ALL_PROTOCOLS,
     ARMING_STAGE,
     FAULT_MATRIX,
@@ -26,14 +25,15 @@ from handctl.campaign.scenarios import (
     fault_pairs,
     scenarios_of_hand,
 )
-from handctl.campaign.stage import (
-    FAULT_DELAY_S,
+from handctl.campaign.run_stages import (
+    FREE_STAGE_DELAY_S,
     MIN_CONTROL_RATE_HZ,
-    advance_to,
+    advance_to_stage,
     hand_with_protocol,
     homed_run,
     run_in_branches,
 )
+from handctl.campaign.scenario_run import ScenarioResult, run_scenario
 from handctl.core.tick_types import HandMode, TickEvent
 from handctl.hand.hand_loading import hand_from_content, load_hand, packaged_hands
 from handctl.safety.action import SafetyAction
@@ -64,7 +64,7 @@ def test_only_existing_load_cells_fail():
     for hand in (mount_on_wrist("jamia"), load_hand("orca_like")):
         cells = set(hand.sensor_node.tendons)
         found = [*scenarios_of_hand(hand, "mit", 2.5), *fault_pairs(hand, "mit", 2.5)]
-        texts = [text for one in found for text in (one.fault, one.second) if "cell=" in text]
+        texts = [text for one in found for text in (one.fault, one.second_fault) if "cell=" in text]
         assert bool(texts) == bool(cells)
         assert {text.partition("cell=")[2].split()[0] for text in texts} <= cells
 
@@ -79,7 +79,7 @@ def test_every_scenario_takes_effect_and_is_answered_in_time(campaign_report):
 
 
 def test_the_report_has_its_sections(campaign_report):
-    figures = campaign_report.plain()
+    figures = campaign_report.as_json()
     assert figures["scenarios"] == len(campaign_report.all_results) == 12
     assert (figures["late"], figures["not_felt"], figures["false_alarms"]) == (0, 0, 0)
     assert 0 < figures["worst_ticks"] <= 6
@@ -122,10 +122,10 @@ def alarms_of_run(phase, *texts):
 
         def tick():
             simulation.k += 1
-            simulation.out = out
+            simulation.last_output = out
             return out
 
-        simulation.tick = tick
+        simulation.run_tick = tick
         yield simulation
 
     with pytest.MonkeyPatch.context() as patch:
@@ -148,9 +148,9 @@ def test_exchanged_drives_are_found_soon_after_the_fingers_touch_an_object(seed:
     """Regression: the large changes of the commands at the contact hid the exchange for 2.3 s."""
     hand = hand_with_protocol("t42", "mit")
     with homed_run(hand, RATE_HZ, seed) as simulation:
-        advance_to(simulation, GRASP_STAGE)
-        simulation.peer.inject("swap node=left_motor with=right_motor")
-        assert simulation.until(lambda out: out.mode == HandMode.RELAX, 0.6)
+        advance_to_stage(simulation, GRASP_STAGE)
+        simulation.simulated_hand.inject("swap node=left_motor with=right_motor")
+        assert simulation.run_until(lambda out: out.mode == HandMode.RELAX, 0.6)
         assert {mark.id for mark in simulation.state.latched} == {"N17"}
 
 
@@ -182,12 +182,14 @@ def test_a_missing_reaction_counts_as_late(tmp_path):
     This is its positive control.
     """
     hand = hand_with_protocol("jamia", "mit")
-    never = MatrixRow("B01", "drop node=index_motor p=0", SafetyAction.WARN, 3, rows=("B01",))
-    slow = MatrixRow("T04", "drift cell=index_tendon size=1", SafetyAction.RELAX, 3, rows=("T04",))
+    never = MatrixRow("B01", "drop node=index_motor p=0", SafetyAction.WARN, 3, accepted_faults=("B01",))
+    slow = MatrixRow(
+        "T04", "drift cell=index_tendon size=1", SafetyAction.RELAX, 3, accepted_faults=("T04",)
+    )
     results = []
     stored_log = tmp_path / "kept"
     with homed_run(hand, RATE_HZ, 0) as simulation:
-        simulation.tick()
+        simulation.run_tick()
         todo = [FaultScenario(row, row.fault, GRASP_STAGE) for row in (never, slow)]
         run_in_branches(
             simulation,
@@ -206,10 +208,10 @@ def test_a_missing_reaction_counts_as_late(tmp_path):
 
 def test_a_reaction_to_another_fault_does_not_count():
     """If a run ends because a drive has dropped out, this does not show that faults of load cells are detected."""
-    row = MatrixRow("T05", "error node=index_motor", SafetyAction.RELAX, 3, rows=("T05",))
+    row = MatrixRow("T05", "error node=index_motor", SafetyAction.RELAX, 3, accepted_faults=("T05",))
     with homed_run(hand_with_protocol("jamia", "mit"), RATE_HZ, 0) as simulation:
-        advance_to(simulation, ARMING_STAGE)
-        advance_to(simulation, FREE_STAGE)
+        advance_to_stage(simulation, ARMING_STAGE)
+        advance_to_stage(simulation, FREE_STAGE)
         result = run_scenario(simulation, FaultScenario(row, row.fault, FREE_STAGE), "mit")
     assert "T05" in result.problem
     assert not result.ok
@@ -218,11 +220,11 @@ def test_a_reaction_to_another_fault_does_not_count():
 @pytest.mark.parametrize(("name", "rate_hz"), [("jamia", RATE_HZ), ("jamia11", 200.0)])
 def test_a_free_motion_is_disturbed_while_it_moves(name, rate_hz):
     with homed_run(hand_with_protocol(name, "mit"), rate_hz, 0) as simulation:
-        advance_to(simulation, ARMING_STAGE)
-        advance_to(simulation, FREE_STAGE)
-        free = [out for _, out in simulation.recorded if out.phase == "free"]
+        advance_to_stage(simulation, ARMING_STAGE)
+        advance_to_stage(simulation, FREE_STAGE)
+        free = [out for _, out in simulation.recorded_ticks if out.phase == "free"]
         assert len(free) * simulation.period_ns == pytest.approx(
-            FAULT_DELAY_S * 1e9, abs=2 * simulation.period_ns
+            FREE_STAGE_DELAY_S * 1e9, abs=2 * simulation.period_ns
         )
         speed = free[-1].telemetry.dq_goal
         assert np.degrees(speed).max() > 10.0
@@ -246,10 +248,10 @@ def test_silent_joint_encoders_are_detected(joint):
     every = hand_with_protocol("jamia11", "mit").sensor_node.joint_decimation
     for frames, found in ((3, ""), (4, f"N02b {joint}")):
         fault = f"mute joint={joint} for={5 * every * frames}ms"
-        row = MatrixRow("N02", fault, SafetyAction.RELAX, 4 * every, rows=("N02",))
+        row = MatrixRow("N02", fault, SafetyAction.RELAX, 4 * every, accepted_faults=("N02",))
         with homed_run(hand_with_protocol("jamia11", "mit"), 200.0, 0) as simulation:
-            advance_to(simulation, ARMING_STAGE)
-            advance_to(simulation, FREE_STAGE)
+            advance_to_stage(simulation, ARMING_STAGE)
+            advance_to_stage(simulation, FREE_STAGE)
             result = run_scenario(simulation, FaultScenario(row, fault, FREE_STAGE), "mit")
         assert (result.effects, result.detected_by) == (frames, found)
         assert result.ok == bool(found), result.problem
@@ -259,8 +261,8 @@ def test_a_node_that_answers_every_second_tick_does_not_make_the_hand_swing():
     """Regression: with steady filter gains, the tension rose to 171 N while 7 N were commanded."""
     row = next(row for row in FAULT_MATRIX if row.id == "N15" and "cia402" in row.protocols)
     with homed_run(hand_with_protocol("jamia11", "cia402"), 200.0, 0) as simulation:
-        advance_to(simulation, ARMING_STAGE)
-        advance_to(simulation, FREE_STAGE)
+        advance_to_stage(simulation, ARMING_STAGE)
+        advance_to_stage(simulation, FREE_STAGE)
         result = run_scenario(
             simulation, FaultScenario(row, "slow node=index_m1 size=2", FREE_STAGE), "cia402"
         )
@@ -278,10 +280,13 @@ def test_runaway_drive_stays_below_the_tension_of_its_limit_and_momentum():
     """
     hand = hand_with_protocol("jamia", "mit")
     with homed_run(hand, RATE_HZ, 0) as simulation:
-        advance_to(simulation, GRASP_STAGE)
+        advance_to_stage(simulation, GRASP_STAGE)
         space = simulation.controller.model.space
-        at = simulation.peer.truth()["tension"][0]
-        v = abs(float(simulation.out.telemetry.motor_velocity[0]) * float(space.spool[0])) + 0.01
+        at = simulation.simulated_hand.truth()["tension"][0]
+        v = (
+            abs(float(simulation.last_output.telemetry.motor_velocity[0]) * float(space.spool[0]))
+            + 0.01
+        )
         row = next(row for row in FAULT_MATRIX if row.fault == "runaway node={node} size=1 seed=1")
         scenario = FaultScenario(row, row.fault.replace("{node}", hand.motor[0].name), GRASP_STAGE)
         result = run_scenario(simulation, scenario, "mit")
@@ -301,14 +306,14 @@ def test_a_drive_that_does_not_relax_is_cut_although_its_load_cell_is_saturated(
     hand = hand_with_protocol("jamia_bench", "odrive")
     row = next(row for row in FAULT_MATRIX if row.fault == "runaway node={node} size=1 seed=1")
     with homed_run(hand, 400.0, 0) as simulation:
-        advance_to(simulation, GRASP_STAGE)
+        advance_to_stage(simulation, GRASP_STAGE)
         result = run_scenario(
             simulation,
             FaultScenario(row, row.fault.replace("{node}", "thumb_motor"), GRASP_STAGE),
             "odrive",
         )
     assert result.ok, result.problem
-    assert result.safe_ticks <= 400.0 * RELAXED_S + row.ticks + 5
+    assert result.safe_ticks <= 400.0 * RELAXED_S + row.max_ticks + 5
 
 
 def test_instances_are_the_first_and_the_last():
@@ -335,7 +340,7 @@ def test_quick_samples_of_consecutive_seeds_are_the_whole_campaign():
     hand = hand_with_protocol("jamia11", "mit")
     samples = [
         campaign.campaign_scenarios(hand, "mit", 200.0, quick=True, seed=seed)
-        for seed in range(campaign.QUICK_EVERY)
+        for seed in range(campaign.QUICK_SCENARIO_STEP)
     ]
     whole = campaign.campaign_scenarios(hand, "mit", 200.0, quick=False)
     assert sorted(one.name for sample in samples for one in sample) == sorted(
@@ -356,7 +361,7 @@ def test_the_quick_sample_passes_with_every_seed(hand: str, seed: int):
     assert [
         (result.scenario, result.problem) for result in report.all_results if not result.ok
     ] == []
-    assert report.alarms == {protocol: []}
+    assert report.false_alarms == {protocol: []}
 
 
 @pytest.mark.nightly
@@ -375,4 +380,4 @@ def test_every_scenario_of_the_matrix_is_detected_in_time(hand: str, protocol: s
     assert [
         (result.scenario, result.problem) for result in report.all_results if not result.ok
     ] == []
-    assert report.alarms == {protocol: []}
+    assert report.false_alarms == {protocol: []}

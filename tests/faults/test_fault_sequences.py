@@ -12,7 +12,14 @@ import pytest
 from firmware_sim.faults.fault_text import parse_fault
 from firmware_sim.hand_description import load_hand
 from handctl.campaign import sequences
-from handctl.campaign.scenarios import ALL_PROTOCOLS, ARMING_STAGE, HOST_PREFIX
+from handctl.campaign.fault_matrix import ALL_PROTOCOLS, ARMING_STAGE, HOST_PREFIX
+from handctl.campaign.run_stages import (
+    RUN_STAGES,
+    advance_to_stage,
+    hand_with_protocol,
+    homed_run,
+    run_in_branches,
+)
 from handctl.campaign.sequences import (
     SEQUENCE_TICKS,
     FaultSequence,
@@ -23,13 +30,6 @@ from handctl.campaign.sequences import (
     violations_at_end,
     violations_in_tick,
     violations_on_replay,
-)
-from handctl.campaign.stage import (
-    RUN_STAGES,
-    advance_to,
-    hand_with_protocol,
-    homed_run,
-    run_in_branches,
 )
 from handctl.core.tick_types import HandMode
 from handctl.safety.tick_verdict import LatchedFault
@@ -45,13 +45,13 @@ NO_CALLBACKS = {
 def arming_simulation():
     """Yield the simulation of a hand that is being armed at a low control rate. Each test uses a copy of it."""
     with homed_run(hand_with_protocol("jamia", "mit"), 200.0, 0) as arming_simulation:
-        advance_to(arming_simulation, ARMING_STAGE)
+        advance_to_stage(arming_simulation, ARMING_STAGE)
         yield arming_simulation
 
 
 @pytest.fixture
 def arming_copy(arming_simulation):
-    return replace(arming_simulation, recorded=list(arming_simulation.recorded))
+    return replace(arming_simulation, recorded_ticks=list(arming_simulation.recorded_ticks))
 
 
 @pytest.mark.parametrize("protocol", ALL_PROTOCOLS)
@@ -122,7 +122,7 @@ def test_violated_rule_of_a_tick_is_found(arming_copy):
 
 def test_violated_rule_at_the_end_is_found(arming_copy):
     assert violations_at_end(arming_copy) == ["the run does not end: ARMING"]
-    arming_copy.peer = SimpleNamespace(truth=lambda: {"torque": [0.0, 0.1, 0.0, 0.0]})
+    arming_copy.simulated_hand = SimpleNamespace(truth=lambda: {"torque": [0.0, 0.1, 0.0, 0.0]})
     arming_copy.state = arming_copy.state.copy()
     arming_copy.state.mode = HandMode.DONE
     assert violations_at_end(arming_copy) == ["torque remains: middle_tendon"]
@@ -132,14 +132,14 @@ def test_violated_rule_at_the_end_is_found(arming_copy):
 
 def test_a_tick_with_another_result_is_found(arming_copy):
     start = arming_copy.state
-    first = len(arming_copy.recorded)
+    first = len(arming_copy.recorded_ticks)
     for _ in range(5):
-        arming_copy.tick()
+        arming_copy.run_tick()
     assert violations_on_replay(arming_copy, start, first) == []
     other = start.copy()
     other.goal_time += 1e-9
     assert violations_on_replay(arming_copy, other, first) == [
-        f"tick {arming_copy.recorded[first][0].k} does not repeat with the same inputs"
+        f"tick {arming_copy.recorded_ticks[first][0].k} does not repeat with the same inputs"
     ]
 
 

@@ -12,8 +12,13 @@ import numpy as np
 import pytest
 
 from benchmarks import hidden_faults
-from handctl.campaign.scenarios import FREE_STAGE, GRASP_STAGE
-from handctl.campaign.stage import CAMPAIGN_TASK, advance_to, hand_with_protocol, homed_run
+from handctl.campaign.fault_matrix import FREE_STAGE, GRASP_STAGE
+from handctl.campaign.run_stages import (
+    CAMPAIGN_TASK,
+    advance_to_stage,
+    hand_with_protocol,
+    homed_run,
+)
 from handctl.controller.relaxing import SETPOINT_MARGIN_N
 from handctl.core import state_block as s
 from handctl.core.tick_types import HandMode
@@ -56,7 +61,7 @@ class TendonInstant(NamedTuple):
 
 
 def observe_instant(simulation: SimulatedRun) -> TendonInstant:
-    peer: Any = simulation.peer
+    peer: Any = simulation.simulated_hand
     spool = simulation.controller.model.space.spool
     motors = [
         peer.world.plant.motors[motor.name] for motor in simulation.controller.model.hand.motor
@@ -105,11 +110,11 @@ def test_relaxing_raises_no_command_and_no_tension(
     a, b = chance.sample([motor.name for motor in hand.motor], 2)
     fault = chance.choice(FAULT_COMMANDS).format(a=a, b=b, t=chance.choice(hand.tendon_names))
     with homed_run(hand, rate, seed, perturb, task) as simulation:
-        advance_to(simulation, chance.choice((FREE_STAGE, GRASP_STAGE)))
+        advance_to_stage(simulation, chance.choice((FREE_STAGE, GRASP_STAGE)))
         for _ in range(int(chance.uniform(0.0, 3.0) * rate)):
-            simulation.tick()
+            simulation.run_tick()
         if fault:
-            simulation.peer.inject(fault)
+            simulation.simulated_hand.inject(fault)
         stop_at = simulation.k + int(chance.uniform(0.02, 0.8) * rate)
         check_relaxing(simulation, stop_at, round(COMMAND_DELAY_S * rate), fault)
 
@@ -120,7 +125,7 @@ def check_relaxing(simulation: SimulatedRun, stop_at: int, window: int, fault: s
     # them after it.
     commanded = [simulation.state.view("asked").copy()]
     while simulation.state.mode == HandMode.ACTIVE:
-        simulation.tick(requests=(STOP_REQUEST,) if simulation.k == stop_at else ())
+        simulation.run_tick(requests=(STOP_REQUEST,) if simulation.k == stop_at else ())
         recent.append(observe_instant(simulation))
         commanded.append(simulation.state.view("asked").copy())
     decided = recent[-2]
@@ -134,7 +139,7 @@ def check_relaxing(simulation: SimulatedRun, stop_at: int, window: int, fault: s
         mode = simulation.state.mode
         if mode == HandMode.DONE:
             break
-        simulation.tick()
+        simulation.run_tick()
         command = simulation.state.view("asked").copy()
         if simulation.state.mode == mode == HandMode.RELAX:
             rises = command > np.maximum(last, 0.0)
@@ -167,19 +172,19 @@ def test_relaxing_after_a_doubtful_load_cell_begins_at_the_tension_of_a_moving_d
     hand = hand_with_protocol("jamia", "odrive")
     with homed_run(hand, 400.0, seed, task=hidden_faults.rising_hold_task()) as simulation:
         free_ticks = 0
-        out = simulation.tick()
+        out = simulation.run_tick()
         while not hidden_faults.is_at_stage(
             "free", out, free_ticks := free_ticks + (out.phase == "free")
         ):
-            out = simulation.tick()
-        simulation.peer.inject(fault)
-        assert simulation.until(lambda out: out.mode == HandMode.RELAX, 2.0)
+            out = simulation.run_tick()
+        simulation.simulated_hand.inject(fault)
+        assert simulation.run_until(lambda out: out.mode == HandMode.RELAX, 2.0)
         assert "T04b" in {mark.id for mark in simulation.state.latched}
         table, model = simulation.state.tendon, simulation.controller.model
         explained = np.maximum(table[s.TENSION], model.relaxed) + model.space.coulomb
         assert (simulation.state.view("asked") <= explained + SETPOINT_MARGIN_N).all()
         if fault.startswith("cross"):
             peak = 0.0
-            while simulation.tick().mode != HandMode.DONE:
-                peak = max(peak, *simulation.peer.truth()["tension"])
+            while simulation.run_tick().mode != HandMode.DONE:
+                peak = max(peak, *simulation.simulated_hand.truth()["tension"])
             assert peak < hand.tendon[0].tension_trip_N

@@ -14,7 +14,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
 
 import handctl.gym
-from handctl.client.observation import AXIS_OF
+from handctl.client.observation import AXIS_OF_FIELD
 from handctl.errors import ConfigError
 
 PAGE_FILE = Path(__file__).parents[2] / "docs" / "how-to" / "gym.md"
@@ -99,7 +99,7 @@ def test_the_reference_can_be_tracked(hand: str, span: float | None) -> None:
         seen, reward, ended, truncated, info = env.step(following_action(env, seen))
         rewards.append(reward)
     assert truncated, info
-    assert len(rewards) == env.longest == 250
+    assert len(rewards) == env.max_steps == 250
     assert np.mean(rewards) > 0.8
     assert info["error_deg"] < 3.0
 
@@ -128,9 +128,9 @@ def test_hand_without_action_grasps_nothing() -> None:
     env = make_env(GRASP_ENV, duration_s=1.0)
     env.reset(seed=0)
     still = np.full(env.action_space.shape, -1.0, np.float32)
-    rows = [env.step(still) for _ in range(env.longest)]
+    rows = [env.step(still) for _ in range(env.max_steps)]
     assert sum(row[1] for row in rows) == pytest.approx(0.0)
-    assert [row[2] for row in rows] == [False] * env.longest
+    assert [row[2] for row in rows] == [False] * env.max_steps
     assert rows[-1][3]
     assert rows[-1][4]["is_success"] is False
 
@@ -138,7 +138,7 @@ def test_hand_without_action_grasps_nothing() -> None:
 def test_a_fault_ends_an_episode() -> None:
     env = make_env(TRACK_ENV)
     seen, _ = env.reset(seed=0)
-    env.run.peer.inject("snap tendon=index_tendon at=1s")
+    env.simulated_run.simulated_hand.inject("snap tendon=index_tendon at=1s")
     ended = False
     while not ended:
         seen, _, ended, truncated, info = env.step(following_action(env, seen))
@@ -161,17 +161,17 @@ def test_random_actions_are_limited_and_trip_nothing_on_a_free_hand() -> None:
         while not truncated:
             *_, ended, truncated, info = env.step(rng.uniform(-1.0, 1.0, 4).astype(np.float32))
             assert not ended, (seed, info)
-            assert max(env.run.peer.truth()["tension"]) < limit
+            assert max(env.simulated_run.simulated_hand.truth()["tension"]) < limit
 
 
 def test_names_are_those_of_the_client_s_observations() -> None:
     env = make_env(TRACK_ENV, hand="jamia11")
     telemetry = {part.name for part in env.layout.parts if not part.name.startswith("reference")}
-    assert telemetry <= AXIS_OF.keys()
+    assert telemetry <= AXIS_OF_FIELD.keys()
     assert env.layout.names[:2] == ("q_rad[index_j1]", "q_rad[index_j2]")
     assert len(env.layout.names) == env.observation_space.shape[0]
     seen, _ = env.reset(seed=0)
-    np.testing.assert_array_equal(seen[:11], env.out.telemetry.q.astype(np.float32))
+    np.testing.assert_array_equal(seen[:11], env.last_output.telemetry.q.astype(np.float32))
 
 
 def test_several_processes_give_the_episodes_of_one_process() -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from mcap.opcode import Opcode
 
-from handctl.log.container import MAGIC
+from handctl.log.container import MCAP_MAGIC
 
 MetadataEntries = dict[str, str]
 _RECORD_HEAD_STRUCT = struct.Struct("<BQ")
@@ -19,7 +19,7 @@ def with_metadata(raw: bytes, change: Callable[[str, MetadataEntries], MetadataE
         raw: bytes of a complete log.
         change: function that takes the name and the entries of a metadata record and returns the new entries.
     """
-    parts = [MAGIC]
+    parts = [MCAP_MAGIC]
     for code, body in _split_records(raw):
         if code == Opcode.METADATA:
             name, entries = _parsed_metadata(body)
@@ -27,7 +27,7 @@ def with_metadata(raw: bytes, change: Callable[[str, MetadataEntries], MetadataE
         elif code in (Opcode.DATA_END, Opcode.FOOTER):
             body = body[:-4] + bytes(4)
         parts.append(_RECORD_HEAD_STRUCT.pack(code, len(body)) + body)
-    return b"".join([*parts, MAGIC])
+    return b"".join([*parts, MCAP_MAGIC])
 
 
 def with_run_metadata(path: Path, out: Path, **values: str) -> Path:
@@ -41,8 +41,8 @@ def with_run_metadata(path: Path, out: Path, **values: str) -> Path:
 
 
 def _split_records(raw: bytes) -> Iterator[tuple[int, bytes]]:
-    at = len(MAGIC)
-    while at < len(raw) - len(MAGIC):
+    at = len(MCAP_MAGIC)
+    while at < len(raw) - len(MCAP_MAGIC):
         code, size = _RECORD_HEAD_STRUCT.unpack_from(raw, at)
         at += _RECORD_HEAD_STRUCT.size
         yield code, raw[at : at + size]

@@ -7,7 +7,7 @@ from pathlib import Path
 import lz4.frame
 import zstandard
 
-from handctl.log.container import MAGIC
+from handctl.log.container import MCAP_MAGIC
 from handctl.log.read.logfile import MAX_CHUNK_BYTES, LogFile
 from handctl.log.read.record_scan import RecordScan, scan_records
 
@@ -80,7 +80,7 @@ def hostile_files(small_log: Path) -> dict[str, bytes]:
         "a tick that lies": _with_chunks(small_log, _chunk_record("", tick, len(tick))),
         "a chunk larger than the file": _with_chunks(small_log, struct.pack("<BQ", 6, 2**63))
         + bytes(100)
-        + MAGIC,
+        + MCAP_MAGIC,
         "a huge attachment": _with_chunks(
             small_log, struct.pack("<BQ", 9, 17 << 20) + bytes(17 << 20)
         ),

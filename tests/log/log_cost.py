@@ -11,7 +11,7 @@ from pathlib import Path
 import synthetic_run
 
 from handctl.log.read.reader import RunLog
-from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record
+from handctl.log.tick_record import RECORD_FRAMING_STRUCT, pack_tick_record
 from handctl.log.write.recorder import Recorder
 from handctl.log.write.writer import LogWriter
 
@@ -30,7 +30,7 @@ def _write_log(path: Path, run: synthetic_run.RunHeader, bodies: list[bytes]) ->
     path.unlink(missing_ok=True)
     writer = LogWriter(path, run, print, 1)
     for body in bodies:
-        writer.add(body)
+        writer.add_tick(body)
     writer.finish("finished", 0)
 
 
@@ -70,8 +70,8 @@ def _lockstep_write_us(path: Path, run: synthetic_run.RunHeader, records: list[b
     recorder = Recorder.start(path, run)
     start = time.perf_counter()
     for record in records:
-        recorder.record(record)
-        recorder.events()
+        recorder.send_record(record)
+        recorder.take_events()
     recorder.close("finished")
     return (time.perf_counter() - start) / len(records) * 1e6
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import synthetic_run
 
-from handctl.log.record import pack_tick_record
+from handctl.log.tick_record import pack_tick_record
 from handctl.log.write.recorder import Recorder
 
 
@@ -23,7 +23,7 @@ def main() -> None:
     for k in itertools.count():
         tick_in, out = ticks[k % len(ticks)]
         tick_in = tick_in._replace(k=k, t_ns=k * run.period_ns)
-        if recorder.record(pack_tick_record(tick_in, out)):
+        if recorder.send_record(pack_tick_record(tick_in, out)):
             os.write(1, k.to_bytes(8, "little"))
         time.sleep(0.0005)
 

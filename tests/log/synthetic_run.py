@@ -27,7 +27,7 @@ from handctl.drives.frame import Frame
 from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.hand_loading import load_hand
 from handctl.log.header import RunHeader
-from handctl.log.record import pack_tick_record
+from handctl.log.tick_record import pack_tick_record
 from handctl.log.topics.state_topics import moment_arms
 from handctl.log.write.recorder import Recorder
 from handctl.safety.action import SafetyAction
@@ -57,7 +57,7 @@ def synthetic_header(hand: str = "jamia", rate_hz: int = 500, **more: object) ->
         "attachments": attachments,
         "deterministic": True,
     }
-    return RunHeader.of_hand(described.to_toml(), 10**9 // rate_hz, **(given | more))
+    return RunHeader.from_hand(described.to_toml(), 10**9 // rate_hz, **(given | more))
 
 
 def _phase_at(fraction: float) -> str:
@@ -185,7 +185,7 @@ def write_synthetic_run(
     """Record a synthetic run with a real recorder, and return the recorder's summary."""
     recorder = Recorder.start(path, run)
     for tick_in, out in SyntheticTicks(run, seconds, seed):
-        recorder.record(pack_tick_record(tick_in, out))
+        recorder.send_record(pack_tick_record(tick_in, out))
     return recorder.close("finished")
 
 

@@ -11,7 +11,7 @@ import synthetic_run
 from handctl.hand.formats.link_meshes import meshes_of_hand
 from handctl.hand.hand_loading import PACKAGED_HANDS_FOLDER, load_hand
 from handctl.log import attached_meshes as module
-from handctl.log.attached_meshes import MAX_BYTES, attached_meshes, mesh_attachments
+from handctl.log.attached_meshes import MAX_MESH_BYTES, attached_meshes, mesh_attachments
 from handctl.log.read.log_hand import described_hand
 from handctl.log.read.reader import RunLog
 from handctl.log.read.recover import recover_log
@@ -60,7 +60,7 @@ def test_a_mesh_of_several_links_is_there_once_and_placed_on_each(tmp_path: Path
 def test_meshes_beyond_the_bound_are_left_out_with_a_line(tmp_path: Path) -> None:
     write_meshes(tmp_path)
     with (tmp_path / "m.stl").open("r+b") as large:
-        large.truncate(MAX_BYTES)
+        large.truncate(MAX_MESH_BYTES)
     attachments, left_out = mesh_attachments(hand_with_meshes("t42"), tmp_path)
     assert not attachments
     assert left_out == [

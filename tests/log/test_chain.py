@@ -6,9 +6,9 @@ from pathlib import Path
 import synthetic_run
 
 from handctl.log.read.reader import RunLog
-from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record
-from handctl.log.topics.chain import first_hash_of_run, tick_hash
+from handctl.log.tick_record import RECORD_FRAMING_STRUCT, pack_tick_record
 from handctl.log.topics.clock_pairs import ClockPair, ClockStep, clock_steps
+from handctl.log.topics.hash_chain import first_hash_of_run, tick_hash
 from handctl.log.write.writer import LogWriter
 
 
@@ -19,7 +19,7 @@ def _write_log(
     left = iter(clocks)
     writer = LogWriter(path, run, lambda *what: None, 1, lambda: next(left))
     for tick in synthetic_run.SyntheticTicks(run, seconds):
-        writer.add(pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :])
+        writer.add_tick(pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :])
     writer.finish("finished", 0)
     return path
 
@@ -28,7 +28,9 @@ def test_each_digest_is_that_of_the_tick_s_bytes_and_the_digest_before(small_log
     with RunLog(small_log) as log:
         before, digests = first_hash_of_run(log.header), list(log.tick_digests())
         assert len(digests) == len(log) == len(set(digests))
-        for message, numbers, digest in zip(log.messages(), log.packed(), digests, strict=True):
+        for message, numbers, digest in zip(
+            log.tick_messages(), log.packed_telemetry(), digests, strict=True
+        ):
             assert digest == tick_hash(before, message, numbers)
             before = digest
         assert log.end["chain"] == before.hex()

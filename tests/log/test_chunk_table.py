@@ -15,8 +15,8 @@ def chunk_at(k: int) -> ChunkEntry:
 def test_each_chunk_has_its_position_and_those_of_its_message_indexes() -> None:
     table = ChunkTable()
     for k, behind in enumerate(({1: 0, 2: 40}, {}, {1: 0, 2: 40}, {2: 0})):
-        table.add(chunk_at(k), behind)
-    indexes = list(table.indexes())
+        table.add_chunk(chunk_at(k), behind)
+    indexes = list(table.chunk_indexes())
     assert len(table) == 4
     assert [index.message_index_offsets for index in indexes] == [
         {1: 700, 2: 740},
@@ -40,8 +40,8 @@ def test_each_chunk_has_its_position_and_those_of_its_message_indexes() -> None:
 def test_packing_changes_neither_their_order_nor_a_number(chunks: int) -> None:
     table = ChunkTable()
     for k in range(chunks):
-        table.add(chunk_at(k), {1: k % 3})
-    indexes = list(table.indexes())
+        table.add_chunk(chunk_at(k), {1: k % 3})
+    indexes = list(table.chunk_indexes())
     assert len(table) == len(indexes) == chunks
     for k, index in enumerate(indexes):
         assert (index.chunk_start_offset, index.message_start_time, index.message_end_time) == (
@@ -65,7 +65,7 @@ def test_an_hour_of_chunks_is_less_than_half_a_megabyte() -> None:
         size = chance.randrange(60_000, 90_000)
         times = (250_000_000 * k, 250_000_000 * k + 248_000_000)
         place = ChunkEntry(start, size, size - 40, 3 * size, *times, 4000)
-        table.add(place, {channel: 50 * channel + k % 7 for channel in channels})
+        table.add_chunk(place, {channel: 50 * channel + k % 7 for channel in channels})
         start += size + 4000
     memory, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()

@@ -38,7 +38,7 @@ def golden_log():  # type: ignore[no-untyped-def]
 
 
 def table_of(golden_log: RunLog) -> np.ndarray:
-    return np.array([np.frombuffer(row, "<f8") for row in golden_log.packed()])
+    return np.array([np.frombuffer(row, "<f8") for row in golden_log.packed_telemetry()])
 
 
 def test_parquet_reads_back_bit_for_bit(golden_log: RunLog, tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from handctl.log.export.lerobot import export_lerobot
 from handctl.log.export.parquet import export_parquet
 from handctl.log.export.tables import column_names, column_title, export_csv
 from handctl.log.read.reader import RunLog
-from handctl.view.feed import write_rrd
+from handctl.view.rerun_conversion import write_rrd
 from handctl.view.scene.run_info import RunInfo
 
 GOLDEN_LOG = Path(__file__).parents[2] / "logs" / "golden" / "jamia-fault.mcap"
@@ -31,7 +31,7 @@ def golden_log() -> Iterator[RunLog]:
 
 
 def table_of(golden_log: RunLog) -> np.ndarray:
-    return np.array([np.frombuffer(row, "<f8") for row in golden_log.packed()])
+    return np.array([np.frombuffer(row, "<f8") for row in golden_log.packed_telemetry()])
 
 
 def frames_of(path: Path) -> polars.DataFrame:
@@ -324,7 +324,7 @@ def test_rerun_reads_the_dataset(golden_log: RunLog, exported_dataset: Path) -> 
 
 
 def test_rerun_reads_the_recording(golden_log: RunLog, tmp_path: Path) -> None:
-    write_rrd(GOLDEN_LOG, RunInfo.of(golden_log.header, "x"), tmp_path / "x.rrd")
+    write_rrd(GOLDEN_LOG, RunInfo.from_header(golden_log.header, "x"), tmp_path / "x.rrd")
     lines: dict[str, list[tuple[int, list[float]]]] = {}
     for chunk in RrdReader(tmp_path / "x.rrd").stream().to_chunks():
         field = str(chunk.entity_path).removeprefix("/controller/")

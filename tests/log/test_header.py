@@ -187,7 +187,7 @@ def test_logs_of_other_columns_are_not_compared(
 
 @pytest.mark.parametrize("text", ["3.5", "[]", '{"torque_gain": [1.0]}', '{"torque_gain": 3}', "{"])
 def test_invalid_setup_is_refused_by_identify(small_log: Path, text: str) -> None:
-    from handctl.tune.identify.data import _logged_gain
+    from handctl.tune.identify.tendon_data import _logged_gain
 
     with RunLog(small_log) as log:
         log.header.attachments["setup.json"] = text.encode()

@@ -10,7 +10,7 @@ import synthetic_run
 from hostile_logs import hostile_files
 
 from handctl.cli.main import main
-from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record
+from handctl.log.tick_record import RECORD_FRAMING_STRUCT, pack_tick_record
 from handctl.log.write.writer import LogWriter
 
 EXIT_CODES = {
@@ -28,9 +28,9 @@ import contextlib, io, json, resource, sys, time
 from pathlib import Path
 from handctl.cli.main import main
 import handctl.log.read.reader, handctl.log.read.recover
-import handctl.replay.check, handctl.replay.damage, handctl.replay.execute
-import handctl.report.run_page, handctl.replay.diff, handctl.replay.other_limits
-import handctl.view.feed
+import handctl.replay.log_check, handctl.replay.log_damage, handctl.replay.execute
+import handctl.report.run_page, handctl.replay.phase_comparison, handctl.replay.limits_judgement
+import handctl.view.rerun_conversion
 folder, found = Path(sys.argv[1]), []
 (folder / "limits.toml").write_text("tension_trip_N = 20")
 VERBS = [["log", "info"], ["log", "check"], ["log", "recover"], ["report"], ["replay", "execute"],
@@ -90,7 +90,7 @@ def test_names_from_a_log_cannot_control_the_terminal_or_write_files(
     run = synthetic_run.synthetic_header(rate_hz=50, **more)
     writer = LogWriter(inner / "run.mcap", run, lambda *what: None, 1)
     for tick in synthetic_run.SyntheticTicks(run, 0.5):
-        writer.add(pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :])
+        writer.add_tick(pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :])
     writer.finish(evil, 0)
     for words in (
         ["log", "info"],

@@ -16,14 +16,14 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from handctl.log.message_types import MESSAGE_DEFINITIONS, schema_name, schema_text
 from handctl.log.read.reader import RunLog
-from handctl.log.record import pack_snapshot, pack_tick_record
+from handctl.log.tick_record import pack_snapshot, pack_tick_record
 from handctl.log.topics.can import encode_fd_frame
 from handctl.log.topics.event_topics import (
     encode_labelled_number,
     encode_parameter_event,
     encode_rosout,
 )
-from handctl.log.topics.health import DiagnosticStatus, encode_diagnostic_array
+from handctl.log.topics.health_topics import DiagnosticStatus, encode_diagnostic_array
 from handctl.log.write.recorder import Recorder
 
 STANDARD_PACKAGES = (
@@ -46,9 +46,9 @@ def varied_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run = varied_run.varied_header(deterministic=False)
     recorder = Recorder.start(path, run)
     for tick_in, out in varied_run.varied_ticks(run):
-        assert recorder.record(pack_tick_record(tick_in, out))
+        assert recorder.send_record(pack_tick_record(tick_in, out))
         if tick_in.k in SNAPSHOTS:
-            assert recorder.record(pack_snapshot(tick_in, SNAPSHOTS[tick_in.k]))
+            assert recorder.send_record(pack_snapshot(tick_in, SNAPSHOTS[tick_in.k]))
     assert recorder.close("finished")["complete"]
     return path
 

@@ -24,7 +24,7 @@ from handctl.core.tick_types import TELEMETRY_AXES, TELEMETRY_FIELDS
 from handctl.errors import LogError
 from handctl.log.read.logfile import LogErrorContext
 from handctl.log.read.reader import RunLog
-from handctl.log.record import TickRecord, pack_tick_record
+from handctl.log.tick_record import TickRecord, pack_tick_record
 from handctl.log.write.recorder import Recorder
 from handctl.printing import printable_text
 
@@ -35,7 +35,7 @@ def varied_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run = varied_run.varied_header(deterministic=False)
     recorder = Recorder.start(path, run)
     for tick in varied_run.varied_ticks(run):
-        assert recorder.record(pack_tick_record(*tick))
+        assert recorder.send_record(pack_tick_record(*tick))
         time.sleep(0.003)
     recorder.close("finished")
     return path
@@ -78,7 +78,7 @@ def test_a_log_without_the_latest_fields_is_read(
     monkeypatch.setitem(TELEMETRY_AXES, "coming", "joint")
     for module in ("batch", "read.reader"):
         monkeypatch.setattr(f"handctl.log.{module}.TELEMETRY_FIELDS", (*TELEMETRY_FIELDS, "coming"))
-    monkeypatch.setattr("handctl.log.batch.TELEMETRY_FIRST", len(TELEMETRY_FIELDS))
+    monkeypatch.setattr("handctl.log.tick_batch.TELEMETRY_FIRST", len(TELEMETRY_FIELDS))
     with RunLog(varied_log) as log:
         assert log.fields == TELEMETRY_FIELDS
         assert np.isnan(log.field("coming")).all()
@@ -99,7 +99,7 @@ def test_reader_returns_times_gaps_events_and_phases_as_written(varied_log: Path
         assert [(one.k, one.event) for one in log.events] == expected
         assert [one.name for one in log.phases] == ["idle", "close", "h\u00e4lt", ""]
         before = [a.k for (a, _), (b, _) in itertools.pairwise(ticks) if b.k - a.k > 1]
-        assert [gap.before for gap in log.gaps] == before
+        assert [gap.last_before for gap in log.gaps] == before
         assert len(before) == 7
         assert int(log.end["missed"]) == 21
 

@@ -20,7 +20,7 @@ from handctl.core.tick_types import (
 )
 from handctl.drives.frame import FDF, Frame
 from handctl.drives.frame_records import frames_as_records
-from handctl.log.record import (
+from handctl.log.tick_record import (
     RECORD_FRAMING_STRUCT,
     message_layout,
     pack_tick,
@@ -119,7 +119,7 @@ def test_the_layout_agrees_with_the_decoder(tick_in: TickIn, out: TickOut) -> No
     long_data = b"".join(frame.data[8:] for frame in tick_in.frames + out.frames)
     assert message[places.long_data] == long_data
     phase = out.phase.encode("utf-8")
-    assert message[places.tail + 4 : places.tail + 4 + len(phase)] == phase
+    assert message[places.tail_offset + 4 : places.tail_offset + 4 + len(phase)] == phase
 
 
 @settings(deadline=None)

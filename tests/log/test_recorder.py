@@ -19,11 +19,11 @@ import varied_run
 from handctl.core.tick_types import IoEvent, TickIn
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
-from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record
-from handctl.log.write import child
-from handctl.log.write.child import recorder_process_ahead
-from handctl.log.write.process import RECORDER_NICE_VALUE
+from handctl.log.tick_record import RECORD_FRAMING_STRUCT, pack_tick_record
+from handctl.log.write import recorder_start
 from handctl.log.write.recorder import PIPE_BYTES, Recorder
+from handctl.log.write.recorder_process import RECORDER_NICE_VALUE
+from handctl.log.write.recorder_start import recorder_process_ahead
 from handctl.log.write.syncer import DiskSyncer
 from handctl.log.write.writer import LogWriter
 
@@ -82,7 +82,7 @@ def test_a_recorder_that_does_not_start_in_time_is_named(
     python = tmp_path / "python"
     python.write_text("#!/bin/sh\nexec sleep 10\n")
     python.chmod(0o755)
-    monkeypatch.setattr("handctl.log.write.child.sys.executable", str(python))
+    monkeypatch.setattr("handctl.log.write.recorder_start.sys.executable", str(python))
     monkeypatch.setattr("handctl.log.write.recorder.START_TIMEOUT_S", 0.2)
     with pytest.raises(
         LogError, match=r"has not started within 0\.2 s; expected a computer with less other load"
@@ -94,7 +94,7 @@ def test_a_process_started_ahead_records_the_first_run(
     start_recorder: Callable[..., Recorder], tmp_path: Path
 ) -> None:
     with recorder_process_ahead():
-        (waiting,) = child._started_ahead
+        (waiting,) = recorder_start._started_ahead
         first = start_recorder("first.mcap")
         second = start_recorder("second.mcap")
         assert waiting.child.poll() is None
@@ -106,15 +106,15 @@ def test_a_process_started_ahead_records_the_first_run(
 
 def test_an_unused_recorder_process_started_ahead_is_ended() -> None:
     with recorder_process_ahead():
-        (waiting,) = child._started_ahead
+        (waiting,) = recorder_start._started_ahead
     assert waiting.child.returncode is not None
-    assert child._started_ahead == []
+    assert recorder_start._started_ahead == []
     with pytest.raises(OSError, match="Bad file descriptor"):
         os.fstat(waiting.pipe)
 
 
 def test_a_process_started_ahead_ends_with_its_controller() -> None:
-    code = "from handctl.log.write import child\nprint(child.start_recorder_process().child.pid)"
+    code = "from handctl.log.write import recorder_start\nprint(recorder_start.start_recorder_process().child.pid)"
     ended = subprocess.run(
         [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, check=False
     )
@@ -158,7 +158,7 @@ def test_a_killed_recorder_loses_a_quarter_of_a_second(
     recorder, records = start_recorder(), _make_records(number)
     started = time.monotonic()
     for k, record in enumerate(records):
-        assert recorder.record(record)
+        assert recorder.send_record(record)
         time.sleep(max(0.0, started + (k + 1) * 0.001 - time.monotonic()))
     os.kill(recorder._child.pid, signal.SIGKILL)
     killed = time.monotonic()
@@ -169,9 +169,9 @@ def test_a_killed_recorder_loses_a_quarter_of_a_second(
         lost = len(records) - len(log)
         assert len(list(log.ticks())) == len(log)
     assert lost * 0.001 <= 0.25 + (killed - started - number * 0.001)
-    assert not recorder.record(records[0])
-    assert IoEvent("recorder", "gone") in recorder.events()
-    assert recorder.events() == ()
+    assert not recorder.send_record(records[0])
+    assert IoEvent("recorder", "gone") in recorder.take_events()
+    assert recorder.take_events() == ()
     summary = recorder.close("gone")
     assert not summary["complete"]
     assert summary["dropped"] == 1
@@ -181,21 +181,21 @@ def test_a_stalled_recorder_never_holds_up_the_controller(
     start_recorder: Callable[..., Recorder], tmp_path: Path
 ) -> None:
     recorder, records = start_recorder(), _make_records(3000)
-    recorder.record(records[0])
+    recorder.send_record(records[0])
     os.kill(recorder._child.pid, signal.SIGSTOP)
     taken, longest, events = [], 0.0, []
     for k, record in enumerate(records[1:], 1):
         started = time.perf_counter()
-        if recorder.record(record):
+        if recorder.send_record(record):
             taken.append(k)
         longest = max(longest, time.perf_counter() - started)
-        events += recorder.events()
+        events += recorder.take_events()
     os.kill(recorder._child.pid, signal.SIGCONT)
     assert longest < 0.05
     assert 100 < len(taken) < len(records) - 100
     assert [event.where for event in events][:2] == ["filling", "dropped"]
     assert sum(event.number for event in events if event.where == "dropped") == recorder.dropped
-    assert _wait_until(lambda: recorder.record(records[-1]))
+    assert _wait_until(lambda: recorder.send_record(records[-1]))
     summary = recorder.close("finished")
     with RunLog(tmp_path / "run.mcap") as log:
         assert log.k.tolist() == [0, *taken, len(records) - 1]
@@ -214,9 +214,9 @@ def test_a_deterministic_run_has_no_event_of_the_time_that_its_recorder_takes(
     for record in _make_records(1000):
         if sent > 0.52 * recorder._size:
             break
-        assert recorder.record(record)
+        assert recorder.send_record(record)
         sent += len(record)
-        events += recorder.events()
+        events += recorder.take_events()
     os.kill(recorder._child.pid, signal.SIGCONT)
     assert sent > recorder._size // 2
     assert events == []
@@ -234,7 +234,7 @@ def test_records_longer_than_an_atomic_write_stay_whole(
             os.kill(recorder._child.pid, signal.SIGCONT)
             time.sleep(0.1)
         text = chance.choice("ab") * chance.randrange(9_000, 30_000)
-        if recorder.record(pack_tick_record(tick_in._replace(requests=(text,)), out)):
+        if recorder.send_record(pack_tick_record(tick_in._replace(requests=(text,)), out)):
             taken.append((k, text))
     assert 0 < recorder.dropped < len(ticks) - 100
     recorder.close("finished")
@@ -248,9 +248,9 @@ def test_telemetry_of_another_shape_is_announced(
     recorder = start_recorder()
     other = synthetic_run.synthetic_header("jamia11", rate_hz=1000)
     for tick in synthetic_run.SyntheticTicks(other, 0.01):
-        recorder.record(pack_tick_record(*tick))
+        recorder.send_record(pack_tick_record(*tick))
     events: list[IoEvent] = []
-    assert _wait_until(lambda: bool(events.extend(recorder.events())) or bool(events))
+    assert _wait_until(lambda: bool(events.extend(recorder.take_events())) or bool(events))
     assert events == [IoEvent("recorder", "misshapen", 1)]
 
 
@@ -258,7 +258,7 @@ def test_a_lockstep_run_waits_and_loses_nothing(
     start_recorder: Callable[..., Recorder], tmp_path: Path
 ) -> None:
     recorder, records = start_recorder(deterministic=True), _make_records(3000)
-    assert all(recorder.record(record) for record in records)
+    assert all(recorder.send_record(record) for record in records)
     summary = recorder.close("finished")
     assert (summary["ticks"], summary["dropped"], summary["complete"]) == (3000, 0, True)
 
@@ -271,7 +271,7 @@ def test_interrupts_do_not_reach_the_recorder(
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         os.kill(recorder._child.pid, number)
     for record in _make_records(10):
-        assert recorder.record(record)
+        assert recorder.send_record(record)
     assert recorder.close("stopped by hand")["ticks"] == 10
     with RunLog(tmp_path / "run.mcap") as log:
         assert log.end["reason"] == "stopped by hand"
@@ -331,12 +331,12 @@ def test_a_failed_write_is_announced_and_ends_the_file(
     resource.prlimit(recorder._child.pid, resource.RLIMIT_FSIZE, (LIMIT_BYTES, LIMIT_BYTES))
     events: list[IoEvent] = []
     for record in records:
-        recorder.record(record)
+        recorder.send_record(record)
         time.sleep(0.0002)
-        events += recorder.events()
+        events += recorder.take_events()
     assert _wait_until(
         lambda: (
-            bool(events.extend(recorder.events()))
+            bool(events.extend(recorder.take_events()))
             or any(one.where == "disk_full" for one in events)
         )
     )
@@ -370,9 +370,9 @@ def test_a_full_disk_leaves_a_whole_file(
         _make_records(3000),
     )
     for record in records:
-        recorder.record(record)
+        recorder.send_record(record)
         time.sleep(0.0005)
-    assert _wait_until(lambda: any(event.where == "disk_full" for event in recorder.events()))
+    assert _wait_until(lambda: any(event.where == "disk_full" for event in recorder.take_events()))
     recorder.close("finished")
     _readable_prefix(tiny_disk / "run.mcap", len(records))
     with RunLog(tiny_disk / "run.mcap") as log:
@@ -390,7 +390,7 @@ def test_a_full_disk_has_reserved_space_for_the_end(tiny_disk: Path) -> None:
         700_000,
     )
     for record in _make_records(200):
-        writer.add(record[RECORD_FRAMING_STRUCT.size :])
+        writer.add_tick(record[RECORD_FRAMING_STRUCT.size :])
     writer.flush()
     with (tiny_disk / "other").open("wb", buffering=0) as other, suppress(OSError):
         while True:
@@ -412,7 +412,7 @@ def test_the_syncing_process_does_not_hold_the_reserved_space(tiny_disk: Path) -
         to_disk=syncer,
     )
     for record in _make_records(100):
-        writer.add(record[RECORD_FRAMING_STRUCT.size :])
+        writer.add_tick(record[RECORD_FRAMING_STRUCT.size :])
     writer.flush()
     writer.sync()
     with (tiny_disk / "other").open("wb", buffering=0) as other, suppress(OSError):
@@ -432,8 +432,8 @@ def test_recording_a_tick_is_fast(start_recorder: Callable[..., Recorder]) -> No
     spent = []
     for k in range(300):
         started = time.perf_counter()
-        recorder.record(pack_tick_record(TickIn(k, k * 1_000_000, 0, tick_in.frames), out))
-        recorder.events()
+        recorder.send_record(pack_tick_record(TickIn(k, k * 1_000_000, 0, tick_in.frames), out))
+        recorder.take_events()
         spent.append(time.perf_counter() - started)
         time.sleep(0.0005)
     assert sorted(spent)[len(spent) // 2] < 200e-6
@@ -449,7 +449,7 @@ def test_the_recorder_needs_no_compiler(tmp_path: Path) -> None:
     recorder = Recorder.start(path, run, 1)
     size = path.stat().st_size
     for tick in varied_run.varied_ticks(run):
-        recorder.record(pack_tick_record(*tick))
+        recorder.send_record(pack_tick_record(*tick))
     assert _wait_until(lambda: path.stat().st_size > size)
     mapped = Path(f"/proc/{recorder._child.pid}/maps").read_text()
     assert recorder.close("finished")["complete"]

@@ -106,7 +106,7 @@ def test_a_recovered_file_is_readable_by_others_and_marked_as_recovered(
     raw, scan = small_log.read_bytes(), _scan_log(small_log)
     recovery, out = _recover_bytes(raw[: scan.chunks[6].end + 5], tmp_path)
     assert recovery.status == RecoveryStatus.LOSSY
-    assert recovery.lost[-1][1] == scan.chunks[6].end + 5
+    assert recovery.lost_ranges[-1][1] == scan.chunks[6].end + 5
     recovered = read_messages(out)
     assert len(recovered) == recovery.messages
     last = max(one.log_time for one in recovered if one.topic == "/tick")
@@ -120,7 +120,11 @@ def test_a_recovered_file_is_readable_by_others_and_marked_as_recovered(
 
 def test_a_complete_file_is_copied_unchanged(small_log: Path, tmp_path: Path) -> None:
     recovery, out = _recover_bytes(small_log.read_bytes(), tmp_path)
-    assert (recovery.status, recovery.lost, recovery.problem) == (RecoveryStatus.WHOLE, (), "")
+    assert (recovery.status, recovery.lost_ranges, recovery.problem) == (
+        RecoveryStatus.WHOLE,
+        (),
+        "",
+    )
     assert read_messages(out) == read_messages(small_log)
     with RunLog(out) as log, RunLog(small_log) as old:
         assert log.end == old.end
@@ -130,11 +134,11 @@ def test_a_complete_file_is_copied_unchanged(small_log: Path, tmp_path: Path) ->
 def test_one_damaged_chunk_is_left_out_and_the_rest_copied(small_log: Path, tmp_path: Path) -> None:
     raw, scan = bytearray(small_log.read_bytes()), _scan_log(small_log)
     hit = scan.chunks[4]
-    raw[hit.data + 50] ^= 0xFF
+    raw[hit.data_offset + 50] ^= 0xFF
     recovery, out = _recover_bytes(bytes(raw), tmp_path)
     assert recovery.status == RecoveryStatus.LOSSY
     assert recovery.chunks == len(scan.chunks) - 1
-    assert recovery.lost[0] == (hit.offset, hit.end)
+    assert recovery.lost_ranges[0] == (hit.offset, hit.end)
     with RunLog(out) as log:
         assert len(log.gaps) == 1
         assert len(list(log.ticks())) == len(log)
@@ -155,7 +159,7 @@ def test_a_damaged_record_affects_no_other(small_log: Path, tmp_path: Path, what
     recovery, out = _recover_bytes(bytes(raw), tmp_path)
     assert recovery.status == RecoveryStatus.LOSSY
     assert recovery.chunks == len(scan.chunks) - (what == "chunk's header")
-    start, end = recovery.lost[0]
+    start, end = recovery.lost_ranges[0]
     assert start < at < end
     recovered = _scan_log(out)
     assert not recovered.problem

@@ -21,7 +21,7 @@ from handctl.hand.digit import DigitModel
 from handctl.hand.hand_loading import load_hand
 from handctl.hand.link_frames import link_transforms
 from handctl.log.header import RunHeader
-from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record
+from handctl.log.tick_record import RECORD_FRAMING_STRUCT, pack_tick_record
 from handctl.log.topics.transforms import link_frames
 from handctl.log.write.writer import LogWriter
 from handctl.programs.requests import target_request_text
@@ -39,7 +39,7 @@ def _write_log(
     problems: list[str] = []
     writer = LogWriter(path, run, lambda event, number: problems.append(event), 1)
     for index, body in enumerate(bodies):
-        writer.add(body)
+        writer.add_tick(body)
         if index in flush_at:
             writer.flush()
     writer.finish("finished", 0)

@@ -96,7 +96,8 @@ def _tick_output(run: RunHeader, index: int, random: np.random.Generator) -> Tic
 
 def _random_telemetry(run: RunHeader, index: int, random: np.random.Generator) -> Telemetry:
     values = {
-        name: random.standard_normal(len(run.axis(axis))) for name, axis in TELEMETRY_AXES.items()
+        name: random.standard_normal(len(run.axis_names(axis)))
+        for name, axis in TELEMETRY_AXES.items()
     }
     if index % 5 == 0:
         values["joint_encoder"][:] = np.nan

@@ -17,7 +17,7 @@ def measured() -> dict[str, Any]:
     """Return two tendons with noise, and a load case for each diameter and axis."""
     chance = np.random.default_rng(11)
     ropes = []
-    for knee in map(float, src.KNEES_N):
+    for knee in map(float, src.KNEE_TENSIONS_N):
         law = TendonElasticity(1e5, 0.4e5, knee, 0.3e-3, 30.0)
         travel = np.linspace(1e-4, law.stretch(242.0), 1500)
         force = np.array([law.elastic_tension(x) for x in travel.tolist()]) + chance.normal(

@@ -11,8 +11,8 @@ from handctl.hand import dynamics
 from handctl.paper.model import equations
 
 EQUATION_TERMS = [
-    term.readings[0] if os.environ["HANDCTL_EQ10"] == "printed" else term.right
-    for term in equations.TORQUE_1
+    term.readings[0] if os.environ["HANDCTL_EQ10"] == "printed" else term.correct
+    for term in equations.TORQUE_TERMS_1
 ]
 PRESENT_TORQUE = dynamics._rigid_body_torque
 
@@ -39,8 +39,8 @@ def torque_of_eq10(digit, gravity, q, dq, ddq):
     gx, gy, _ = gravity @ digit.mount_rotation
     angle = states["th1"]
     weight = gx * sin(angle) - gy * cos(angle)
-    moving = sum(term.value(states) for term in EQUATION_TERMS[:-1])
-    still = EQUATION_TERMS[-1].value({**states, "th1": 0.0}) * weight
+    moving = sum(term.evaluate(states) for term in EQUATION_TERMS[:-1])
+    still = EQUATION_TERMS[-1].evaluate({**states, "th1": 0.0}) * weight
     first = moving + still + tau2 - r2 * ddq[1] + r1 * ddq[0]
     return (float(first), tau2, tau3)[: digit.joint_count]
 

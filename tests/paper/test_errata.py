@@ -10,7 +10,7 @@ from handctl.hand.digit import DigitModel
 from handctl.hand.dynamics import gravity_torque, inverse_dynamics
 from handctl.paper import sections
 from handctl.paper import sources as src
-from handctl.paper.item import ErrataItem, ErrataVerdict
+from handctl.paper.errata_item import ErrataItem, ErrataVerdict
 from handctl.paper.model import equations, kinematics, lagrange, motion
 
 PARAMETER_SYMBOLS = sp.symbols("I1:4 m1:4 L1:4 d1:4 g", positive=True)
@@ -53,12 +53,12 @@ def in_symbols(expression: sp.Expr) -> sp.Expr:
 
 
 def total_of_terms(terms: tuple[equations.EquationTerm, ...]) -> sp.Expr:
-    return sp.expand(sp.expand_trig(sum(symbolic_expression(term.right.text) for term in terms)))
+    return sp.expand(sp.expand_trig(sum(symbolic_expression(term.correct.text) for term in terms)))
 
 
 def test_corrected_energies_are_those_of_three_links() -> None:
     kinetic, potential = derived_energies()
-    printed = (equations.KINETIC_1, equations.KINETIC_2, equations.KINETIC_3)
+    printed = (equations.KINETIC_TERMS_1, equations.KINETIC_TERMS_2, equations.KINETIC_TERMS_3)
     for mine, derived in zip(printed, kinetic, strict=True):
         assert sp.simplify(total_of_terms(mine) - in_symbols(derived)) == 0
     assert sp.simplify(total_of_terms(equations.POTENTIAL_TERMS) - in_symbols(potential)) == 0
@@ -100,7 +100,8 @@ def test_the_thumb_equations_are_the_same_without_a_third_link() -> None:
                 f"ddth{k + 1}": acceleration[k],
             }
         mine = [
-            sum(term.right.value(states) for term in terms) for terms in equations.TORQUE_TERMS[:2]
+            sum(term.correct.evaluate(states) for term in terms)
+            for terms in equations.TORQUE_TERMS[:2]
         ]
         q, dq, ddq = (np.diff(values, prepend=0.0) for values in (theta, rate, acceleration))
         tau = np.array(inverse_dynamics(thumb, q, dq, ddq)) - np.array(thumb.armature) * ddq
@@ -112,7 +113,7 @@ def test_each_verdict_on_a_term_agrees_with_sympy(item: ErrataItem) -> None:
     terms = [*equations.KINETIC_TERMS, *equations.POTENTIAL_TERMS, *sum(equations.TORQUE_TERMS, ())]
     term = next(term for term in terms if term.id == item.id)
     same = [
-        sp.simplify(symbolic_expression(reading.text) - symbolic_expression(term.right.text)) == 0
+        sp.simplify(symbolic_expression(reading.text) - symbolic_expression(term.correct.text)) == 0
         for reading in term.readings
     ]
     expected = (
@@ -132,7 +133,7 @@ def test_the_corrected_mass_matrix_is_symmetric_and_the_printed_one_is_not() -> 
     def matrix(which: str) -> sp.Matrix:
         rows = []
         for terms in equations.TORQUE_TERMS:
-            torque = sum(symbolic_expression(getattr(term, which)[0].text if which == "readings" else term.right.text)
+            torque = sum(symbolic_expression(getattr(term, which)[0].text if which == "readings" else term.correct.text)
                          for term in terms)  # fmt: skip
             rows.append([sp.diff(torque, DERIVATIVE_SYMBOLS[f"ddth{k}"]) for k in (1, 2, 3)])
         return sp.Matrix(rows)
@@ -232,10 +233,12 @@ def test_the_joint_that_holds_the_straight_finger_carries_its_whole_weight() -> 
 
 def test_numbers_of_the_paper_are_judged_without_springs() -> None:
     """The paper's hand has no springs, so its numbers are compared with the torque of the links alone."""
-    fast = motion.closing_torques("index", motion.DURATIONS_S[-1])
-    links = sum(fast.parts[part] for part in ("inertia", "Coriolis", "gravity"))
+    fast = motion.closing_torques("index", motion.CLOSING_DURATIONS_S[-1])
+    links = sum(fast.torque_by_cause[part] for part in ("inertia", "Coriolis", "gravity"))
     found = {item.id: item for item in sections.page_items(None)}
-    assert found["sec7.complete"].computed == pytest.approx(float(np.abs(links).max()) / fast.lever)
+    assert found["sec7.complete"].computed == pytest.approx(
+        float(np.abs(links).max()) / fast.lever_m
+    )
     assert found["sec8.torque"].computed == pytest.approx(1000.0 * float(np.abs(links).max()))
 
 
@@ -265,10 +268,14 @@ def test_inverse_kinematics_reaches_the_points_of_the_path() -> None:
 
 def test_the_parts_of_a_closing_motion_add_up() -> None:
     fast, slow = motion.closing_torques("index", 0.15), motion.closing_torques("index", 0.6)
-    assert fast.tension("inertia") == pytest.approx(16.0 * slow.tension("inertia"), rel=1e-6)
-    assert fast.tension("Coriolis") == pytest.approx(16.0 * slow.tension("Coriolis"), rel=1e-6)
-    assert fast.tension("gravity") == pytest.approx(slow.tension("gravity"), rel=1e-9)
+    assert fast.peak_tension("inertia") == pytest.approx(
+        16.0 * slow.peak_tension("inertia"), rel=1e-6
+    )
+    assert fast.peak_tension("Coriolis") == pytest.approx(
+        16.0 * slow.peak_tension("Coriolis"), rel=1e-6
+    )
+    assert fast.peak_tension("gravity") == pytest.approx(slow.peak_tension("gravity"), rel=1e-9)
     digit = motion.upright_digit("index")
     weight = sum(gravity_torque(digit, (0.0, 0.0, 0.0)))
     assert weight > 0.0
-    assert fast.parts["gravity"][0] == pytest.approx(weight)
+    assert fast.torque_by_cause["gravity"][0] == pytest.approx(weight)

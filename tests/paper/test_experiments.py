@@ -16,7 +16,7 @@ from handctl.errors import HandctlError
 from handctl.hand.hand_loading import load_hand
 from handctl.paper import sections
 from handctl.paper.bench import experiments, force_displacement, payload, pool
-from handctl.report.truth import TruthRecord
+from handctl.report.truth_record import TruthRecord
 
 REPOSITORY_ROOT = Path(__file__).parents[2]
 RESULTS_FILE = REPOSITORY_ROOT / "docs" / "evidence" / "paper-results.json"

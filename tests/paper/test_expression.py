@@ -14,7 +14,7 @@ EQUATION_TERMS = [
     *sum(equations.TORQUE_TERMS, ()),
 ]
 FORMULA_TEXTS = sorted(
-    {expression.text for term in EQUATION_TERMS for expression in (*term.readings, term.right)}
+    {expression.text for term in EQUATION_TERMS for expression in (*term.readings, term.correct)}
 )
 
 
@@ -23,14 +23,14 @@ def test_values_equal_those_of_sympy(text: str) -> None:
     states, expression = random_states(), Expression(text)
     names = sorted(expression.names)
     theirs = sympy.lambdify([sympy.Symbol(name) for name in names], sympy.sympify(text), "numpy")
-    assert expression.value(states) == pytest.approx(
+    assert expression.evaluate(states) == pytest.approx(
         theirs(*(states[name] for name in names)), rel=1e-12, abs=1e-12
     )
 
 
 @pytest.mark.parametrize("term", EQUATION_TERMS, ids=lambda term: term.id)
 def test_right_terms_are_energies_or_torques(term: equations.EquationTerm) -> None:
-    assert term.right.dimension(SYMBOL_DIMENSIONS) == ENERGY_DIMENSION
+    assert term.correct.dimension(SYMBOL_DIMENSIONS) == ENERGY_DIMENSION
 
 
 @pytest.mark.parametrize("text", ["m1 + d1", "sin(d1)", "m1*d1 - g"])
@@ -57,7 +57,7 @@ def test_dimensions_multiply_and_divide() -> None:
     ],
 )
 def test_expression_is_typeset_as_expected(text: str, looks: str) -> None:
-    assert Expression(text).pretty() == looks
+    assert Expression(text).as_typeset_text() == looks
 
 
 def test_names_are_found_and_other_code_is_refused() -> None:
@@ -65,5 +65,5 @@ def test_names_are_found_and_other_code_is_refused() -> None:
     assert Expression("sin(th1)*pi*m2").names == {"th1", "m2"}
     for text in ("__import__('os')", "a if b else c", "[1]"):
         with pytest.raises((ValueError, KeyError)):
-            Expression(text).value({"a": 1.0})
-    assert np.allclose(Expression("2*x").value({"x": np.ones(3)}), 2.0)
+            Expression(text).evaluate({"a": 1.0})
+    assert np.allclose(Expression("2*x").evaluate({"x": np.ones(3)}), 2.0)

@@ -13,7 +13,7 @@ import pytest
 from handctl.cli.main import main
 from handctl.paper import page, sections
 from handctl.paper.bench import experiments, payload
-from handctl.paper.item import ErrataVerdict
+from handctl.paper.errata_item import ErrataVerdict
 
 REPOSITORY_ROOT = Path(__file__).parents[2]
 PAGE_FILE = REPOSITORY_ROOT / "docs" / "evidence" / "paper.md"

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handctl.paper.item import ErrataVerdict
+from handctl.paper.errata_item import ErrataVerdict
 from handctl.paper.verdicts import (
     last_digit_value,
     rounding_interval,

@@ -5,8 +5,8 @@ from numpy.typing import NDArray
 
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
-from handctl.replay.compare import resampled_field
 from handctl.replay.motion_replay import active_interval
+from handctl.replay.run_comparison import resampled_field
 from handctl.report.summary import mean_angles
 
 SETTLED_S = 0.4

@@ -13,12 +13,17 @@ from handctl.core.gains.gains import Gains
 from handctl.core.tick_types import IoEvent, TickIn, TickOut
 from handctl.drives.frame import Frame
 from handctl.hand.hand_loading import hand_path, load_hand
-from handctl.log.record import pack_tick_record
+from handctl.log.tick_record import pack_tick_record
 from handctl.log.write.recorder import Recorder
 from handctl.programs.program import Program
 from handctl.programs.task import load_task
 from handctl.programs.task_program import TaskProgram
-from handctl.runtime.clocks.lockstep import LockstepBus, LockstepClock, LockstepPeer, load_peer
+from handctl.runtime.clocks.lockstep import (
+    LockstepBus,
+    LockstepClock,
+    LockstepSimulator,
+    load_simulator,
+)
 from handctl.runtime.loop import ControlLoop
 from handctl.session.header import run_header
 from handctl.session.plan import RunPlan
@@ -73,7 +78,7 @@ class PeerWithLostReplies:
         since_ns: start of the loss [ns].
     """
 
-    peer: LockstepPeer
+    peer: LockstepSimulator
     can_id: int
     since_ns: int
 
@@ -106,7 +111,7 @@ def record_lockstep_run(
     rate_hz: float = 250.0,
     friction: float = 0.5,
     seed: int = 0,
-    spoil: Callable[[LockstepPeer], LockstepPeer] = lambda peer: peer,
+    spoil: Callable[[LockstepSimulator], LockstepSimulator] = lambda peer: peer,
     io_events: dict[int, tuple[IoEvent, ...]] | None = None,
     requests: dict[int, tuple[str, ...]] | None = None,
     truth: Path | None = None,
@@ -134,7 +139,7 @@ def record_lockstep_run(
             "homed": True,
         }
         options["truth_path"] = str(truth) if truth else None
-        peer = load_peer(
+        peer = load_simulator(
             "firmware_sim.lockstep_hand:LockstepHand", **options, period_ns=plan.period_ns
         )
     clock = LockstepClock(spoil(peer), plan.period_ns)
@@ -146,7 +151,7 @@ def record_lockstep_run(
     recorder = Recorder.start(log, replace(header, wall={}, attachments=attachments))
 
     def record(entry: TickIn, out: TickOut) -> None:
-        recorder.record(pack_tick_record(entry, out))
+        recorder.send_record(pack_tick_record(entry, out))
 
     loop = ControlLoop(
         clock,
@@ -155,7 +160,7 @@ def record_lockstep_run(
         controller.begin_tick,
         controller.cut_frames(),
         lambda: (requests or {}).get(clock.k, ()),
-        lambda: [*recorder.events(), *(io_events or {}).get(clock.k, ())],
+        lambda: [*recorder.take_events(), *(io_events or {}).get(clock.k, ())],
         record,
         lambda entry, out: None,
         snapshot_recorder(recorder),
@@ -167,7 +172,7 @@ def record_lockstep_run(
         peer.close()
 
 
-def peer_with_silent_index(peer: LockstepPeer) -> LockstepPeer:
+def peer_with_silent_index(peer: LockstepSimulator) -> LockstepSimulator:
     """Return a peer whose index motor sends no replies from 2.2 s on. This is during the hold."""
     return PeerWithLostReplies(peer, 0x11, 2_200_000_000)
 

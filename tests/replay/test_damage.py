@@ -13,8 +13,8 @@ from handctl.log.read.logfile import ChunkLocation, LogFile
 from handctl.log.read.reader import RunLog
 from handctl.log.read.record_scan import RecordScan, scan_records
 from handctl.log.read.recover import recover_log
-from handctl.replay.check import check_log
-from handctl.replay.damage import first_damage
+from handctl.replay.log_check import check_log
+from handctl.replay.log_damage import first_damage
 
 
 @pytest.fixture
@@ -35,11 +35,13 @@ def _change_message(path: Path, topic: str, k: int, at: int, fitting: bool) -> N
     file, scan = _scan_chunks(path)
     names = {
         name: number
-        for number, _, name, _, _ in schemas_and_channels(file.content(scan.chunks[0])).channels
+        for number, _, name, _, _ in schemas_and_channels(
+            file.chunk_content(scan.chunks[0])
+        ).channels
     }
     for chunk in scan.chunks:
-        content = file.content(chunk)
-        for one in iter_messages(content, chunk.end - chunk.data, frozenset([names[topic]])):
+        content = file.chunk_content(chunk)
+        for one in iter_messages(content, chunk.end - chunk.data_offset, frozenset([names[topic]])):
             hit = [i for i, sequence in enumerate(one.sequence().tolist()) if sequence == k]
             if hit:
                 bent = bytearray(content)
@@ -55,7 +57,7 @@ def _put_chunk(
     """Write a log in which a chunk has other bytes. The file ends without its last checksum."""
     raw = path.read_bytes()
     packed = lz4.frame.compress(bent)
-    head = bytearray(raw[chunk.offset : chunk.data])
+    head = bytearray(raw[chunk.offset : chunk.data_offset])
     head[1:9] = (len(head) - 9 + len(packed)).to_bytes(8, "little")
     if fitting:
         head[33:37] = zlib.crc32(bent).to_bytes(4, "little")
@@ -93,7 +95,7 @@ def test_log_check_reports_any_changed_byte_of_a_chunk(
     _, scan = _scan_chunks(log_copy)
     chunk = scan.chunks[5]
     raw = bytearray(log_copy.read_bytes())
-    raw[(chunk.data + chunk.end) // 2] ^= 1
+    raw[(chunk.data_offset + chunk.end) // 2] ^= 1
     log_copy.write_bytes(raw)
     assert main(["log", "check", str(log_copy), "--json"]) == 1
     findings = json.loads(capsys.readouterr().out)["findings"]

@@ -101,16 +101,16 @@ def test_a_hand_follows_an_episode_in_lockstep(exported_dataset: Path) -> None:
     program = PlaybackProgram(find_episode(exported_dataset, 1, JAMIA_HAND, jamia.period, 200.0))
     controller = homed_controller(jamia, program)
     errors, faults = [], set()
-    with SimulatorSettings("jamia", homed=True).against(controller) as run:
-        for _, out in run.ticks(40.0):
+    with SimulatorSettings("jamia", homed=True).begin_run(controller) as run:
+        for _, out in run.run_ticks(40.0):
             faults |= {event.text for event in out.events if event.name == "fault"}
             if out.phase == "playback":
-                true = run.peer.world.plant.engine.q
+                true = run.simulated_hand.world.plant.engine.q
                 errors.append(
                     np.degrees(true[:9] - out.telemetry.q_goal[:9]).reshape(3, 3).mean(axis=1)
                 )
-        assert run.out is not None
-        assert run.out.mode == HandMode.DONE
+        assert run.last_output is not None
+        assert run.last_output.mode == HandMode.DONE
     assert faults == set()
     assert run.state.progress.finished
     assert len(errors) * jamia.period == pytest.approx(

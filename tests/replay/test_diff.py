@@ -8,9 +8,9 @@ import pytest
 
 from handctl.errors import IncomparableError
 from handctl.log.read.reader import RunLog
-from handctl.replay.check import check_log
-from handctl.replay.compare import compare_signals, difference_lines
-from handctl.replay.diff import compare_logs
+from handctl.replay.log_check import check_log
+from handctl.replay.phase_comparison import compare_logs
+from handctl.replay.run_comparison import compare_signals, difference_lines
 
 
 def test_a_run_does_not_differ_from_itself(golden_folder: Path) -> None:

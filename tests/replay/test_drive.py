@@ -12,13 +12,18 @@ from handctl.errors import IncomparableError
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.playback import RecordedGoals
-from handctl.replay.compare import check_same_hand, compare_signals, resampled_field, signal_delay
 from handctl.replay.execute import execute_log
 from handctl.replay.motion_replay import (
     active_interval,
     compare_replay,
     playback_program,
     recorded_targets,
+)
+from handctl.replay.run_comparison import (
+    check_same_hand,
+    compare_signals,
+    resampled_field,
+    signal_delay,
 )
 
 
@@ -61,7 +66,7 @@ def test_the_driven_run_can_be_executed_again(replayed_logs: Path) -> None:
     with RunLog(replayed_logs) as log:
         names = [change.name for change in log.phases]
         assert names.index("approach") < names.index("playback")
-        assert execute_log(log).differing == 0
+        assert execute_log(log).differing_ticks == 0
 
 
 def test_a_replay_moves_slowly_to_the_first_pose(replayed_logs: Path) -> None:

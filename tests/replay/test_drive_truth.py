@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from handctl.log.read.reader import RunLog
 from handctl.replay.motion_replay import active_interval, compare_replay, playback_program
-from handctl.report.truth import read_truth
+from handctl.report.truth_record import read_truth
 
 Array = NDArray[np.float64]
 RATE_HZ, SETTLED_S = 250.0, 0.4
@@ -50,8 +50,8 @@ class RunAndRepeat:
         )
         return (
             t_ns / 1e9,
-            first.table(list(names), t_ns + int(recorded_start * 1e9)),
-            second.table(list(names), t_ns + start),
+            first.columns_at(list(names), t_ns + int(recorded_start * 1e9)),
+            second.columns_at(list(names), t_ns + start),
         )
 
     def at_rest(self) -> tuple[float, float]:

@@ -28,10 +28,10 @@ from handctl.programs.commission import CommissionProgram
 from handctl.programs.live_session import JogProgram, LiveProgram
 from handctl.programs.program import Program
 from handctl.programs.requests import HoldTension, MoveDigits
-from handctl.replay import rebuild as rebuilding
+from handctl.replay import controller_rebuild as rebuilding
+from handctl.replay.controller_rebuild import logged_gains, rebuild_controller
 from handctl.replay.counterfactual import CommandCollector, command_change, draw_commands
 from handctl.replay.execute import execute_log, is_within_tolerance, relative_error
-from handctl.replay.rebuild import logged_gains, rebuild_controller
 from handctl.replay.tick_difference import (
     TelemetryColumns,
     are_outputs_equal,
@@ -49,7 +49,12 @@ def test_a_fresh_run_with_faults_and_requests_repeats_to_the_last_bit(fresh_log:
         assert "B17 some nodes do not hear" in texts
         result = execute_log(log)
         assert result.ticks == len(log) > 300
-    assert (result.differing, result.different_decisions, result.first, result.largest) == (
+    assert (
+        result.differing_ticks,
+        result.different_decisions,
+        result.first_difference,
+        result.largest_difference,
+    ) == (
         0,
         0,
         None,
@@ -66,8 +71,8 @@ def test_golden_logs_decide_the_same_within_1e_9(golden_folder: Path, name: str)
         assert not log.warning
         result = execute_log(log)
         assert result.ticks == len(log) > 300
-    assert result.different_decisions == 0, result.first
-    assert is_within_tolerance(result, 1e-9), result.largest
+    assert result.different_decisions == 0, result.first_difference
+    assert is_within_tolerance(result, 1e-9), result.largest_difference
 
 
 def test_one_bit_of_a_gain_is_found_at_the_first_tick_with_an_effect(fresh_log: Path) -> None:
@@ -83,21 +88,21 @@ def test_one_bit_of_a_gain_is_found_at_the_first_tick_with_an_effect(fresh_log: 
         )
         result = execute_log(log, other)
         starts = {change.name: change.k for change in log.phases}
-    assert result.first is not None
-    assert starts["tighten"] <= result.first.k < starts["preshape"]
-    assert result.largest is not None
-    assert 0 < relative_error(result.largest) < 1e-9
+    assert result.first_difference is not None
+    assert starts["tighten"] <= result.first_difference.k < starts["preshape"]
+    assert result.largest_difference is not None
+    assert 0 < relative_error(result.largest_difference) < 1e-9
 
 
 def test_a_changed_byte_of_the_log_is_named(fresh_log: Path) -> None:
     with RunLog(fresh_log) as log:
-        controller, columns = rebuild_controller(log), TelemetryColumns.of(log.header)
-        logged, numbers = next(zip(log.ticks(), log.packed(), strict=True))
+        controller, columns = rebuild_controller(log), TelemetryColumns.from_header(log.header)
+        logged, numbers = next(zip(log.ticks(), log.packed_telemetry(), strict=True))
         _, out = controller.tick(controller.initial_state(), logged.tick_in)
         assert are_outputs_equal(logged, numbers, out)
         assert list(differing_fields(columns, logged, numbers, out)) == []
         bent = np.frombuffer(numbers, "<f8").copy()
-        place = columns.field.index("tension")
+        place = columns.field_names.index("tension")
         bent[place] = np.nextafter(bent[place], np.inf)
         (one,) = differing_fields(columns, logged, bent.tobytes(), out)
         assert (one.k, one.field, one.name, one.ulps) == (0, "tension", log.header.tendons[0], 1)
@@ -213,9 +218,9 @@ def test_other_gains_give_other_commands_and_a_figure(fresh_log: Path, tmp_path:
             update={"motion": gains.motion.model_copy(update={"position_error_m": 3e-4})}
         )
         commands = CommandCollector()
-        execute_log(log, stiff, commands.add)
+        execute_log(log, stiff, commands.add_tick)
         change = command_change(log, commands)
-        assert commands.torque.shape == log.field("motor_torque_goal").shape
+        assert commands.motor_torques.shape == log.field("motor_torque_goal").shape
         draw_commands(tmp_path / "change.png", log, commands, "a run with other gains")
     assert all(size["peak"] > 0.01 for size in change["motor_torque_N_m"].values())
     assert (tmp_path / "change.png").read_bytes().startswith(b"\x89PNG")

@@ -20,7 +20,7 @@ from handctl.programs.requests import HoldTension
 from handctl.replay.execute import execute_log
 from handctl.session.plan import RunPlan
 from handctl.session.run import make_controller, run_lockstep
-from handctl.session.simulate import SimulatorSettings, simulate
+from handctl.session.simulate import SimulatorSettings, simulate_controller
 
 GAINS_REQUEST = '{"do": "gains", "set": {"motion.force_N": 40.0, "tension.integral_per_s": 6.0}}'
 
@@ -46,7 +46,7 @@ def test_a_run_whose_gains_were_set_repeats(tmp_path: Path) -> None:
         ]
         assert refused == ["refused: gains: motion.force: no such gain; expected motion.force_N?"]
         result = execute_log(record)
-    assert (result.differing, result.first) == (0, None)
+    assert (result.differing_ticks, result.first_difference) == (0, None)
 
 
 def identified_calibration(hand: Hand, torque_gain: float) -> Calibration:
@@ -78,7 +78,7 @@ def test_a_run_with_an_identified_hand_repeats_and_its_commands_are_corrected(
     plan = RunPlan(hand, Gains(), 500.0, ())
     simulator = SimulatorSettings("jamia", perturb={"torque_constant": 0.8}, homed=True)
     program = JogProgram(HoldTension(do="hold", tension_N={"index": 8.0}), 0.5)
-    with simulator.clock(plan.period_ns) as clock:
+    with simulator.lockstep_clock(plan.period_ns) as clock:
         run_lockstep(
             plan,
             make_controller(plan, program, identified_calibration(hand, 0.8), True),
@@ -93,7 +93,7 @@ def test_a_run_with_an_identified_hand_repeats_and_its_commands_are_corrected(
         strong = goal > 0.03
         np.testing.assert_allclose(np.nanmedian(torque[strong] / goal[strong]), 1.25, rtol=0.03)
         result = execute_log(record)
-    assert (result.differing, result.first) == (0, None)
+    assert (result.differing_ticks, result.first_difference) == (0, None)
 
 
 @pytest.mark.parametrize("torque_gain", [0.72, 1.35])
@@ -108,7 +108,7 @@ def test_a_drive_with_identified_torque_error_is_no_fault(torque_gain: float) ->
     controller = make_controller(plan, program, identified_calibration(hand, torque_gain), True)
     tension = list[float]()
     simulator = SimulatorSettings("jamia", perturb={"torque_constant": torque_gain}, homed=True)
-    state = simulate(
+    state = simulate_controller(
         controller, simulator, lambda entry, out: tension.append(float(out.telemetry.tension[0]))
     )
     assert not state.failure

@@ -17,7 +17,7 @@ from handctl.log.read.reader import RunLog
 from handctl.programs.task import load_task
 from handctl.programs.task_program import TaskProgram
 from handctl.replay.execute import execute_log
-from handctl.runtime.clocks.lockstep import LockstepPeer
+from handctl.runtime.clocks.lockstep import LockstepSimulator
 
 RATE_HZ, DURATION_S = 200.0, 600.0
 DEAF_S = 598.0
@@ -33,7 +33,7 @@ class LossyPeer:
     Such losses do not end a run.
     """
 
-    peer: LockstepPeer
+    peer: LockstepSimulator
     chance: random.Random = field(default_factory=lambda: random.Random(6))
     silent: int = 0
 
@@ -66,7 +66,7 @@ def write_long_log(log: Path) -> None:
     io_events = {k: (IoEvent("recorder", "dropped", 1),) for k in ticks}
     requests = {k + 7: ("no request",) for k in ticks}
 
-    def spoil(peer: LockstepPeer) -> LockstepPeer:
+    def spoil(peer: LockstepSimulator) -> LockstepSimulator:
         return short_runs.PeerWithLostReplies(LossyPeer(peer), 0x12, int(DEAF_S * 1e9))
 
     short_runs.record_lockstep_run(
@@ -88,7 +88,7 @@ def test_ten_minutes_with_faults_repeat_to_the_last_bit(tmp_path: Path) -> None:
         assert {"B01", "B17", "H09", "I07"} <= faults
         result = execute_log(log)
         assert result.ticks == len(log) > 0.99 * DURATION_S * RATE_HZ
-    assert (result.differing, result.first) == (0, None)
+    assert (result.differing_ticks, result.first_difference) == (0, None)
 
 
 if __name__ == "__main__":

@@ -17,18 +17,18 @@ from handctl.drives.frame import EXTENDED_FLAG
 from handctl.errors import LogError
 from handctl.log.header import RunHeader
 from handctl.log.read.reader import RunLog
-from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record
+from handctl.log.tick_record import RECORD_FRAMING_STRUCT, pack_tick_record
 from handctl.log.write.writer import LogWriter
 from handctl.replay.execute import execute_log
+from handctl.replay.limits_judgement import judge_by_limits
 from handctl.replay.motion_replay import (
     active_interval,
     compare_replay,
     count_missing_ticks,
-    driven_duration,
+    followed_duration_s,
     playback_program,
     recorded_targets,
 )
-from handctl.replay.other_limits import judge_by_limits
 from handctl.replay.tick_difference import TelemetryColumns, are_outputs_equal, differing_fields
 
 TickList = list[tuple[TickIn, TickOut]]
@@ -47,7 +47,7 @@ def grasp_ticks(golden_folder: Path) -> tuple[RunHeader, TickList]:
 def write_ticks(path: Path, header: RunHeader, ticks: TickList) -> Path:
     writer = LogWriter(path, header, lambda *what: None, 1)
     for entry, out in ticks:
-        writer.add(pack_tick_record(entry, out)[RECORD_FRAMING_STRUCT.size :])
+        writer.add_tick(pack_tick_record(entry, out)[RECORD_FRAMING_STRUCT.size :])
     writer.finish("finished", 0)
     return path
 
@@ -116,14 +116,14 @@ def test_a_stopped_replay_is_compared_up_to_its_end(golden_folder: Path, tmp_pat
             started = next(
                 change.t_ns * 1e-9 for change in after.phases if change.name == "playback"
             )
-            assert driven_duration(before, after) == pytest.approx(
+            assert followed_duration_s(before, after) == pytest.approx(
                 1000 / rate - started, abs=2 / rate
             )
-            assert 0.2 < driven_duration(before, after) < end - start - 0.5
+            assert 0.2 < followed_duration_s(before, after) < end - start - 0.5
             result = compare_replay(before, after)
         assert max(row["rms"] for row in result["tendon_N"].values()) < 1.0
         with RunLog(tmp_path / "early.mcap") as after:
-            assert (driven_duration(before, after), compare_replay(before, after)) == (0.0, {})
+            assert (followed_duration_s(before, after), compare_replay(before, after)) == (0.0, {})
 
 
 def with_event(event: TickEvent) -> Callable[[TickOut], TickOut]:
@@ -154,11 +154,11 @@ def test_every_difference_is_named(
         events=(TickEvent("info", "phase", "", "hold"),), frames=(out.frames[0]._replace(can_id=1),)
     )
     with RunLog(write_ticks(tmp_path / "one.mcap", header, [(entry, base)])) as log:
-        logged, numbers = next(log.ticks()), next(log.packed())
+        logged, numbers = next(log.ticks()), next(log.packed_telemetry())
     now = changed(base)
     assert are_outputs_equal(logged, numbers, base)
     assert not are_outputs_equal(logged, numbers, now)
-    (result,) = differing_fields(TelemetryColumns.of(header), logged, numbers, now)
+    (result,) = differing_fields(TelemetryColumns.from_header(header), logged, numbers, now)
     assert result.logged != result.computed
 
 

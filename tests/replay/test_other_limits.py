@@ -6,7 +6,7 @@ import pytest
 
 from handctl.errors import ConfigError
 from handctl.log.read.reader import RunLog
-from handctl.replay.other_limits import judge_by_limits
+from handctl.replay.limits_judgement import judge_by_limits
 
 
 def write_limits(folder: Path, text: str) -> Path:
@@ -26,7 +26,7 @@ def test_the_original_limits_find_the_faults_of_the_run(
         ("B17", "index_motor"),
         ("B02", "index_motor"),
     ]
-    assert all(stop.logged for stop in judgement.stops)
+    assert all(stop.in_logged_run for stop in judgement.stops)
 
 
 def test_a_lower_trip_stops_at_the_first_sample_above_it(
@@ -40,7 +40,7 @@ def test_a_lower_trip_stops_at_the_first_sample_above_it(
         first = int(log.k[raw > 20.0][0])
         after = int((log.k >= first).sum())
     assert judgement.stops[0][:1] == (first,)
-    assert {(stop.fault, stop.instance, stop.logged) for stop in judgement.stops} == {
+    assert {(stop.fault, stop.instance, stop.in_logged_run) for stop in judgement.stops} == {
         ("T03", "thumb_tendon", False)
     }
     assert judgement.stops[0].value > 20.0

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handctl.campaign.stage import hand_with_protocol, homed_run
+from handctl.campaign.run_stages import hand_with_protocol, homed_run
 from handctl.controller.controller_state import ControllerState
 from handctl.controller.state_snapshot import restore_state, snapshot_bytes
 from handctl.controller.tick import Controller
@@ -21,9 +21,9 @@ from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
 from handctl.replay import log_runner as courses
-from handctl.replay import parallel
+from handctl.replay import parallel_execution
+from handctl.replay.controller_rebuild import rebuild_controller
 from handctl.replay.execute import LogExecution, execute_log
-from handctl.replay.rebuild import rebuild_controller
 from handctl.replay.tick_difference import state_difference
 
 StateChange = Callable[[ControllerState, TickIn], None]
@@ -48,7 +48,7 @@ def execute_both_ways(fresh_log: Path, monkeypatch: pytest.MonkeyPatch) -> Execu
             return original_tick(controller, before, entry)
 
         monkeypatch.setattr(Controller, "tick", tick)
-        monkeypatch.setattr(parallel, "MIN_TICKS", 50)
+        monkeypatch.setattr(parallel_execution, "MIN_TICKS_PER_PROCESS", 50)
         with RunLog(fresh_log) as log:
             return execute_log(log), execute_log(log, workers=3)
 
@@ -92,7 +92,7 @@ def test_a_snapshot_restores_the_state_unchanged(fresh_log: Path) -> None:
 def test_a_snapshot_restores_the_state_of_every_protocol(protocol: str) -> None:
     with homed_run(hand_with_protocol("jamia", protocol), 250.0, 0) as simulation:
         seen = set()
-        for _ in simulation.ticks(limit_s=10.0):
+        for _ in simulation.run_ticks(limit_s=10.0):
             if simulation.state.mode == HandMode.ACTIVE:
                 break
             seen.add(simulation.state.mode)
@@ -114,7 +114,7 @@ def test_three_processes_find_no_difference_where_one_finds_none(
 ) -> None:
     one, three = execute_both_ways()
     assert execution_findings(three) == execution_findings(one)
-    assert (one.differing, three.differing) == (0, 0)
+    assert (one.differing_ticks, three.differing_ticks) == (0, 0)
 
 
 @pytest.mark.parametrize("at", [150, 199, 200, 201, 330])
@@ -123,7 +123,7 @@ def test_three_processes_find_the_first_difference_wherever_it_is(
 ) -> None:
     """A field changes in the part of each process, and at the border between two parts."""
     one, three = execute_both_ways(spoil_state("travel", at))
-    assert one.first is not None
+    assert one.first_difference is not None
     assert execution_findings(three) == execution_findings(one)
 
 
@@ -135,8 +135,11 @@ def test_the_first_field_of_the_state_that_differs_is_named(
             before.view("nis_mean")[1] += 1e-6
 
     one, _ = execute_both_ways(change)
-    assert one.state is not None
-    assert (one.state.field, one.state.k) == ("state nis_mean", 200)
+    assert one.first_state_difference is not None
+    assert (one.first_state_difference.field, one.first_state_difference.k) == (
+        "state nis_mean",
+        200,
+    )
 
 
 def test_a_decision_that_differs_is_named(fresh_log: Path) -> None:
@@ -168,19 +171,19 @@ def test_a_refusal_of_the_controller_is_reported_with_any_number_of_processes(
 def test_a_wrong_snapshot_is_not_used_as_a_start(
     fresh_log: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(parallel, "MIN_TICKS", 50)
+    monkeypatch.setattr(parallel_execution, "MIN_TICKS_PER_PROCESS", 50)
     with RunLog(fresh_log) as log:
-        runner = courses.LogRunner.of(log)
-        assert len(parallel.split_log(runner, 3)) == 3
+        runner = courses.LogRunner.from_log(log)
+        assert len(parallel_execution.split_log(runner, 3)) == 3
         bent = {
             k: data[:100] + bytes([data[100] ^ 1]) + data[101:]
             for k, data in runner.snapshots.items()
         }
-        assert len(parallel.split_log(replace(runner, snapshots=bent), 3)) == 1
+        assert len(parallel_execution.split_log(replace(runner, snapshots=bent), 3)) == 1
         other = dict.fromkeys(runner.snapshots, b"x" * 40)
-        assert len(parallel.split_log(replace(runner, snapshots=other), 3)) == 1
+        assert len(parallel_execution.split_log(replace(runner, snapshots=other), 3)) == 1
         monkeypatch.setattr(RunLog, "snapshots", bent)
-        assert execute_log(log, workers=3).differing == 0
+        assert execute_log(log, workers=3).differing_ticks == 0
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from handctl.core.tick_types import TELEMETRY_AXES, HandMode
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.timeline import PhaseChange
-from handctl.report.truth import TruthRecord
+from handctl.report.truth_record import TruthRecord
 
 PERIOD_NS = 10_000_000
 

@@ -11,7 +11,7 @@ from handctl.controller.run_setup import make_sensors
 from handctl.core.tick_types import IoEvent
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
-from handctl.log.record import TickRecord
+from handctl.log.tick_record import TickRecord
 from handctl.report.frame_counts import frame_counts
 
 GOLDEN_FOLDER = Path(__file__).parents[2] / "logs" / "golden"

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handctl.report.lift import MAX_SLIP_MM, judge_lift, lift_failure
+from handctl.report.lift_judgement import MAX_SLIP_MM, judge_lift, lift_failure
 from handctl.report.summary import summarise_run
-from handctl.report.truth import TruthRecord
+from handctl.report.truth_record import TruthRecord
 from tests.report.invented_run import JAMIA, InventedLog, set_truth_column, zero_truth
 
 TICK_COUNT = 400

@@ -8,7 +8,7 @@ import pytest
 from handctl.core.tick_types import HandMode
 from handctl.hand.hand_loading import load_hand
 from handctl.report.run_figure import draw_run
-from handctl.report.truth import TruthRecord
+from handctl.report.truth_record import TruthRecord
 from tests.report.invented_run import InventedLog, zero_truth
 
 

@@ -9,7 +9,7 @@ from handctl.core.tick_types import HandMode
 from handctl.report.summary import (
     hold_windows,
     mean_angles,
-    measured_load,
+    measured_bus_load,
     root_mean_square,
     summarise_run,
 )
@@ -207,7 +207,9 @@ def test_measured_load_equals_a_hand_calculation() -> None:
     """
     log = quiet_run()
     one = (98 + 97 // 4 + 13) / 1e6
-    assert measured_load(log, 1_000_000, None, [(8, False)] * 10) == pytest.approx(10 * one / 1.99)
+    assert measured_bus_load(log, 1_000_000, None, [(8, False)] * 10) == pytest.approx(
+        10 * one / 1.99
+    )
 
 
 def test_an_empty_run_has_no_numbers_and_no_error() -> None:

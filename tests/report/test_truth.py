@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from handctl.errors import LogError
-from handctl.report.truth import TruthRecord, read_truth
+from handctl.report.truth_record import TruthRecord, read_truth
 from tests.report.invented_run import JAMIA, set_truth_column, write_truth, zero_truth
 
 
@@ -26,8 +26,8 @@ def test_a_written_truth_file_is_read(small_truth: TruthRecord, tmp_path: Path) 
     np.testing.assert_array_equal(again.t_ns, small_truth.t_ns)
     np.testing.assert_array_equal(again.values, small_truth.values)
     assert again.columns == small_truth.columns
-    assert again.has("b/c")
-    assert not again.has("x")
+    assert again.has_column("b/c")
+    assert not again.has_column("x")
 
 
 def test_the_simulators_own_file_is_read(tmp_path: Path) -> None:
@@ -93,13 +93,13 @@ def test_values_are_interpolated_between_rows_and_nan_outside() -> None:
     truth = zero_truth(JAMIA, 10, offset_ns=2**61)
     set_truth_column(truth, "object/x", np.arange(10.0))
     t_ns = 2**61 + np.array([-(10**9), 0, 5_000_000, 25_000_000, 10**12])
-    np.testing.assert_allclose(truth.at("object/x", t_ns), [np.nan, 0.0, 0.5, 2.5, np.nan])
-    assert truth.table(["object/x", "object/y"], t_ns).shape == (5, 2)
+    np.testing.assert_allclose(truth.column_at("object/x", t_ns), [np.nan, 0.0, 0.5, 2.5, np.nan])
+    assert truth.columns_at(["object/x", "object/y"], t_ns).shape == (5, 2)
 
 
 def test_a_column_that_is_not_there_is_named() -> None:
     with pytest.raises(LogError, match="no column 'tension/pinky'"):
-        zero_truth(JAMIA, 3).at("tension/pinky", np.array([0]))
+        zero_truth(JAMIA, 3).column_at("tension/pinky", np.array([0]))
 
 
 def test_the_header_is_kept(tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.calibration import load_calibration
 from handctl.programs.task_program import TaskProgram
-from handctl.report.truth import TruthRecord, read_truth
+from handctl.report.truth_record import TruthRecord, read_truth
 from handctl.runtime.paths import faults_path, local_bus_path, run_dir
 from handctl.session.plan import RunPlan, bus_specs
 from handctl.session.run import make_controller, run_live
@@ -139,7 +139,13 @@ class KillTestHand:
         write_homed_calibration(calibration, hand)
         load = tuple(one.load_at(RATE_HZ) for one in bus_loads(hand))
         self.plan = RunPlan(
-            hand, Gains(), RATE_HZ, load, bus_specs(hand, [LOCAL_BUS]), time_scale=scale, clear=True
+            hand,
+            Gains(),
+            RATE_HZ,
+            load,
+            bus_specs(hand, [LOCAL_BUS]),
+            time_scale=scale,
+            clear_faults=True,
         )
         self.controller: Controller = make_controller(
             self.plan,

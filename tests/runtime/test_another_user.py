@@ -26,7 +26,7 @@ from handctl.cli.main import main
 from handctl.errors import BusError, PowerError, UnconfirmedError
 from handctl.programs.requests import describe_request, parse_request
 from handctl.runtime.buses.local import connect_to_hub
-from handctl.runtime.confirm import request_action, send_with_confirmation
+from handctl.runtime.confirmed_requests import request_action, send_with_confirmation
 from handctl.runtime.mailbox import Mailbox, StatusWatcher
 from handctl.runtime.paths import mailbox_path, run_dir
 from tests.runtime.processes import (
@@ -244,9 +244,11 @@ def test_requests_and_status_lines_of_another_user_are_ignored(shared_tmp):
     assert as_nobody(lambda: send(box.path, b'{"do": "stop"}')) == "sent"
     assert as_nobody(lambda: send(watcher.path, b'{"mode": "DONE"}')) == "sent"
     assert watcher.next_line(0.1) is None
-    assert box.read() == ()
+    assert box.read_requests() == ()
     send(box.path, b'{"do": "arm"}')
-    assert box.read() == ('{"do": "arm"}',), "positive control: the request of this user is read"
+    assert box.read_requests() == ('{"do": "arm"}',), (
+        "positive control: the request of this user is read"
+    )
     box.socket.sendto(b'{"mode": "READY"}', str(watcher.path))
     assert watcher.next_line(0.1) == {"mode": "READY"}
     watcher.close()
@@ -304,7 +306,7 @@ class AnsweringController:
             k += 1
             events = [
                 {"name": "request", "where": "", "text": describe_request(parse_request(text))}
-                for text in self.box.read()
+                for text in self.box.read_requests()
             ]
             self.taken += [event["text"].split()[1] for event in events]
             line = {"k": k, "t_s": k * 0.002, "mode": mode, "phase": "", "events": events}
@@ -316,7 +318,7 @@ class AnsweringController:
             if mode == "ACTIVE" and "stop" in self.taken:
                 mode = "RELAX"
             if mode:
-                self.box.publish(line)
+                self.box.publish_status(line)
             if mode == "DONE":
                 return
             time.sleep(0.002)
@@ -343,7 +345,7 @@ def test_stop_names_a_drive_that_stays_on(work_folder, capsys):
 @pytest.fixture
 def short_confirmation_wait(monkeypatch):
     """Shorten the time that a request waits for its confirmation to 0.4 s."""
-    monkeypatch.setattr("handctl.runtime.confirm.CONFIRMATION_TIMEOUT_S", 0.4)
+    monkeypatch.setattr("handctl.runtime.confirmed_requests.CONFIRMATION_TIMEOUT_S", 0.4)
 
 
 def test_stop_is_unconfirmed_if_the_controller_falls_silent(
@@ -369,7 +371,7 @@ def test_a_request_is_confirmed_although_all_watcher_slots_are_taken(work_folder
         def crowd():
             while time.monotonic() < until:
                 for other in others:
-                    other.fresh_line(0.0)
+                    other.request_line(0.0)
 
         crowding = threading.Thread(target=crowd)
         crowding.start()

@@ -9,7 +9,7 @@ from handctl.runtime.buses.events import BusEvents
 
 
 def event_kinds(events: BusEvents) -> set[str]:
-    return {kind for kind, _, _ in events.take()}
+    return {kind for kind, _, _ in events.take_events()}
 
 
 @pytest.mark.parametrize(
@@ -33,50 +33,50 @@ def test_error_frame_gives_the_events_of_its_class(
 ) -> None:
     """The numbers are CAN_ERR_* and CAN_ERR_CRTL_* of the header ``can/error.h`` of Linux."""
     events = BusEvents("can0")
-    events.error_frame(ERROR_FLAG | can_id, bytes((0, status, 0, 0, 0, 0, 0, 0)))
+    events.add_error_frame(ERROR_FLAG | can_id, bytes((0, status, 0, 0, 0, 0, 0, 0)))
     assert event_kinds(events) == expected
 
 
 def test_an_error_frame_names_its_classes() -> None:
     events = BusEvents("can0")
-    events.error_frame(ERROR_FLAG | 0x28, bytes(8))
-    assert events.take() == [("error_frame", "can0 protocol, no acknowledge", 1)]
+    events.add_error_frame(ERROR_FLAG | 0x28, bytes(8))
+    assert events.take_events() == [("error_frame", "can0 protocol, no acknowledge", 1)]
 
 
 @pytest.mark.parametrize("data", [b"", b"\x01"])
 def test_a_short_error_frame_is_an_error_frame(data: bytes) -> None:
     events = BusEvents("can0")
-    events.error_frame(ERROR_FLAG | 0x04, data)
+    events.add_error_frame(ERROR_FLAG | 0x04, data)
     assert event_kinds(events) == {"error_frame"}
 
 
 def test_passive_lasts_until_the_controller_reports_another_state() -> None:
     events = BusEvents("can0")
-    events.error_frame(ERROR_FLAG | 0x04, bytes((0, 0x20)))
-    events.take()
+    events.add_error_frame(ERROR_FLAG | 0x04, bytes((0, 0x20)))
+    events.take_events()
     for _ in range(3):
-        assert events.take() == [("error_passive", "can0", 1)]
-    events.error_frame(
+        assert events.take_events() == [("error_passive", "can0", 1)]
+    events.add_error_frame(
         ERROR_FLAG | 0x04, bytes((0, 0x01))
     )  # an overflow leaves the CAN controller's state
     assert "error_passive" in event_kinds(events)
-    events.error_frame(ERROR_FLAG | 0x04, bytes((0, 0x08)))
-    events.take()
-    assert events.take() == []
+    events.add_error_frame(ERROR_FLAG | 0x04, bytes((0, 0x08)))
+    events.take_events()
+    assert events.take_events() == []
 
 
 @pytest.mark.parametrize("end", ["restarted", "down"])
 def test_bus_off_lasts_until_a_restart(end: str) -> None:
     events = BusEvents("can0")
-    events.error_frame(ERROR_FLAG | 0x44, bytes((0, 0x20)))
-    events.take()
+    events.add_error_frame(ERROR_FLAG | 0x44, bytes((0, 0x20)))
+    events.take_events()
     assert event_kinds(events) == {"bus_off", "error_passive"}
     if end == "restarted":
-        events.error_frame(ERROR_FLAG | 0x100, bytes(8))
+        events.add_error_frame(ERROR_FLAG | 0x100, bytes(8))
     else:
         events.count_failure(errno.ENETDOWN, "enobufs")
-    events.take()
-    assert events.take() == []
+    events.take_events()
+    assert events.take_events() == []
 
 
 def test_counts_of_a_kind_are_added_up() -> None:
@@ -85,12 +85,16 @@ def test_counts_of_a_kind_are_added_up() -> None:
     events.count_failure(errno.EAGAIN, "enodev", 2)
     events.count_failure(errno.ENETDOWN, "enodev")
     events.count_failure(None, "enodev")
-    assert events.take() == [("enobufs", "can0", 5), ("enetdown", "can0", 1), ("enodev", "can0", 1)]
-    assert events.take() == []
+    assert events.take_events() == [
+        ("enobufs", "can0", 5),
+        ("enetdown", "can0", 1),
+        ("enodev", "can0", 1),
+    ]
+    assert events.take_events() == []
 
 
 def test_a_lost_interface_is_reported_at_every_call() -> None:
     events = BusEvents("can0")
     events.count_failure(errno.ENODEV, "enobufs")
     for _ in range(3):
-        assert events.take() == [("enodev", "can0", 1)]
+        assert events.take_events() == [("enodev", "can0", 1)]

@@ -117,7 +117,7 @@ def test_stamps_never_run_backwards_or_ahead(
     stamps = []
     for step in (0, 5 * 10**9, -5 * 10**9, 3600 * 10**9, 0):
         monkeypatch.setattr(time, "time_ns", lambda step=step: real() + step)
-        bus._offset.renew()
+        bus._offset.request_measurement()
         far.send(CLASSICAL_FRAME_STRUCT.pack(1, 0, b""))
         before = time.monotonic_ns()
         stamps.append(wait_for_frames(bus, 1)[0].t_ns)

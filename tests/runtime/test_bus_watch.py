@@ -12,7 +12,7 @@ from handctl.drives.contract import DrivePhase
 from handctl.drives.frame import Frame
 from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.hand.hand_loading import load_hand
-from handctl.runtime.diagnostics.watch import BusWatch, SensorReading, is_saturated
+from handctl.runtime.diagnostics.bus_watch import BusWatch, SensorReading, is_saturated
 from handctl.runtime.mailbox import Mailbox
 from tests.drives.bench_process import run_simulated_drives
 from tests.drives.protocol_bench import hand_file, move_to_second_bus
@@ -78,11 +78,11 @@ def watched_hand(path):
 def test_every_protocol_is_read_without_torque(protocol, tmp_path):
     place, watch = watched_hand(hand_file(tmp_path, [protocol]))
     for _ in range(120):
-        watch.tick()
+        watch.run_tick()
     place.motors[0].theta = TURNED_RAD
     for _ in range(30):
-        watch.tick()
-    assert watch.silent() == []
+        watch.run_tick()
+    assert watch.silent_motors() == []
     assert {state.phase for state in watch.states} == {DrivePhase.READY}
     assert [state.position for state in watch.states] == pytest.approx(
         [m.theta for m in place.motors], abs=0.01
@@ -91,21 +91,21 @@ def test_every_protocol_is_read_without_torque(protocol, tmp_path):
     assert (
         all(not math.isnan(state.temperature) for state in watch.states) or protocol == "cia402"
     )  # CiA 402 has no object with the temperature
-    tensions = [reading.at(place.t_ns) for reading in watch.tensions.values()]
+    tensions = [reading.value_at(place.t_ns) for reading in watch.tensions.values()]
     assert len(tensions) == len(place.motors)
     assert all(abs(tension) < 8.0 for tension in tensions)
     assert place.max_torque_N_m == 0.0, "no motor ever made torque"
-    watch.release()
+    watch.send_release()
 
 
 def test_two_buses_and_joint_encoders_are_read(tmp_path):
     _, watch = watched_hand(move_to_second_bus(hand_file(tmp_path, ["mit"])))
     for _ in range(120):
-        watch.tick()
-    assert watch.silent() == []
+        watch.run_tick()
+    assert watch.silent_motors() == []
     _, watch = watched_hand("jamia11")
     for _ in range(120):
-        watch.tick()
+        watch.run_tick()
     assert watch.angles
     assert all(abs(reading.value) < 0.1 for reading in watch.angles.values())
 
@@ -116,13 +116,13 @@ def test_amplifiers_are_set_up_and_read(value, tmp_path):
     path.write_text(hand_with_amplifiers(process_value=value).to_toml())
     place, watch = watched_hand(path)
     for _ in range(120):
-        watch.tick()
-    tensions = [reading.at(place.t_ns) for reading in watch.tensions.values()]
+        watch.run_tick()
+    tensions = [reading.value_at(place.t_ns) for reading in watch.tensions.values()]
     assert len(tensions) == 4
     assert all(abs(tension) < 8.0 for tension in tensions)
     place.rig.inject("saturate cell=index_tendon")
     for _ in range(3):
-        watch.tick()
+        watch.run_tick()
     saturated = [
         is_saturated(reading.value, watch.sensors.cell_range) for reading in watch.tensions.values()
     ]
@@ -132,24 +132,24 @@ def test_amplifiers_are_set_up_and_read(value, tmp_path):
 def test_a_drive_that_falls_silent_is_named_and_its_readings_end():
     place, watch = watched_hand("jamia")
     for _ in range(120):
-        watch.tick()
+        watch.run_tick()
     lost = watch.drives[1].node_ids
     place.rig.step = lambda t_ns, frames, step=place.rig.step: [
         f for f in step(t_ns, frames) if f[0] not in lost
     ]
     for _ in range(80):
-        watch.tick()
-    assert watch.silent() == [watch.drives[1].name]
-    assert math.isnan(SensorReading(3.0, 0).at(10**9))
-    assert math.isnan(SensorReading().at(0))
+        watch.run_tick()
+    assert watch.silent_motors() == [watch.drives[1].name]
+    assert math.isnan(SensorReading(3.0, 0).value_at(10**9))
+    assert math.isnan(SensorReading().value_at(0))
 
 
 def test_another_host_is_noticed():
     _, watch = watched_hand("jamia")
-    assert watch.other_host(0.0, lambda bus, for_s, seen: None) == ""
+    assert watch.find_other_host(0.0, lambda bus, for_s, seen: None) == ""
     foreign = Frame(min(watch.drives[0].host_ids), bytes(8))
     assert (
-        watch.other_host(0.0, lambda bus, for_s, seen: seen.append(foreign))
+        watch.find_other_host(0.0, lambda bus, for_s, seen: seen.append(foreign))
         == f"{foreign.can_id:#x}"
     )
 

@@ -85,14 +85,14 @@ def test_replies_to_other_programs_are_ignored(unserved_client, monkeypatch, the
             theirs, f"asked: move by {sent[-1]['by']}", reply, "asked: move by somebody", theirs
         )
 
-    monkeypatch.setattr(unserved_client._watcher, "lines", heard)
+    monkeypatch.setattr(unserved_client._watcher, "status_lines", heard)
     reply = "move index 3"
     unserved_client.move(index=3, wait=False)
     reply = "refused: the hand is not ready yet"
     with pytest.raises(ConfigError, match="the hand is not ready yet"):
         unserved_client.move(index=3, wait=False)
     assert len({one["by"] for one in sent}) == 2
-    unserved_client._commands = False
+    unserved_client._has_commanded = False
 
 
 def test_a_goal_without_a_digit_is_refused(unserved_client):

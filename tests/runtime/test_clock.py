@@ -8,7 +8,7 @@ import pytest
 from handctl.drives.frame import ERROR_FLAG, Frame
 from handctl.drives.frame_records import Frames, RecordArray, frames_as_records
 from handctl.errors import ConfigError
-from handctl.runtime.clocks.lockstep import LockstepBus, LockstepClock, load_peer
+from handctl.runtime.clocks.lockstep import LockstepBus, LockstepClock, load_simulator
 from handctl.runtime.clocks.priority import GrantedPriority
 from handctl.runtime.clocks.real import RealClock
 
@@ -84,9 +84,9 @@ def test_stamps_before_the_beginning_are_negative(monkeypatch: pytest.MonkeyPatc
     wall = FakeMonotonicClock(monkeypatch)
     clock = RealClock(PERIOD_NS, 0.5)
     clock.start()
-    assert clock.of(clock.start_ns) == 0
-    assert clock.of(clock.start_ns + 4_000_000) == 2_000_000
-    assert clock.of(wall.now_ns) < 0
+    assert clock.run_time_of(clock.start_ns) == 0
+    assert clock.run_time_of(clock.start_ns + 4_000_000) == 2_000_000
+    assert clock.run_time_of(wall.now_ns) < 0
 
 
 @pytest.mark.realtime
@@ -103,7 +103,7 @@ def test_the_real_clock_keeps_time() -> None:
 def test_the_granted_priority_is_described() -> None:
     assert str(GrantedPriority(True, True)) == "SCHED_FIFO, memory locked"
     assert (
-        str(GrantedPriority(True, True, awake=True))
+        str(GrantedPriority(True, True, processors_awake=True))
         == "SCHED_FIFO, memory locked, processors kept awake"
     )
     assert "not permitted" in str(GrantedPriority(False, False))
@@ -222,9 +222,9 @@ def test_error_frames_of_a_peer_are_events_of_their_bus() -> None:
 
 
 def test_peers_are_loaded_by_name() -> None:
-    assert isinstance(load_peer(f"{__name__}:Peer"), RecordingPeer)
+    assert isinstance(load_simulator(f"{__name__}:Peer"), RecordingPeer)
     for entry in ("no.such.module:Peer", f"{__name__}:Nobody", "nonsense"):
         with pytest.raises(ConfigError, match="module:Class"):
-            load_peer(entry)
+            load_simulator(entry)
     with pytest.raises(ConfigError, match="too hot"):
-        load_peer(f"{__name__}:Peer", fail="too hot")
+        load_simulator(f"{__name__}:Peer", fail="too hot")

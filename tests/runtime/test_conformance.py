@@ -66,8 +66,8 @@ def test_a_good_drive_passes_three_times_running(protocol):
         assert release_drive(rig, 0.05)
         place.pass_time(2.0)
         late = drive_rig_on(place, protocol, TORQUE_LIMIT_N_M)
-        late.tick(DriveTarget.LISTEN)
-        late.keep(DriveTarget.POLL, 0.3)
+        late.run_tick(DriveTarget.LISTEN)
+        late.run_for(DriveTarget.POLL, 0.3)
         assert late.state.error_text == "", "nothing is latched after a silence of two seconds"
         assert release_drive(late, 0.05)
 
@@ -157,7 +157,7 @@ def test_a_motor_in_velocity_mode_is_set_to_mit_mode():
     node.registers.write(10, (3).to_bytes(4, "little"))
     node._update_derived()
     rig = drive_rig_on(place, "mit", TORQUE_LIMIT_N_M)
-    assert rig.until(DriveTarget.POLL, lambda state: state.phase.name == "READY", 2.0)
+    assert rig.run_until(DriveTarget.POLL, lambda state: state.phase.name == "READY", 2.0)
     assert node.mode == 1
 
 
@@ -166,11 +166,11 @@ def test_an_error_is_cleared_whether_the_clear_command_is_answered_or_not(answer
     """Regression: a host that waited for a reply to the clear command never found the motor ready."""
     place = VirtualBench("mit", clear_answers=answers)
     rig = drive_rig_on(place, "mit", TORQUE_LIMIT_N_M)
-    assert rig.until(DriveTarget.POLL, lambda state: state.phase.name == "READY", 2.0)
+    assert rig.run_until(DriveTarget.POLL, lambda state: state.phase.name == "READY", 2.0)
     place.bench.faults.inject("error node=33")
-    assert rig.until(DriveTarget.POLL, lambda state: state.phase.name == "FAULT", 1.0)
-    rig.clear()
-    assert rig.until(DriveTarget.POLL, lambda state: state.phase.name == "READY", 2.0), (
+    assert rig.run_until(DriveTarget.POLL, lambda state: state.phase.name == "FAULT", 1.0)
+    rig.clear_faults()
+    assert rig.run_until(DriveTarget.POLL, lambda state: state.phase.name == "READY", 2.0), (
         rig.state.error_text
     )
 
@@ -183,20 +183,20 @@ def test_a_disabled_motor_is_ready_whenever_its_watchdog_fires(watchdog):
     """
     place = VirtualBench("mit", watchdog=watchdog)
     rig = drive_rig_on(place, "mit", TORQUE_LIMIT_N_M)
-    assert rig.until(DriveTarget.POLL, lambda state: state.phase.name == "READY", 2.0)
+    assert rig.run_until(DriveTarget.POLL, lambda state: state.phase.name == "READY", 2.0)
     seen = set()
 
     def note(state):
         seen.add(state.phase.name)
         return False
 
-    rig.until(DriveTarget.POLL, note, 1.0)
+    rig.run_until(DriveTarget.POLL, note, 1.0)
     assert seen == {"READY"}
-    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase.name == "ENABLED", 0.1)
-    rig.keep(DriveTarget.ENABLE, 0.2)
+    assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase.name == "ENABLED", 0.1)
+    rig.run_for(DriveTarget.ENABLE, 0.2)
     place.pass_time(0.3)
-    rig.tick(DriveTarget.ENABLE)
-    rig.tick(DriveTarget.ENABLE)
+    rig.run_tick(DriveTarget.ENABLE)
+    rig.run_tick(DriveTarget.ENABLE)
     assert (rig.state.phase.name, rig.state.error_text) == (
         "FAULT",
         "communication lost: the drive's watchdog fired",
@@ -207,7 +207,7 @@ def test_a_motor_whose_watchdog_also_fires_while_disabled_passes_three_times():
     place = VirtualBench("mit", watchdog="always")
     for _ in range(3):
         rig = drive_rig_on(place, "mit", TORQUE_LIMIT_N_M)
-        rig.clear()
+        rig.clear_faults()
         found = {
             check.name: check for check in run_checks(DeviceUnderTest(rig, TORQUE_LIMIT_N_M, 0.05))
         }

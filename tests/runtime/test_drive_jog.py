@@ -60,8 +60,8 @@ def test_a_drive_moves_in_its_own_mode_and_ends_at_rest(protocol, mode, directio
         expected, rel=0.15 if mode == DriveMode.VELOCITY else 0.02
     )
     assert direction * motor.theta == pytest.approx(result.moved_rad, abs=0.05)
-    assert result.fastest < 1.1 * MOTION_LIMITS.speed
-    assert result.final_speed < 0.05
+    assert result.max_speed_rad_s < 1.1 * MOTION_LIMITS.speed
+    assert result.final_speed_rad_s < 0.05
     assert release_drive(rig, 0.05, torque_drive)
     assert rig.state.phase == DrivePhase.READY
     assert (motor.servo.kp, motor.servo.kd, motor.servo.torque) == (0.0, 0.0, 0.0)
@@ -96,9 +96,9 @@ def test_force_position_is_a_mode_of_damiao_motors(protocol):
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e3, -1e3])
 def test_no_command_beyond_its_range_is_encoded(protocol, mode, value):
     _, rig, _ = bench_of(protocol, mode)
-    assert rig.until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0)
+    assert rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0)
     rig.idle_command = lambda state: state.position if "position" in mode.value else 0.0
-    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 5.0)
+    assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 5.0)
     with pytest.raises(ValueError, match="expected at most"):
         rig.drive.advance(rig.state, rig.t_ns, DriveTarget.ENABLE, value)
 
@@ -144,9 +144,9 @@ def test_a_shaft_driven_too_fast_stops_the_drive(protocol, mode):
 def test_the_watchdog_disables_a_drive_if_the_host_falls_silent(protocol, mode):
     place, rig, _ = bench_of(protocol, mode)
     assert jog_drive(rig, goal_of(mode, 1.0, 0.5)).failure == ""
-    rig.keep(DriveTarget.LISTEN, 0.5)
+    rig.run_for(DriveTarget.LISTEN, 0.5)
     assert (place.bench.motors[0].servo.kd, place.bench.motors[0].servo.torque) == (0.0, 0.0)
-    rig.keep(DriveTarget.ENABLE, 0.3)
+    rig.run_for(DriveTarget.ENABLE, 0.3)
     assert rig.state.phase == DrivePhase.FAULT, "the fault is latched"
 
 
@@ -170,7 +170,7 @@ def test_a_drive_that_loses_its_largest_speed_is_a_fault():
     place, rig, _ = bench_of("mit", DriveMode.VELOCITY)
     assert jog_drive(rig, goal_of(DriveMode.VELOCITY, 1.0, 0.5)).failure == ""
     place.bench.receive(SimFrame(0x7FF, struct.pack("<HBBf", DRIVE_NODE_ID, 0x55, 6, 25.0)))
-    rig.keep(DriveTarget.ENABLE, 2.5)
+    rig.run_for(DriveTarget.ENABLE, 2.5)
     assert "MAX_SPD" in rig.state.error_text
 
 

@@ -87,7 +87,7 @@ def test_a_full_disk_is_reported_and_the_hand_continues_to_hold(work_folder, sma
     watcher = StatusWatcher(LOCAL_BUS)
     try:
         wait_for_phase("stay", watcher, process)
-        full_at = watcher.fresh_line(2.0)["k"]
+        full_at = watcher.request_line(2.0)["k"]
         fill_disk(small_disk / "other")
         assert seconds_until(process, b"H08 the disk is full") < 2.5, (
             "the recorder checks the disk every second"
@@ -95,7 +95,7 @@ def test_a_full_disk_is_reported_and_the_hand_continues_to_hold(work_folder, sma
         after = None
         until = time.monotonic() + 1.0
         while time.monotonic() < until:
-            after = watcher.fresh_line(0.2) or after
+            after = watcher.request_line(0.2) or after
         assert after["k"] > full_at
         assert (after["mode"], after["phase"]) == ("ACTIVE", "stay"), (
             "a warning does not stop the hand"
@@ -111,7 +111,7 @@ def test_a_full_disk_is_reported_and_the_hand_continues_to_hold(work_folder, sma
     with RunLog(small_disk / "run.mcap") as log:
         assert not log.warning
         assert log.end["reason"] in ("disk full", "write failed: No space left on device")
-        assert execute_log(log).differing == 0, (
+        assert execute_log(log).differing_ticks == 0, (
             "missing ticks were skipped by a slow host, and not lost by the recorder"
         )
         assert int(log.k[-1]) >= full_at - 200, (

@@ -44,7 +44,7 @@ def test_a_run_after_another_one_finds_drives_that_were_disarmed(
     rate = default_rate(hand)
     plan = RunPlan(hand, Gains(), rate, (0.5,))
     failures = []
-    with SimulatorSettings(path, homed=True, wire=wire).clock(plan.period_ns) as clock:
+    with SimulatorSettings(path, homed=True, wire=wire).lockstep_clock(plan.period_ns) as clock:
         for number in range(RUN_COUNT):
             controller = make_controller(plan, TaskProgram(load_task(task)), None, True)
             failures.append(

@@ -28,8 +28,8 @@ def test_a_run_held_by_a_fault_ends_with_its_reason(tmp_path: Path) -> None:
     hand = load_hand("jamia")
     plan = RunPlan(hand, Gains(), default_rate(hand), (0.5,))
     log = tmp_path / "held.mcap"
-    with SimulatorSettings("jamia", homed=True).clock(plan.period_ns) as clock:
-        clock.peer.inject("noise encoder=1 size=0.005")  # type: ignore[attr-defined]
+    with SimulatorSettings("jamia", homed=True).lockstep_clock(plan.period_ns) as clock:
+        clock.simulator.inject("noise encoder=1 size=0.005")  # type: ignore[attr-defined]
         controller = make_controller(plan, TaskProgram(load_task(task)), None, True)
         with pytest.raises(DriveError, match=r"in lockstep.*held for 5 s by N07 a noisy encoder"):
             run_lockstep(plan, controller, log, clock)

@@ -133,7 +133,7 @@ def test_ticks_follow_one_another_at_their_times() -> None:
     assert run.clock.waits == [0, 1, 2, 3, 4]
     assert run.clock.began == 1
     assert run.shown == run.recorded
-    assert (run.loop.stats.ticks, run.loop.stats.missed) == (5, 0)
+    assert (run.loop.stats.ticks, run.loop.stats.missed_ticks) == (5, 0)
 
 
 def test_the_warm_up_tick_has_no_effect() -> None:
@@ -157,7 +157,7 @@ def test_only_ticks_run_with_realtime_priority() -> None:
         urgent[0] = False
 
     seen: list[bool] = []
-    run.loop.urgent = note_urgency
+    run.loop.tick_priority = note_urgency
     run.fail = lambda entry: seen.append(urgent[0])
     run.go()
     assert seen + urgent == [False, True, True, True, True, True, False], (
@@ -183,9 +183,9 @@ def test_missed_deadlines_are_skipped_and_counted_never_caught_up(
     assert [entry.k for entry, _ in run.recorded] == ticks
     assert [entry.t_ns for entry, _ in run.recorded] == [k * PERIOD_NS for k in ticks]
     assert [entry.late_ns for entry, _ in run.recorded] == left
-    assert run.loop.stats.missed == missed
+    assert run.loop.stats.missed_ticks == missed
     assert run.loop.stats.ticks == 4
-    assert list(run.loop.stats.late_ns) == (late + [0] * 4)[:4], (
+    assert list(run.loop.stats.tick_lateness_ns) == (late + [0] * 4)[:4], (
         "the statistics have the measured lateness"
     )
     waits = run.clock.waits
@@ -233,7 +233,7 @@ def test_frames_that_a_bus_refuses_are_counted_as_refused_not_as_sent() -> None:
     frames = tuple(Frame(i, b"") for i in range(5))
     run = RecordedLoop(3, buses=[FakeBus(capacity=2)], frames=frames)
     run.go()
-    assert run.loop.stats.refused == 9
+    assert run.loop.stats.refused_frames == 9
     assert run.loop.stats.frames_tx == 6
 
 
@@ -246,13 +246,23 @@ def raise_error(*_: object) -> None:
 
 
 @pytest.mark.parametrize(
-    "stage", ["tick", "record", "show", "requests", "host_events", "send", "drain", "take_events"]
+    "stage",
+    [
+        "tick",
+        "record_tick",
+        "show_tick",
+        "take_requests",
+        "take_host_events",
+        "send",
+        "drain",
+        "take_events",
+    ],
 )
 def test_any_error_cuts_the_drives_and_is_raised_again(stage: str) -> None:
     left = FakeBus()
     right = FakeBus(1)
     run = RecordedLoop(5, buses=[left, right], frames=(Frame(9, b"torque"),))
-    stages = {"record", "show", "requests", "host_events"}
+    stages = {"record_tick", "show_tick", "take_requests", "take_host_events"}
     if stage == "tick":
         run.fail = lambda entry: raise_error() if entry.k == 2 else None
     elif stage in stages:
@@ -281,7 +291,7 @@ def poll_times(run: RecordedLoop, answers: list[tuple[str, ...]]) -> list[int]:
         times.append(t_ns)
         return state, (Frame(3, b"off"),), answers.pop(0) if answers else ("index", "thumb")
 
-    run.loop.let_go = let_go
+    run.loop.disable_drives = let_go
     run.fail = lambda entry: raise_error() if entry.k == 2 else None
     run.go()
     return times
@@ -313,7 +323,7 @@ def test_a_drive_that_does_not_report_off_is_named_with_the_error() -> None:
 def test_drives_that_cannot_be_polled_do_not_count_as_disabled() -> None:
     run = RecordedLoop(5)
     run.fail = lambda entry: raise_error() if entry.k == 2 else None
-    run.loop.let_go = raise_error  # type: ignore[assignment]
+    run.loop.disable_drives = raise_error  # type: ignore[assignment]
     with pytest.raises(PowerError, match="the drives are unknown"):
         run.go()
 
@@ -396,12 +406,12 @@ def test_a_long_run_has_the_lateness_of_its_last_ticks(monkeypatch: pytest.Monke
     monkeypatch.setattr(loop, "LATENESS_RING_TICKS", 16)
     run = RecordedLoop(200, clock=ScriptedClock(list(range(200))))
     run.go()
-    assert sorted(run.loop.stats.late_ns) == list(range(184, 200))
+    assert sorted(run.loop.stats.tick_lateness_ns) == list(range(184, 200))
     assert run.loop.stats.ticks == 200
 
 
 def test_lateness_is_recorded_for_every_tick() -> None:
     run = RecordedLoop(200, clock=ScriptedClock(list(range(200))))
     run.go()
-    assert isinstance(run.loop.stats.late_ns, array)
-    np.testing.assert_array_equal(run.loop.stats.late_ns, range(200))
+    assert isinstance(run.loop.stats.tick_lateness_ns, array)
+    np.testing.assert_array_equal(run.loop.stats.tick_lateness_ns, range(200))

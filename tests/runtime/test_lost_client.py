@@ -142,7 +142,7 @@ def test_a_watchdog_stops_the_signs_of_life(work_folder):
     def count(seconds):
         end, number = time.monotonic() + seconds, 0
         while time.monotonic() < end:
-            number += len(box.read())
+            number += len(box.read_requests())
             time.sleep(0.005)
         return number
 

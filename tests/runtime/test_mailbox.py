@@ -16,7 +16,7 @@ import pytest
 
 from handctl.cli.main import main
 from handctl.errors import BusError
-from handctl.runtime.confirm import send_with_confirmation
+from handctl.runtime.confirmed_requests import send_with_confirmation
 from handctl.runtime.mailbox import (
     MAX_REQUEST_BYTES,
     MAX_REQUESTS_PER_TICK,
@@ -45,8 +45,8 @@ def test_requests_come_in_order_and_once() -> None:
     box = Mailbox("local:x")
     for text in ("one", "two", '{"do": "stop"}'):
         send_request("local:x", text)
-    assert box.read() == ("one", "two", '{"do": "stop"}')
-    assert box.read() == ()
+    assert box.read_requests() == ("one", "two", '{"do": "stop"}')
+    assert box.read_requests() == ()
     box.close()
 
 
@@ -61,7 +61,7 @@ def test_a_flood_of_requests_is_read_in_parts() -> None:
         except BlockingIOError:
             pass
     seen: list[str] = []
-    while some := box.read():
+    while some := box.read_requests():
         assert len(some) <= MAX_REQUESTS_PER_TICK
         seen += some
     assert seen == [str(i) for i in range(len(seen))]
@@ -74,7 +74,7 @@ def test_long_empty_and_binary_datagrams_are_text_of_bounded_length() -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
         for data in (b"x" * 20_000, b"", b"\xff\xfe\x00"):
             out.sendto(data, str(box.path))
-    long, empty, binary = box.read()
+    long, empty, binary = box.read_requests()
     assert long == "x" * MAX_REQUEST_BYTES
     assert empty == ""
     binary.encode()
@@ -88,7 +88,7 @@ def test_a_second_controller_is_refused_and_disturbs_nothing() -> None:
             Mailbox("local:x")
     other = Mailbox("local:y")
     send_request("local:x", "still there")
-    assert box.read() == ("still there",)
+    assert box.read_requests() == ("still there",)
     box.close()
     again = Mailbox("local:x")
     again.close()
@@ -135,7 +135,7 @@ def test_a_killed_controller_leaves_no_lock(run_folder: Path) -> None:
     assert mailbox_path("local:x").exists()
     box = Mailbox("local:x")
     send_request("local:x", "hello")
-    assert box.read() == ("hello",)
+    assert box.read_requests() == ("hello",)
     box.close()
     assert not mailbox_path("local:x").exists()
 
@@ -209,17 +209,17 @@ def test_watchers_get_each_published_line_once() -> None:
         ends[0].sendto(b'{"do": "watch"}', str(box.path))
     ends[1].sendto(b'{"do": "watch"}', str(box.path))
     ends[0].sendto(b'{"do": "watch"}', str(box.path))
-    assert box.read() == (), "a watch request is no request to the controller"
-    box.publish({"k": 1})
+    assert box.read_requests() == (), "a watch request is no request to the controller"
+    box.publish_status({"k": 1})
     for end in ends:
         assert json.loads(end.recv(1000)) == {"k": 1}
         with pytest.raises(BlockingIOError):
             end.recv(1000)
     ends[0].close()
-    box.publish({"k": 2})
+    box.publish_status({"k": 2})
     assert json.loads(ends[1].recv(1000)) == {"k": 2}
     ends[1].close()
-    box.publish({"k": 3})
+    box.publish_status({"k": 3})
     assert box.watchers == []
     box.close()
 
@@ -228,9 +228,9 @@ def test_a_program_may_watch_two_controllers() -> None:
     boxes = [Mailbox("local:x"), Mailbox("local:y")]
     watchers = [StatusWatcher("local:x"), StatusWatcher("local:y")]
     for box, watcher in zip(boxes, watchers, strict=True):
-        watcher.fresh_line(0.0)
-        box.read()
-        box.publish({"name": watcher.name})
+        watcher.request_line(0.0)
+        box.read_requests()
+        box.publish_status({"name": watcher.name})
     assert [watcher.next_line(1.0) for watcher in watchers] == [
         {"name": "local:x"},
         {"name": "local:y"},
@@ -247,7 +247,7 @@ def test_the_socket_of_a_killed_controller_does_not_count_as_running(run_folder:
     assert not is_running("local:x")
     box = Mailbox("local:x")
     assert is_running("local:x")
-    assert box.read() == (), "a search for controllers is no request"
+    assert box.read_requests() == (), "a search for controllers is no request"
     box.close()
 
 
@@ -256,23 +256,23 @@ def test_a_watcher_that_does_not_read_never_blocks_the_controller() -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as end:
         end.bind(str(run_dir() / "a"))
         end.sendto(b'{"do": "watch"}', str(box.path))
-        box.read()
+        box.read_requests()
         began = time.monotonic()
         for k in range(500):
-            box.publish({"k": k, "text": "x" * 500})
+            box.publish_status({"k": k, "text": "x" * 500})
         assert time.monotonic() - began < 2.0
     box.close()
 
 
 def test_a_watcher_gets_only_lines_published_after_it_starts() -> None:
     watcher = StatusWatcher("local:x")
-    assert watcher.fresh_line(0.01) is None, "no controller runs"
+    assert watcher.request_line(0.01) is None, "no controller runs"
     box = Mailbox("local:x")
-    assert watcher.fresh_line(0.01) is None
-    box.read()
-    box.publish({"k": 1})
-    box.publish({"k": 2})
-    assert watcher.fresh_line(0.01) is None, "earlier lines are discarded"
+    assert watcher.request_line(0.01) is None
+    box.read_requests()
+    box.publish_status({"k": 1})
+    box.publish_status({"k": 2})
+    assert watcher.request_line(0.01) is None, "earlier lines are discarded"
     watcher.close()
     assert not watcher.path.exists()
     box.close()

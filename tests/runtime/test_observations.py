@@ -27,9 +27,9 @@ from handctl.runtime.observations import RING_RECORDS, ObservationReader, Observ
 from handctl.runtime.paths import observations_path, targets_path
 from handctl.runtime.targets import (
     HEADER_STRUCT,
-    MAGIC,
     MAX_DATAGRAMS_PER_TICK,
     MAX_TARGETS_PER_TICK,
+    TARGET_MAGIC,
     TargetBox,
     TargetSender,
 )
@@ -60,7 +60,7 @@ NO_STREAM = StreamStatus()
 def ticks_of(reader: ObservationReader) -> list[int]:
     """Return the ticks of all records that the reader has not yet read."""
     ticks = list[int]()
-    while (record := reader.next()) is not None:
+    while (record := reader.next_record()) is not None:
         ticks.append(record["k"].item())
     return ticks
 
@@ -68,16 +68,16 @@ def ticks_of(reader: ObservationReader) -> list[int]:
 def write_observation(writer: ObservationWriter, k: int, status: StreamStatus = NO_STREAM) -> None:
     """Write the record of tick k into the ring of observations."""
     out = TickOut((), HandMode.ACTIVE, "live", SafetyAction.WARN, numbers_of(k), (), bytes(8))
-    writer.publish(TickIn(k, 2_000_000 * k, 7), out, status, time.monotonic_ns())
+    writer.write_record(TickIn(k, 2_000_000 * k, 7), out, status, time.monotonic_ns())
 
 
 def test_a_record_comes_back_with_every_field() -> None:
     writer = ObservationWriter("local:x", AXIS_LENGTHS, {"rate_Hz": 500.0})
     reader = ObservationReader("local:x")
-    assert reader.latest() is None
+    assert reader.latest_record() is None
     assert reader.description["rate_Hz"] == 500.0
     write_observation(writer, 41, StreamStatus(5, 0.25, 6, 7, 8, 9, 10))
-    record = reader.latest()
+    record = reader.latest_record()
     assert record is not None
     assert (record["k"], record["t_ns"], record["late_ns"]) == (41, 82_000_000, 7)
     assert (record["mode"], record["action"], record["phase"]) == (
@@ -118,7 +118,7 @@ def test_no_reader_sees_a_torn_record() -> None:
     def read() -> None:
         reader = ObservationReader("local:x")
         while not stop.is_set():
-            record = reader.latest()
+            record = reader.latest_record()
             if record is not None:
                 k = record["k"].item()
                 seen.append(k)
@@ -144,8 +144,8 @@ def test_a_half_written_record_is_not_returned() -> None:
     reader = ObservationReader("local:x")
     write_observation(writer, 1)
     writer._counters[0][0] = 3  # as while record 2 is written
-    assert reader.read(0) is None
-    assert reader.latest() is None, "a reader does not wait for a dead writer"
+    assert reader.read_record(0) is None
+    assert reader.latest_record() is None, "a reader does not wait for a dead writer"
     reader.close()
     writer.close()
 
@@ -155,9 +155,9 @@ def test_the_file_is_private_and_is_removed_after_the_run() -> None:
     path = observations_path("local:x")
     assert path.stat().st_mode & 0o777 == 0o600
     reader = ObservationReader("local:x")
-    assert not reader.ended
+    assert not reader.run_ended
     writer.close()
-    assert reader.ended
+    assert reader.run_ended
     assert not path.exists()
     reader.close()
     with pytest.raises(
@@ -181,7 +181,7 @@ def test_targets_arrive_in_order_with_the_time_of_the_run() -> None:
     sender = TargetSender("local:x", 17, 3)
     for index in range(3):
         assert sender.send(index, 5000 + index, np.array([0.1, math.nan, 1e308]))
-    texts = box.read()
+    texts = box.read_targets()
     targets = [parse_target(text) for text in texts]
     assert [target and target[:3] for target in targets] == [
         ("17-3", index, 4000 + index) for index in range(3)
@@ -190,7 +190,7 @@ def test_targets_arrive_in_order_with_the_time_of_the_run() -> None:
     assert targets[0].values[0] == 0.1
     assert math.isnan(targets[0].values[1])
     assert targets[0].values[2] == 1e308
-    assert box.read() == ()
+    assert box.read_targets() == ()
     sender.close()
     box.close()
     assert not targets_path("local:x").exists()
@@ -204,7 +204,7 @@ def test_a_flood_neither_blocks_nor_delays_a_stop() -> None:
     while time.monotonic() < began + 0.2:
         sent += sender.send(sent, sent, np.zeros(4))
     read = 0
-    while texts := box.read():
+    while texts := box.read_targets():
         assert len(texts) <= MAX_TARGETS_PER_TICK
         last = parse_target(texts[-1])
         assert last is not None
@@ -212,7 +212,7 @@ def test_a_flood_neither_blocks_nor_delays_a_stop() -> None:
             "the newest message of those read"
         )
         read += MAX_DATAGRAMS_PER_TICK
-    assert mail.read() == ()
+    assert mail.read_requests() == ()
     sender.close()
     box.close()
     mail.close()
@@ -221,19 +221,20 @@ def test_a_flood_neither_blocks_nor_delays_a_stop() -> None:
 @pytest.mark.parametrize(
     "data",
     [
-        b"", b"HCT1", b"x" * 1000, HEADER_STRUCT.pack(b"HCT0", 1, 1, 0, 0, 0), HEADER_STRUCT.pack(MAGIC, 1, 1, 2, 0,
-        0) + bytes(8),
-        HEADER_STRUCT.pack(MAGIC, 1, 1, 2**32 - 1, 0, 0), HEADER_STRUCT.pack(MAGIC, 1, 1, 65, 0, 0) + bytes(8 * 65),
+        b"", b"HCT1", b"x" * 1000, HEADER_STRUCT.pack(b"HCT0", 1, 1, 0, 0, 0),
+        HEADER_STRUCT.pack(TARGET_MAGIC, 1, 1, 2, 0, 0) + bytes(8),
+        HEADER_STRUCT.pack(TARGET_MAGIC, 1, 1, 2**32 - 1, 0, 0),
+        HEADER_STRUCT.pack(TARGET_MAGIC, 1, 1, 65, 0, 0) + bytes(8 * 65),
     ],
 )  # fmt: skip
 def test_a_datagram_of_another_form_is_dropped(data: bytes) -> None:
     box, sender = TargetBox("local:x", int), TargetSender("local:x", 1, 1)
     sender._socket.send(data)
-    assert box.read() == ()
+    assert box.read_targets() == ()
     sender._socket.send(
-        HEADER_STRUCT.pack(MAGIC, 1, 1, 1, 2**63 - 1, -(2**63)) + struct.pack("<d", 5.0)
+        HEADER_STRUCT.pack(TARGET_MAGIC, 1, 1, 1, 2**63 - 1, -(2**63)) + struct.pack("<d", 5.0)
     )
-    assert json.loads(box.read()[0])["values"] == [5.0]
+    assert json.loads(box.read_targets()[0])["values"] == [5.0]
     sender.close()
     box.close()
 

@@ -8,7 +8,7 @@ import pytest
 
 from handctl.cli.main import main
 from handctl.runtime.clocks import priority
-from handctl.runtime.clocks.priority import restore_priority, take_priority
+from handctl.runtime.clocks.priority import request_priority, restore_priority
 
 pytestmark = pytest.mark.skipif(
     not sys.platform.startswith("linux"), reason="real-time scheduling is Linux's"
@@ -29,7 +29,7 @@ def open_files() -> set[str]:
 
 
 def test_priority_is_reset_after_the_run() -> None:
-    granted = take_priority()
+    granted = request_priority()
     assert (scheduling_policy() == os.SCHED_FIFO) == granted.realtime
     restore_priority()
     assert scheduling_policy() == os.SCHED_OTHER
@@ -48,7 +48,7 @@ def test_memory_is_locked_while_others_may_still_run(monkeypatch: pytest.MonkeyP
     calls: list[str] = []
     monkeypatch.setattr(priority, "_lock_memory", lambda: calls.append("memory") is None)
     monkeypatch.setattr(priority, "_enter_fifo", lambda level: calls.append("priority") is None)
-    assert take_priority() == priority.GrantedPriority(realtime=True, locked=True)
+    assert request_priority() == priority.GrantedPriority(realtime=True, memory_locked=True)
     assert calls == ["memory", "priority"]
 
 
@@ -75,7 +75,7 @@ def test_processors_stay_awake_only_during_the_ticks(tmp_path, monkeypatch) -> N
         assert str(latency) in open_files()
         assert latency.read_bytes() == bytes(4)
     assert str(latency) not in open_files()
-    assert priority.prepare_priority().awake
+    assert priority.prepare_priority().processors_awake
     restore_priority()
 
 
@@ -83,5 +83,5 @@ def test_a_system_that_lets_processors_sleep_is_no_error(tmp_path, monkeypatch) 
     monkeypatch.setattr(priority, "LATENCY_FILE", str(tmp_path / "absent"))
     with priority.awake_processors() as awake:
         assert not awake
-    assert not priority.prepare_priority().awake
+    assert not priority.prepare_priority().processors_awake
     restore_priority()

@@ -12,7 +12,7 @@ import pytest
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.hand_loading import hand_content, load_hand
 from handctl.log.read.reader import RunLog
-from handctl.report.truth import read_truth
+from handctl.report.truth_record import read_truth
 from handctl.runtime.mailbox import StatusWatcher
 from tests.runtime.processes import (
     LOCAL_BUS,

@@ -64,7 +64,7 @@ def test_both_sides_agree_on_the_file(tmp_path) -> None:
         "INTEGER_COUNT", "OPEN_GATE_NS",
     )  # fmt: skip
     assert [getattr(shared, name) for name in names] == [getattr(simulated, name) for name in names]
-    assert shared.CONTROLLER_LIMIT_NS < simulated.MAX_GATE_WAIT_NS, (
+    assert shared.MAX_CONTROLLER_PAUSE_NS < simulated.MAX_GATE_WAIT_NS, (
         "a pause must end before the limit of the simulator"
     )
 
@@ -131,7 +131,7 @@ def test_a_simulator_that_stopped_is_not_waited_for_again(clock_pair) -> None:
     clock_pair.between = lambda: None
     begin = clock_pair.now
     clock.wait(1)
-    assert clock_pair.now - begin == pytest.approx(shared.SIMULATOR_LIMIT_NS, rel=0.02)
+    assert clock_pair.now - begin == pytest.approx(shared.MAX_SIMULATOR_WAIT_NS, rel=0.02)
     begin = clock_pair.now
     for k in range(2, 50):
         clock.wait(k)
@@ -141,7 +141,7 @@ def test_a_simulator_that_stopped_is_not_waited_for_again(clock_pair) -> None:
     clock_pair.between = lambda: None
     begin = clock_pair.now
     clock.wait(51)
-    assert clock_pair.now - begin > shared.SIMULATOR_LIMIT_NS, (
+    assert clock_pair.now - begin > shared.MAX_SIMULATOR_WAIT_NS, (
         "after an answer the controller waits for the simulator again"
     )
 
@@ -194,8 +194,8 @@ def test_a_time_stamp_before_the_last_pause_is_converted(clock_pair) -> None:
     stamp, run_ns = clock_pair.now, clock.now_ns()
     clock_pair.overshoots = [20 * NS_PER_MS]
     clock.wait(1)
-    assert clock.of(stamp) == pytest.approx(run_ns, abs=1)
-    assert clock.of(clock_pair.now) == clock.now_ns()
+    assert clock.run_time_of(stamp) == pytest.approx(run_ns, abs=1)
+    assert clock.run_time_of(clock_pair.now) == clock.now_ns()
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -205,7 +205,7 @@ def test_the_time_of_the_simulator_never_runs_backwards(tmp_path, monkeypatch, s
     machine = SharedClockPair(
         tmp_path / "t.clock", monkeypatch, scale := rng.choice([0.1, 1.0, 1.0, 4.0])
     )
-    machine.controller.spin = rng.random() < 0.5
+    machine.controller.busy_wait = rng.random() < 0.5
     read = [0]
 
     def advance() -> None:
@@ -214,7 +214,7 @@ def test_the_time_of_the_simulator_never_runs_backwards(tmp_path, monkeypatch, s
             machine.answer()
 
     machine.between = advance
-    if machine.controller.spin:
+    if machine.controller.busy_wait:
         monkeypatch.setattr(
             time, "monotonic_ns", lambda: setattr(machine, "now", machine.now + 500) or machine.now
         )

@@ -18,15 +18,15 @@ class RaisedInTestError(Exception):
 def test_the_first_signal_stops_and_every_further_one_cuts() -> None:
     signals = StopSignals()
     with signals.handlers_installed():
-        assert signals.take() == ()
+        assert signals.take_request() == ()
         os.kill(os.getpid(), signal.SIGINT)
-        assert signals.take() == ('{"do": "stop"}',)
-        assert signals.take() == ()
+        assert signals.take_request() == ('{"do": "stop"}',)
+        assert signals.take_request() == ()
         os.kill(os.getpid(), signal.SIGTERM)
-        assert signals.take() == ('{"do": "cut"}',)
+        assert signals.take_request() == ('{"do": "cut"}',)
         os.kill(os.getpid(), signal.SIGINT)
-        assert signals.take() == ('{"do": "cut"}',)
-        assert signals.take() == ()
+        assert signals.take_request() == ('{"do": "cut"}',)
+        assert signals.take_request() == ()
 
 
 def test_two_signals_within_a_tick_both_count() -> None:
@@ -34,8 +34,8 @@ def test_two_signals_within_a_tick_both_count() -> None:
     with signals.handlers_installed():
         os.kill(os.getpid(), signal.SIGINT)
         os.kill(os.getpid(), signal.SIGINT)
-        assert signals.take() == ('{"do": "stop"}',)
-        assert signals.take() == ('{"do": "cut"}',)
+        assert signals.take_request() == ('{"do": "stop"}',)
+        assert signals.take_request() == ('{"do": "cut"}',)
 
 
 def test_a_closed_terminal_stops_the_hand_unless_under_nohup() -> None:
@@ -43,13 +43,13 @@ def test_a_closed_terminal_stops_the_hand_unless_under_nohup() -> None:
     before = signal.getsignal(signal.SIGHUP)
     with signals.handlers_installed():
         os.kill(os.getpid(), signal.SIGHUP)
-        assert signals.take() == ('{"do": "stop"}',)
+        assert signals.take_request() == ('{"do": "stop"}',)
     assert signal.getsignal(signal.SIGHUP) == before
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
         with signals.handlers_installed():
             os.kill(os.getpid(), signal.SIGHUP)
-            assert signals.take() == ()
+            assert signals.take_request() == ()
     finally:
         signal.signal(signal.SIGHUP, before)
 

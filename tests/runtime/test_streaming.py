@@ -124,14 +124,14 @@ def test_every_watcher_gets_its_lines(work_folder):
     watchers = [StatusWatcher("local:many") for _ in range(MAX_WATCHERS + 3)]
     for watcher in watchers:
         watcher.send(WATCH_REQUEST, 1.0)
-        box.read()
-    box.publish({"k": 1})
+        box.read_requests()
+    box.publish_status({"k": 1})
     heard = [watcher.next_line(0.0) is not None for watcher in watchers]
     assert all(heard[:MAX_WATCHERS])
     for watcher in watchers[MAX_WATCHERS:]:
         watcher.send(WATCH_REQUEST, 1.0)
-        box.read()
-        box.publish({"k": 2})
+        box.read_requests()
+        box.publish_status({"k": 2})
         assert watcher.next_line(0.0) == {"k": 2}, "a further watcher gets a line after a request"
     for one in (*watchers, box):
         one.close()

@@ -6,17 +6,17 @@ from handctl.runtime.clocks.suspend import SuspendWatch
 def test_a_suspend_is_reported_once_with_its_length():
     now = {"boot": 5_000_000_000, "monotonic": 3_000_000_000}
     watch = SuspendWatch(lambda: now["boot"], lambda: now["monotonic"])
-    assert watch.events() == []
+    assert watch.take_events() == []
     now = {"boot": 15_000_000_000, "monotonic": 3_100_000_000}
-    assert [tuple(event) for event in watch.events()] == [("suspended", "host", 9900)]
-    assert watch.events() == []
+    assert [tuple(event) for event in watch.take_events()] == [("suspended", "host", 9900)]
+    assert watch.take_events() == []
 
 
 def test_reading_the_clocks_one_after_the_other_is_no_suspend():
     now = {"boot": 0, "monotonic": 0}
     watch = SuspendWatch(lambda: now["boot"], lambda: now["monotonic"])
     now = {"boot": 19_000_000, "monotonic": 0}
-    assert watch.events() == []
+    assert watch.take_events() == []
 
 
 def test_a_pause_between_the_readings_is_no_suspend_and_hides_none():
@@ -34,15 +34,15 @@ def test_a_pause_between_the_readings_is_no_suspend_and_hides_none():
     watch = SuspendWatch(boot, lambda: now["monotonic"])
     for where in pause:
         pause[where] = 100_000_000
-        assert watch.events() == []
+        assert watch.take_events() == []
         pause[where] = 0
-        assert watch.events() == []
+        assert watch.take_events() == []
     pause["before"] = 100_000_000
     now["boot"] = now["boot"] + 10**9
-    assert watch.events() == [], "a pause and a suspend are not distinguished yet"
+    assert watch.take_events() == [], "a pause and a suspend are not distinguished yet"
     pause["before"] = 0
-    assert [event.number for event in watch.events()] == [1000]
+    assert [event.number for event in watch.take_events()] == [1000]
 
 
 def test_no_suspend_is_reported_without_a_suspend():
-    assert SuspendWatch().events() == []
+    assert SuspendWatch().take_events() == []

@@ -15,7 +15,7 @@ def slow_hand(work_folder, processes):
 
 
 def time_scale_of(**choice):
-    return make_plan(RunChoice("jamia", bus=[LOCAL_BUS], **choice)).time_scale
+    return make_plan(RunChoice("jamia", bus_words=[LOCAL_BUS], **choice)).time_scale
 
 
 def test_a_run_has_the_time_scale_of_the_simulator_on_its_bus(slow_hand):

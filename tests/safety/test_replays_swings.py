@@ -9,8 +9,8 @@ import os
 import numpy as np
 import pytest
 
-from handctl.campaign.scenarios import GRASP_STAGE
-from handctl.campaign.stage import advance_to, hand_with_protocol, homed_run
+from handctl.campaign.fault_matrix import GRASP_STAGE
+from handctl.campaign.run_stages import advance_to_stage, hand_with_protocol, homed_run
 from handctl.core.detectors import replayed_readings
 from handctl.core.tick_types import HandMode
 from handctl.safety.faults.node import SWING_S
@@ -127,11 +127,11 @@ def test_step_and_small_swing_are_no_oscillation(rate: float) -> None:
 def test_a_grasping_hand_relaxes(fault: str, rows: set[str], seconds: float, seed: int) -> None:
     hand = hand_with_protocol("jamia", "mit")
     with homed_run(hand, default_rate(hand), seed) as course:
-        advance_to(course, GRASP_STAGE)
+        advance_to_stage(course, GRASP_STAGE)
         which = seed % 4
-        course.peer.inject(
+        course.simulated_hand.inject(
             fault.format(tendon=hand.tendon[which].name, motor=hand.motor[which].name)
         )
-        assert course.until(lambda out: out.mode in (HandMode.RELAX, HandMode.CUT), seconds)
+        assert course.run_until(lambda out: out.mode in (HandMode.RELAX, HandMode.CUT), seconds)
         assert {mark.id for mark in course.state.latched} <= rows
-        assert course.peer.fault_states()[0]["felt"]
+        assert course.simulated_hand.fault_states()[0]["felt"]

@@ -67,19 +67,21 @@ def test_springs_of_fingers_that_touch_each_other_are_not_kept(
     """Regression: spring parameters of 1.41 and 1.73 instead of 1.2 were accepted without a message."""
     found = identify_touching_finger(hand, thumb_mm, seed, tmp_path)
     for one in found.values():
-        assert one.contact or one.blocked
-        assert not set(one.names) & set(SWEEP_PARAMETERS)
+        assert one.contact_text or one.blocked_event
+        assert not set(one.identified_names) & set(SWEEP_PARAMETERS)
     real = true_parameters(
         load_hand(hand), next(iter(found)), draw_plant(0) | dict.fromkeys(draw_plant(0), 1.0)
     )
     for one in found.values():  # others stay correct
-        for name in set(one.names) & {
+        for name in set(one.identified_names) & {
             "torque_gain",
             "motor_inertia",
             "motor_coulomb",
             "tendon_stiffness",
         }:
-            assert abs(one.fit.values[name] - real[name]) < 2.0 * one.fit.half_widths[name], name
+            assert (
+                abs(one.fit.parameter_values[name] - real[name]) < 2.0 * one.fit.half_widths[name]
+            ), name
 
 
 @pytest.mark.parametrize(
@@ -94,7 +96,9 @@ def test_parameters_of_a_digit_without_contact_are_kept(
     )
     assert "failure" not in row
     assert [
-        (one.contact, one.blocked) for one in found.values() if one.contact or one.blocked
+        (one.contact_text, one.blocked_event)
+        for one in found.values()
+        if one.contact_text or one.blocked_event
     ] == []
 
 
@@ -108,8 +112,10 @@ def test_stiffer_springs_are_no_obstacle(tmp_path: Path) -> None:
     )
     assert "failure" not in row
     one = found["index_tendon"]
-    assert (one.contact, one.blocked) == ("", "")
-    assert one.fit.values["spring_stiffness"] == pytest.approx(draw_plant(8)["spring"], rel=0.05)
+    assert (one.contact_text, one.blocked_event) == ("", "")
+    assert one.fit.parameter_values["spring_stiffness"] == pytest.approx(
+        draw_plant(8)["spring"], rel=0.05
+    )
 
 
 def unexplained_ramp_of_line(seed: int, kink: float, begin: float = 0.3) -> ResidualRamp | None:

@@ -21,7 +21,7 @@ def gains_store(tmp_path: Path) -> GainsStore:
 
 
 def present_force(gains_store: GainsStore) -> float:
-    file = gains_store.present()
+    file = gains_store.present_gains()
     return file.gains.motion.force_N if file else Gains().motion.force_N
 
 
@@ -45,69 +45,69 @@ def test_a_gains_file_without_provenance_is_accepted(tmp_path: Path) -> None:
 
 
 def test_repeated_rollbacks_go_back_to_the_packaged_gains(gains_store: GainsStore) -> None:
-    assert gains_store.present() is None
+    assert gains_store.present_gains() is None
     for newtons in (21.0, 22.0, 23.0):
-        gains_store.apply(gains_with_force(newtons), GainsProvenance())
+        gains_store.apply_gains(gains_with_force(newtons), GainsProvenance())
     seen = []
     for _ in range(3):
-        gains_store.rollback()
+        gains_store.roll_back()
         seen.append(present_force(gains_store))
     assert seen == [22.0, 21.0, Gains().motion.force_N]
     with pytest.raises(ConfigError, match="no gains precede the packaged gains"):
-        gains_store.rollback()
-    assert gains_store.rollback(to=3).gains == gains_with_force(23.0)
-    assert [entry.number for entry in gains_store.entries()] == list(range(1, 8))
+        gains_store.roll_back()
+    assert gains_store.roll_back(to=3).gains == gains_with_force(23.0)
+    assert [entry.number for entry in gains_store.history_entries()] == list(range(1, 8))
 
 
 def test_a_rollback_after_a_rollback_and_a_change_skips_the_undone_gains(
     gains_store: GainsStore,
 ) -> None:
     for newtons in (21.0, 22.0):
-        gains_store.apply(gains_with_force(newtons), GainsProvenance())
-    gains_store.rollback()
-    gains_store.apply(gains_with_force(24.0), GainsProvenance())
-    assert gains_store.rollback().gains == gains_with_force(21.0)
+        gains_store.apply_gains(gains_with_force(newtons), GainsProvenance())
+    gains_store.roll_back()
+    gains_store.apply_gains(gains_with_force(24.0), GainsProvenance())
+    assert gains_store.roll_back().gains == gains_with_force(21.0)
 
 
 def test_gains_edited_by_hand_are_kept(gains_store: GainsStore) -> None:
-    gains_store.apply(gains_with_force(21.0), GainsProvenance())
+    gains_store.apply_gains(gains_with_force(21.0), GainsProvenance())
     gains_store.path.write_text(
         gains_store.path.read_text().replace("force_N = 21.0", "force_N = 77.0")
     )
-    gains_store.apply(gains_with_force(22.0), GainsProvenance())
-    assert [entry.file.gains.motion.force_N for entry in gains_store.entries()] == [
+    gains_store.apply_gains(gains_with_force(22.0), GainsProvenance())
+    assert [entry.file.gains.motion.force_N for entry in gains_store.history_entries()] == [
         21.0,
         77.0,
         22.0,
     ]
-    assert gains_store.entries()[1].file.provenance.note == EDITED_BY_HAND_NOTE
-    assert gains_store.rollback().gains == gains_with_force(77.0)
+    assert gains_store.history_entries()[1].file.provenance.note == EDITED_BY_HAND_NOTE
+    assert gains_store.roll_back().gains == gains_with_force(77.0)
 
 
 def test_copied_gains_follow_the_newest_entry(gains_store: GainsStore, tmp_path: Path) -> None:
-    gains_store.apply(gains_with_force(21.0), GainsProvenance())
+    gains_store.apply_gains(gains_with_force(21.0), GainsProvenance())
     gains_store.path.write_text(gains_text(gains_with_force(55.0), GainsProvenance()))
-    assert gains_store.rollback().gains == gains_with_force(21.0)
-    assert [entry.file.gains.motion.force_N for entry in gains_store.entries()] == [
+    assert gains_store.roll_back().gains == gains_with_force(21.0)
+    assert [entry.file.gains.motion.force_N for entry in gains_store.history_entries()] == [
         21.0,
         55.0,
         21.0,
     ]
-    assert gains_store.entries()[1].file.provenance.replaces == 1
+    assert gains_store.history_entries()[1].file.provenance.replaces == 1
 
 
 def test_a_damaged_file_is_set_aside_and_not_lost(gains_store: GainsStore) -> None:
-    gains_store.apply(gains_with_force(21.0), GainsProvenance())
+    gains_store.apply_gains(gains_with_force(21.0), GainsProvenance())
     assert gains_store.set_aside() is None
     renamed = []
     for text in ("schema = [", "nonsense = 1"):
         gains_store.path.write_text(text)
         with pytest.raises(ConfigError):
-            gains_store.rollback()
+            gains_store.roll_back()
         aside = gains_store.set_aside()
         assert aside is not None
         renamed.append((aside.name, aside.read_text()))
-        assert gains_store.rollback(to=1).gains == gains_with_force(21.0)
+        assert gains_store.roll_back(to=1).gains == gains_with_force(21.0)
     assert renamed == [
         ("jamia.gains.damaged.toml", "schema = ["),
         ("jamia.gains.damaged1.toml", "nonsense = 1"),
@@ -116,16 +116,16 @@ def test_a_damaged_file_is_set_aside_and_not_lost(gains_store: GainsStore) -> No
 
 def test_a_history_with_a_gap_is_not_used_for_a_rollback(gains_store: GainsStore) -> None:
     for newtons in (21.0, 22.0, 23.0):
-        gains_store.apply(gains_with_force(newtons), GainsProvenance())
-    gains_store.rollback()
-    (gains_store.history / "0002.toml").unlink()
+        gains_store.apply_gains(gains_with_force(newtons), GainsProvenance())
+    gains_store.roll_back()
+    (gains_store.history_folder / "0002.toml").unlink()
     with pytest.raises(ConfigError, match="number 2 is not in the history"):
-        gains_store.rollback()
-    assert gains_store.rollback(to=1).gains == gains_with_force(21.0)
+        gains_store.roll_back()
+    assert gains_store.roll_back(to=1).gains == gains_with_force(21.0)
 
 
 def test_provenance_says_who_when_and_for_which_hand(gains_store: GainsStore) -> None:
-    provenance = gains_store.apply(
+    provenance = gains_store.apply_gains(
         gains_with_force(21.0), GainsProvenance(study="s.db", log=("a.mcap",))
     ).provenance
     assert (
@@ -147,16 +147,16 @@ def test_provenance_says_who_when_and_for_which_hand(gains_store: GainsStore) ->
 
 def test_a_rollback_without_history_is_refused(gains_store: GainsStore) -> None:
     with pytest.raises(ConfigError, match="nothing was applied"):
-        gains_store.rollback()
+        gains_store.roll_back()
     with pytest.raises(ConfigError, match="no gains number 9"):
-        gains_store.rollback(to=9)
+        gains_store.roll_back(to=9)
 
 
 @pytest.mark.parametrize("fails", ["replace", "link", "fsync"])
 def test_a_change_that_fails_leaves_the_present_gains(
     gains_store: GainsStore, monkeypatch: pytest.MonkeyPatch, fails: str
 ) -> None:
-    gains_store.apply(gains_with_force(21.0), GainsProvenance())
+    gains_store.apply_gains(gains_with_force(21.0), GainsProvenance())
     before = gains_store.path.read_bytes()
 
     def raise_disk_full(*_: object, **__: object) -> None:
@@ -164,9 +164,9 @@ def test_a_change_that_fails_leaves_the_present_gains(
 
     monkeypatch.setattr(os, fails, raise_disk_full)
     with pytest.raises(ConfigError, match="No space left"):
-        gains_store.apply(gains_with_force(22.0), GainsProvenance())
+        gains_store.apply_gains(gains_with_force(22.0), GainsProvenance())
     monkeypatch.undo()
     assert gains_store.path.read_bytes() == before
     assert present_force(gains_store) == 21.0
-    gains_store.apply(gains_with_force(23.0), GainsProvenance())
+    gains_store.apply_gains(gains_with_force(23.0), GainsProvenance())
     assert present_force(gains_store) == 23.0

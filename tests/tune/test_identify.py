@@ -26,10 +26,10 @@ from handctl.tune.identify.fit import PARAMETER_NAMES
 from handctl.tune.identify.fit_load import DigitLoad, LoadParameters, SignalBins
 from handctl.tune.identify.fit_motor import (
     HALF_WINDOW_S,
-    _cumulative,
-    _window,
     _window_curvature,
+    _window_integral,
     _window_slope,
+    _window_value,
 )
 from handctl.tune.identify.identifiability import _reason_not_identified
 
@@ -112,22 +112,22 @@ def test_intervals_cover_the_parameters_of_a_hundred_hands(tmp_path: Path) -> No
 def test_the_window_is_smooth_and_its_derivatives_are_its_derivatives() -> None:
     s = np.linspace(-1.2, 1.2, 24001)
     h = s[1] - s[0]
-    assert np.trapezoid(_window(s), s) == pytest.approx(1.0, abs=1e-9)
-    np.testing.assert_allclose(np.gradient(_window(s), h), _window_slope(s), atol=1e-6)
+    assert np.trapezoid(_window_value(s), s) == pytest.approx(1.0, abs=1e-9)
+    np.testing.assert_allclose(np.gradient(_window_value(s), h), _window_slope(s), atol=1e-6)
     np.testing.assert_allclose(np.gradient(_window_slope(s), h), _window_curvature(s), atol=1e-2)
-    np.testing.assert_allclose(np.gradient(_cumulative(s), h), _window(s), atol=1e-6)
+    np.testing.assert_allclose(np.gradient(_window_integral(s), h), _window_value(s), atol=1e-6)
     assert HALF_WINDOW_S > 0
 
 
 def test_the_load_model_balances_every_joint() -> None:
     """With the tension that the load model computes, the torques of every joint are in balance."""
     digit = DigitModel.from_hand(load_hand("jamia"), "index")
-    load = DigitLoad.of(digit)
+    load = DigitLoad.from_digit(digit)
     p = LoadParameters(1e5, 1.1, 0.9, 0.1, 1.0, 1.0, 2e-4)
     seen = SignalBins(
         np.zeros(2), np.array([4e-3, 4e-3]), np.zeros(2), np.array([0.01, -0.01]), np.zeros(2), 5
     )
-    for tension, sign in zip(load.tension(p, seen).tolist(), (1.0, -1.0), strict=True):
+    for tension, sign in zip(load.expected_tension(p, seen).tolist(), (1.0, -1.0), strict=True):
         angle, excursion = float(digit.wrap[0]), 0.0
         for arm, k, pre, b in zip(load.arms, load.spring, load.preload, load.damping, strict=True):
             rate = sign * 0.01 / load.arms.sum()
@@ -229,10 +229,15 @@ def test_tuning_uses_the_identified_hand(tmp_path: Path) -> None:
         path, made.model_copy(update={"identified": {"ring_tendon": identified_with(capstan=0.04)}})
     )
     known = load_tuned_hand("jamia", path)
-    assert known.hand.identity == hand.identity != known.twin.identity
-    assert [rope.friction_coefficient for rope in known.twin.tendon] == [0.08, 0.08, 0.04, 0.08]
-    assert known.spread.keys() == {"friction"}
-    assert load_tuned_hand("jamia", None).twin.identity == hand.identity
+    assert known.hand.identity == hand.identity != known.identified_hand.identity
+    assert [rope.friction_coefficient for rope in known.identified_hand.tendon] == [
+        0.08,
+        0.08,
+        0.04,
+        0.08,
+    ]
+    assert known.factor_spread.keys() == {"friction"}
+    assert load_tuned_hand("jamia", None).identified_hand.identity == hand.identity
     write_calibration(path, made)
     with pytest.raises(ConfigError, match="holds nothing identified"):
         load_tuned_hand("jamia", path)
@@ -256,9 +261,9 @@ def test_a_picture_shows_what_is_far_from_the_hand_file() -> None:
     nominal = np.ones(len(PARAMETER_NAMES))
     known = dict.fromkeys(PARAMETER_NAMES, 1.0) | {"capstan": 2.5, "torque_gain": 0.3}
     fit = SimpleNamespace(
-        values=known,
+        parameter_values=known,
         half_widths=dict.fromkeys(PARAMETER_NAMES, 0.1),
-        problem=SimpleNamespace(nominal=nominal),
+        problem=SimpleNamespace(parameter_scales=nominal),
     )
     axis = Figure().subplots()
     _draw_parameters(

@@ -7,7 +7,7 @@ import numpy as np
 from handctl.core.tick_types import HandMode
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
-from handctl.tune.identify.data import STOP_DISTANCE_DEG, TRANSIENT_S, tendon_data
+from handctl.tune.identify.tendon_data import STOP_DISTANCE_DEG, TRANSIENT_S, tendon_data
 
 GRASP_LOG = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 

@@ -71,7 +71,7 @@ def test_margins_are_those_of_control(
     omega = frequency_grid(system.period)
     found = margins_of_loop(system)
     gain, phase, _, _, _, _ = stability_margins(
-        frd(system.response(omega)[:, 0, 0], omega, smooth=True)
+        frd(system.frequency_response(omega)[:, 0, 0], omega, smooth=True)
     )
     assert found.gain_db == pytest.approx(20.0 * abs(math.log10(gain)), abs=0.02)
     assert found.phase_deg == pytest.approx(phase, abs=0.05)

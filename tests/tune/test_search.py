@@ -16,7 +16,7 @@ from handctl.hand.hand_loading import load_hand
 from handctl.tune.scoring import GainScore, evaluate_job
 from handctl.tune.search.ensemble import draw_ensemble
 from handctl.tune.search.search import (
-    RANDOM_BATCHES,
+    RANDOM_BATCH_COUNT,
     SearchPlan,
     SearchResult,
     SearchTrial,
@@ -24,7 +24,7 @@ from handctl.tune.search.search import (
     _open_study,
     run_search,
 )
-from handctl.tune.search.space import GAIN_RANGES, clamped_gains
+from handctl.tune.search.search_space import GAIN_RANGES, clamped_gains
 from handctl.tune.search.workers import DaskCluster, InProcessWorkers, ProcessPool, SearchWorkers
 
 TRIAL_COUNT = 3
@@ -84,7 +84,7 @@ def test_the_sampler_knows_which_trials_keep_their_margins(
     ]
     with warnings.catch_warnings():
         warnings.simplefilter("error", FutureWarning)
-        _make_sampler(search_plan.seed, RANDOM_BATCHES)
+        _make_sampler(search_plan.seed, RANDOM_BATCH_COUNT)
 
 
 class RecordedWorkers:
@@ -93,7 +93,9 @@ class RecordedWorkers:
     def __init__(self, search_result: SearchResult) -> None:
         self.found = search_result
 
-    def scores(self, jobs: Sequence[dict[str, Any]]) -> Iterator[tuple[int, dict[str, Any]]]:
+    def compute_scores(
+        self, jobs: Sequence[dict[str, Any]]
+    ) -> Iterator[tuple[int, dict[str, Any]]]:
         for i in range(len(jobs)):
             yield i, asdict(self.found.trials[i].score)
 
@@ -107,7 +109,9 @@ class InterruptedWorkers:
     def __init__(self, jobs: int) -> None:
         self.left = jobs
 
-    def scores(self, jobs: Sequence[dict[str, Any]]) -> Iterator[tuple[int, dict[str, Any]]]:
+    def compute_scores(
+        self, jobs: Sequence[dict[str, Any]]
+    ) -> Iterator[tuple[int, dict[str, Any]]]:
         for i, job in enumerate(jobs):
             if not self.left:
                 raise KeyboardInterrupt
@@ -144,7 +148,9 @@ def test_interrupted_search_gives_the_same_result(
 class FakeWorkers:
     """Workers whose scores follow from the gains without a simulation."""
 
-    def scores(self, jobs: Sequence[dict[str, Any]]) -> Iterator[tuple[int, dict[str, Any]]]:
+    def compute_scores(
+        self, jobs: Sequence[dict[str, Any]]
+    ) -> Iterator[tuple[int, dict[str, Any]]]:
         for i, job in enumerate(jobs):
             motion, tension = job["gains"]["motion"], job["gains"]["tension"]
             parts = (
@@ -165,7 +171,7 @@ def long_search(
     """Return the plan of a search with more than random batches, its result, and the bytes of its journal."""
     longer = replace(
         search_plan,
-        trials=8 * RANDOM_BATCHES + 2,
+        trials=8 * RANDOM_BATCH_COUNT + 2,
         others=(Gains(motion=MotionGains(force_N=20.0)),),
     )
     path = tmp_path_factory.mktemp("study") / "whole"
@@ -228,13 +234,13 @@ def test_a_killed_worker_loses_no_result(
 ) -> None:
     workers = ProcessPool(1)
     try:
-        os.kill(workers.pids[0], signal.SIGKILL)
-        jobs = [search_plan.job(i, one.values) for i, one in enumerate(search_result.trials)]
+        os.kill(workers.process_ids[0], signal.SIGKILL)
+        jobs = [search_plan.trial_job(i, one.values) for i, one in enumerate(search_result.trials)]
         scores = {}
-        for i, result in workers.scores(jobs):
+        for i, result in workers.compute_scores(jobs):
             scores[i] = GainScore(**result)
             if i == 1:
-                os.kill(workers.pids[0], signal.SIGKILL)
+                os.kill(workers.process_ids[0], signal.SIGKILL)
     finally:
         workers.close()
     assert [scores[i] for i in range(TRIAL_COUNT)] == [one.score for one in search_result.trials]
@@ -262,10 +268,12 @@ def test_two_searches_do_not_share_a_journal(search_plan: SearchPlan, tmp_path: 
     class Meanwhile(InProcessWorkers):
         """Workers during whose jobs another search with the same journal begins."""
 
-        def scores(self, jobs: Sequence[dict[str, Any]]) -> Iterator[tuple[int, dict[str, Any]]]:
+        def compute_scores(
+            self, jobs: Sequence[dict[str, Any]]
+        ) -> Iterator[tuple[int, dict[str, Any]]]:
             with pytest.raises(ConfigError, match="another search uses it"):
                 run_search(search_plan, tmp_path / "one", InProcessWorkers(), _ignore_result)
-            yield from super().scores(jobs)
+            yield from super().compute_scores(jobs)
 
     assert (
         len(
@@ -306,10 +314,10 @@ def test_only_good_trials_are_chosen() -> None:
         trial(4, 0.1, 0.1, 0.1, 60.0, -1.0, failure="not taut"),
     )
     beaten = trial(5, 1.1, 2.1, 11.0, 60.0, -0.1)
-    found = SearchResult.of((first, best, front, short, failed, beaten))
+    found = SearchResult.from_trials((first, best, front, short, failed, beaten))
     assert found.best == best
-    assert found.front == (1, 2)
-    assert found.cost(first) == pytest.approx(1.0)
+    assert found.pareto_front == (1, 2)
+    assert found.relative_cost(first) == pytest.approx(1.0)
 
 
 def test_costs_are_those_of_the_first_good_trial_if_the_first_failed() -> None:
@@ -318,15 +326,17 @@ def test_costs_are_those_of_the_first_good_trial_if_the_first_failed() -> None:
         SearchTrial(1, {}, GainScore(1.0, 2.0, 3.0, 60.0, -0.1)),
         SearchTrial(2, {}, GainScore(0.5, 1.0, 1.5, 60.0, -0.1)),
     ]
-    found = SearchResult.of((lost, *feasible))
-    assert [found.cost(one) for one in feasible] == pytest.approx([1.0, 0.5])
+    found = SearchResult.from_trials((lost, *feasible))
+    assert [found.relative_cost(one) for one in feasible] == pytest.approx([1.0, 0.5])
     assert found.best == feasible[1]
 
 
 def test_first_trial_keeps_gains_outside_the_search_space(search_plan: SearchPlan) -> None:
     bold = replace(search_plan, gains=Gains(motion=MotionGains(speed_error_m_s=0.01)))
     assert bold.gains_of(0, clamped_gains(bold.gains)) == bold.gains
-    assert bold.job(0, clamped_gains(bold.gains))["gains"] == bold.gains.model_dump(by_alias=True)
+    assert bold.trial_job(0, clamped_gains(bold.gains))["gains"] == bold.gains.model_dump(
+        by_alias=True
+    )
     assert (
         bold.gains_of(1, clamped_gains(bold.gains)).motion.speed_error_m_s
         == GAIN_RANGES["motion.speed_error_m_s"].low

@@ -5,7 +5,12 @@ import time
 import numpy as np
 import pytest
 
-from handctl.tune.identify.solve import BLOCK_S, MAX_BLOCK_ROWS, _block_rows, _parameter_covariance
+from handctl.tune.identify.least_squares import (
+    MAX_BLOCK_ROWS,
+    NOISE_BLOCK_S,
+    _block_rows,
+    _parameter_covariance,
+)
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -15,7 +20,7 @@ def test_rows_are_in_one_block_each(seed: int) -> None:
     blocks = list(_block_rows(times))
     assert sorted(np.concatenate(blocks).tolist()) == list(range(3000))
     assert max(map(len, blocks)) <= MAX_BLOCK_ROWS
-    assert all(np.ptp(times[rows]) <= BLOCK_S for rows in blocks)
+    assert all(np.ptp(times[rows]) <= NOISE_BLOCK_S for rows in blocks)
 
 
 @pytest.mark.parametrize("span", [0.0, 0.1, 20.0])
@@ -39,10 +44,10 @@ def test_a_block_with_large_residuals_leaves_the_degrees_of_freedom(seed: int) -
     random = np.random.default_rng(seed)
     jacobian, times = (
         random.normal(size=(2000, 3)),
-        np.linspace(0.0, 20.0 * BLOCK_S, 2000, endpoint=False),
+        np.linspace(0.0, 20.0 * NOISE_BLOCK_S, 2000, endpoint=False),
     )
     residual = random.normal(size=2000)
-    unlucky = residual * np.where((times > BLOCK_S) & (times < 2.0 * BLOCK_S), 6.0, 1.0)
+    unlucky = residual * np.where((times > NOISE_BLOCK_S) & (times < 2.0 * NOISE_BLOCK_S), 6.0, 1.0)
     _, freedom = _parameter_covariance(jacobian, residual, times)
     _, less = _parameter_covariance(jacobian, unlucky, times)
     assert less == pytest.approx(freedom)

@@ -24,7 +24,7 @@ from handctl.tune.loops.margins import (
     is_stable,
     margins_of_loop,
 )
-from handctl.tune.loops.steps import RestTest, StepOscillation, is_loop_ringing, simulate_swing
+from handctl.tune.loops.step_tests import RestTest, StepOscillation, is_loop_ringing, simulate_swing
 from handctl.tune.search.ensemble import draw_ensemble
 from tests.conftest import NIGHTLY
 
@@ -215,7 +215,7 @@ def test_gains_that_are_not_stable_do_not_come_to_rest() -> None:
     """The rest test finds unstable gains. An earlier version wrote such gains and claimed infinite margins."""
     model = with_force(393.0)
     assert not margins_of_loop(open_loop(model, 0, LoopKind.TENSION)).stable
-    assert not simulate_swing(model.hand, model, {}, 0).at_rest
+    assert not simulate_swing(model.hand, model, {}, 0).is_at_rest
 
 
 def rest_test_of(model: HandModel) -> RestTest:
@@ -229,7 +229,7 @@ def test_closing_spool_pairs_are_not_reported_as_torn_tendons() -> None:
     model = HandModel.from_hand(load_hand("orca_like"), Gains(), RATE_BY_HAND_HZ["orca_like"])
     swing = simulate_swing(model.hand, model, {}, 0)
     assert swing.failure == ""
-    assert swing.at_rest
+    assert swing.is_at_rest
 
 
 @pytest.mark.parametrize("hand", QUICK_HANDS)
@@ -258,7 +258,7 @@ def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
         hold = chatter_N if tried.gains.tension.integral_per_s == 0.0 else swing_N
         return StepOscillation(0.0, 0.0, (hold if is_least_friction else 0.0,) * tried.tendon_count)
 
-    monkeypatch.setattr("handctl.tune.loops.steps.simulate_swing", fake)
+    monkeypatch.setattr("handctl.tune.loops.step_tests.simulate_swing", fake)
     proof = rest_test_of(model)
     assert proof(model) == accepted
     assert ("0.5 of the friction swings" in proof.reason) != accepted
@@ -282,7 +282,7 @@ def rest_test_with(
         hold = chatter if tried.gains.tension.integral_per_s == 0.0 else found
         return StepOscillation(0.0, 0.0, hold if is_least_friction else (0.0,) * 4)
 
-    monkeypatch.setattr("handctl.tune.loops.steps.simulate_swing", fake)
+    monkeypatch.setattr("handctl.tune.loops.step_tests.simulate_swing", fake)
     return rest_test_of(model)
 
 
@@ -329,7 +329,7 @@ def test_gains_that_fail_at_the_least_friction_are_refused(
     lost = StepOscillation(math.inf, math.inf, (math.inf,) * 4, "N14b")
     still = StepOscillation(0.0, 0.0, (0.0,) * 4)
     monkeypatch.setattr(
-        "handctl.tune.loops.steps.simulate_swing",
+        "handctl.tune.loops.step_tests.simulate_swing",
         lambda hand, m, f, s: lost if f == {"friction": 0.5} else still,
     )
     proof = rest_test_of(jamia)

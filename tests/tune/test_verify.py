@@ -13,7 +13,7 @@ from handctl.replay.execute import execute_log
 from handctl.session.plan import RunPlan, default_rate
 from handctl.session.run import make_controller, run_lockstep
 from handctl.session.simulate import SimulatorSettings
-from handctl.tune.verify import VerifyObserver, scores_by_round
+from handctl.tune.gains_verification import VerifyObserver, scores_by_round
 
 CALM_GAINS = Gains(
     motion=MotionGains(force_N=12.0, disturbance_rejection=0.5), tension=TensionGains(force_N=2.7)
@@ -27,7 +27,7 @@ def _verify_gains(new: Gains, log: Path) -> VerifyObserver:
     plan = RunPlan(hand, CALM_GAINS, rate, (0.5,))
     amplitudes = (0.2, 0.2)
     observer = VerifyObserver(hand, CALM_GAINS, new, amplitudes=amplitudes, old_rounds=1)
-    with SimulatorSettings(hand, homed=True).clock(plan.period_ns) as clock:
+    with SimulatorSettings(hand, homed=True).lockstep_clock(plan.period_ns) as clock:
         run_lockstep(
             plan,
             make_controller(plan, ExerciseProgram(amplitudes), None, True),
@@ -49,7 +49,7 @@ def test_ringing_gains_are_rolled_back(new: Gains, goes_back: bool, tmp_path: Pa
         requests = [event for event in log.events if event.event.text == "asked: gains"]
         assert len(requests) == 1 + goes_back
         assert len(scores_by_round(log, observer.hand, None, 0)) == 2
-        assert execute_log(log).differing == 0
+        assert execute_log(log).differing_ticks == 0
     if observer.rollback:
         assert "oscillate" in observer.rollback.why
         assert observer.rollback.k < requests[1].k <= observer.rollback.k + 2

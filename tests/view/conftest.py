@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from handctl.errors import ConfigError
-from handctl.view.feed import write_rrd
+from handctl.view.rerun_conversion import write_rrd
 from handctl.view.viewer import software_vulkan
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1] / "log")]

@@ -29,7 +29,7 @@ def main() -> None:
 
     path, seen = Path(sys.argv[1]), threading.Event()
     with RunLog(path, checked=False) as log:
-        run, scan = RunInfo.of(log.header, path.stem), log.scan
+        run, scan = RunInfo.from_header(log.header, path.stem), log.scan
     threading.Thread(target=_time_first_picture, args=(seen,), daemon=True).start()
     with browse_log(
         path, run, ["--headless", "--window-size", WINDOW_SIZE], software_vulkan(), scan

@@ -72,4 +72,4 @@ def entities_of_file(path: Path) -> dict[str, RecordingEntity]:
 def run_info_of(path: Path) -> RunInfo:
     """Return the description of the run and the hand of a log, as the viewer takes it."""
     with RunLog(path) as log:
-        return RunInfo.of(log.header, path.stem)
+        return RunInfo.from_header(log.header, path.stem)

@@ -13,12 +13,12 @@ import pytest
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
 from handctl.log.read.record_scan import scan_path
-from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record
+from handctl.log.tick_record import RECORD_FRAMING_STRUCT, pack_tick_record
 from handctl.log.write.writer import LogWriter
 from handctl.view.browse import browse_log
-from handctl.view.feed import run_chunks
-from handctl.view.picture import connect_client, wait_loaded
-from handctl.view.scene.arrow import RUN_TIME_TIMELINE
+from handctl.view.dashboard_picture import connect_client, wait_until_loaded
+from handctl.view.rerun_conversion import run_chunks
+from handctl.view.scene.chunk_arrays import RUN_TIME_TIMELINE
 from handctl.view.scene.run_info import RunInfo
 from handctl.view.time_slices import time_slices
 from handctl.view.viewer import running_viewer
@@ -29,7 +29,7 @@ pytestmark = pytest.mark.timeout(120)
 
 def test_time_slices_add_up_to_the_whole_log(tmp_path: Path) -> None:
     with RunLog(GOLDEN_LOG) as log:
-        ticks, run = len(log), RunInfo.of(log.header, "x")
+        ticks, run = len(log), RunInfo.from_header(log.header, "x")
     sizes, since = [], []
     for part, since_ns in time_slices(GOLDEN_LOG, scan_path(GOLDEN_LOG), tmp_path, 1_000_000_000):
         with RunLog(part) as log:
@@ -53,10 +53,10 @@ def test_a_viewer_gets_all_of_a_log(
     for name, value in vulkan.items():
         monkeypatch.setenv(name, value)
     with RunLog(GOLDEN_LOG) as log:
-        run, end_ns = RunInfo.of(log.header, "x"), int(log.t_ns[-1])
+        run, end_ns = RunInfo.from_header(log.header, "x"), int(log.t_ns[-1])
     with browse_log(GOLDEN_LOG, run, ["--headless", "--window-size", "800x600"], vulkan) as running:
         client = connect_client(running)
-        wait_loaded(client, RUN_TIME_TIMELINE, end_ns)
+        wait_until_loaded(client, RUN_TIME_TIMELINE, end_ns)
         state = client.get_state()
         (shown,) = state.recordings
         assert len(state.views) > 5
@@ -71,7 +71,7 @@ def write_ten_minute_log(path: Path) -> None:
     writer = LogWriter(path, run, lambda *what: None, 1)
     ticks = itertools.cycle(list(synthetic_run.SyntheticTicks(run, 5.0)))
     for k, (tick_in, out) in zip(range(300_000), ticks, strict=False):
-        writer.add(
+        writer.add_tick(
             pack_tick_record(tick_in._replace(k=k, t_ns=k * run.period_ns), out)[
                 RECORD_FRAMING_STRUCT.size :
             ]
@@ -101,11 +101,11 @@ def test_a_log_that_is_damaged_at_once_leaves_no_viewer_behind(
     tmp_path: Path, vulkan: dict[str, str]
 ) -> None:
     data, place = bytearray(GOLDEN_LOG.read_bytes()), scan_path(GOLDEN_LOG).chunks[2]
-    data[place.data + 40] ^= 0xFF
+    data[place.data_offset + 40] ^= 0xFF
     broken = tmp_path / "broken.mcap"
     broken.write_bytes(data)
     with RunLog(broken, checked=False) as log:
-        run, scan = RunInfo.of(log.header, "x"), log.scan
+        run, scan = RunInfo.from_header(log.header, "x"), log.scan
     with (
         pytest.raises(LogError, match="damaged"),
         browse_log(broken, run, ["--headless"], vulkan, scan),

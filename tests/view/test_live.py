@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 import psutil
 import pytest
 
-from handctl.log.record import pack_tick_record
+from handctl.log.tick_record import pack_tick_record
 from handctl.log.write.recorder import Recorder
-from handctl.view.live_view import start_live
-from handctl.view.picture import timeline_end
-from handctl.view.scene.arrow import RUN_TIME_TIMELINE
+from handctl.view.dashboard_picture import timeline_end
+from handctl.view.live_view import start_live_view
+from handctl.view.scene.chunk_arrays import RUN_TIME_TIMELINE
 
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient
@@ -61,18 +61,18 @@ def test_a_growing_log_arrives_in_the_viewer(
         tmp_path / "run.mcap",
         synthetic_run.synthetic_header(rate_hz=100, deterministic=False, offset_ns=10**18),
     )
-    follower = start_live(path, "--headless", "--window-size", "800x600")
+    follower = start_live_view(path, "--headless", "--window-size", "800x600")
     recorder, ticks = Recorder.start(path, run), list(synthetic_run.SyntheticTicks(run, 4.0))
     viewers: list[psutil.Process] = []
     try:
         for tick_in, out in ticks[:200]:
-            recorder.record(pack_tick_record(tick_in, out))
+            recorder.send_record(pack_tick_record(tick_in, out))
         client = ViewerClient.connect(url_of(follower))
         viewers = psutil.Process(follower.pid).children()
         assert wait_for_time(client, 1_000_000_000) >= 1_000_000_000
         assert shown_until_ns(client) <= ticks[199][0].t_ns
         for tick_in, out in ticks[200:]:
-            recorder.record(pack_tick_record(tick_in, out))
+            recorder.send_record(pack_tick_record(tick_in, out))
         recorder.close("finished")
         assert wait_for_time(client, ticks[-1][0].t_ns) == ticks[-1][0].t_ns
         assert follower.wait(VIEWER_TIMEOUT_S) == 0
@@ -94,10 +94,10 @@ def test_live_view_ends_with_its_viewer(
         monkeypatch.setenv(name, value)
     path, run = tmp_path / "run.mcap", synthetic_run.synthetic_header(rate_hz=100)
     recorder = Recorder.start(path, run)
-    follower = start_live(path, "--headless", "--window-size", "400x300")
+    follower = start_live_view(path, "--headless", "--window-size", "400x300")
     try:
         for tick_in, out in synthetic_run.SyntheticTicks(run, 1.0):
-            recorder.record(pack_tick_record(tick_in, out))
+            recorder.send_record(pack_tick_record(tick_in, out))
         assert wait_for_time(ViewerClient.connect(url_of(follower)), 1) > 0, (
             "the follower is connected to its viewer"
         )
@@ -110,7 +110,7 @@ def test_live_view_ends_with_its_viewer(
 
 
 def test_sigterm_ends_the_wait_for_a_log(tmp_path: Path) -> None:
-    follower = start_live(tmp_path / "never.mcap", "--headless")
+    follower = start_live_view(tmp_path / "never.mcap", "--headless")
     time.sleep(2.0)
     assert follower.poll() is None
     follower.terminate()

@@ -13,8 +13,8 @@ from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.link_frames import quaternion_of_rotation
 from handctl.log.attached_meshes import mesh_attachments
 from handctl.log.header import RunHeader
-from handctl.view.feed import write_rrd
-from handctl.view.scene.geometry import MEDIA_TYPES, link_colour
+from handctl.view.rerun_conversion import write_rrd
+from handctl.view.scene.geometry import MESH_MEDIA_TYPES, link_colour
 from tests.hand.mesh_files import hand_with_meshes, write_meshes
 
 
@@ -31,7 +31,7 @@ def mesh_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     hand = hand_with_meshes("jamia")
     attachments, _ = mesh_attachments(hand, files)
     attachments["hand.urdf"] = urdf_text(hand).encode()
-    header = RunHeader.of_hand(
+    header = RunHeader.from_hand(
         hand.to_toml(), 10_000_000, attachments=attachments, deterministic=True
     )
     synthetic_run.write_synthetic_run(folder / "run.mcap", header, 0.5)
@@ -51,12 +51,12 @@ def test_each_mesh_is_an_asset_in_the_frame_of_its_link(
     recorded_entities: dict[str, RecordingEntity], mesh_log: Path
 ) -> None:
     run = run_info_of(mesh_log)
-    assert run.note == ""
+    assert run.missing_mesh_note == ""
     for mesh in meshes_of_hand(run.hand):
         shown = recorded_entities[f"/hand/{mesh.link}/mesh"].static
         assert shown["CoordinateFrame:frame"] == [mesh.link]
         assert bytes(np.array(shown["Asset3D:blob"][0], np.uint8)) == run.meshes[mesh.link].data
-        assert shown["Asset3D:media_type"] == [MEDIA_TYPES[mesh.suffix]]
+        assert shown["Asset3D:media_type"] == [MESH_MEDIA_TYPES[mesh.suffix]]
         red, green, blue, *_ = link_colour(mesh.link, run)
         assert shown["Asset3D:albedo_factor"] == [(red << 24) | (green << 16) | (blue << 8) | 255]
         assert shown["InstancePoses3D:translations"] == [pytest.approx(mesh.position, rel=1e-6)]
@@ -93,7 +93,7 @@ def test_the_live_view_sends_the_same_meshes(
         "send_chunks",
         lambda chunks, recording: sent.extend(chunk.entity_path for chunk in chunks),
     )
-    monkeypatch.setattr(follow, "FLUSH_S", 0.05)  # short, as there is no viewer
+    monkeypatch.setattr(follow, "FLUSH_TIMEOUT_S", 0.05)  # short, as there is no viewer
     run = run_info_of(mesh_log)
     follower = follow.LogFollower(mesh_log, run, "rerun+http://127.0.0.1:1/proxy")
     follower.close()

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from handctl.cli.main import main
-from handctl.view.picture import connect_client, view_reports, wait_loaded
+from handctl.view.dashboard_picture import connect_client, view_problem_reports, wait_until_loaded
 from handctl.view.scene import palette
 from handctl.view.viewer import Viewer, running_viewer
 
@@ -65,7 +65,7 @@ def bare_viewer(
         ["--headless", "--window-size", "1200x800", str(jamia_path)], vulkan
     ) as running:
         client = connect_client(running)
-        wait_loaded(client, "message_log_time")
+        wait_until_loaded(client, "message_log_time")
         yield running, client
 
 
@@ -80,7 +80,7 @@ def test_a_bare_log_opens_with_a_hand_that_moves(
         client.set_time("message_log_time", timestamp=at_s, play_state="paused")
         time.sleep(0.7)
         shots.append(pixels_of_png(client.take_screenshot(view_id=hand.view_id)))
-    assert view_reports(client) == []
+    assert view_problem_reports(client) == []
     moved = (np.abs(shots[0] - shots[1]).max(axis=2) > 30).mean()
     assert 0.005 < moved < 0.5
     assert {"TimeSeries", "TextLog", "3D"} <= {view.view_class for view in state.views}
@@ -133,5 +133,5 @@ def test_a_recording_without_its_times_is_not_loaded_yet(monkeypatch: pytest.Mon
             return next(left)
 
     monkeypatch.setattr(time, "sleep", lambda _: None)
-    wait_loaded(Busy(), "run_time", 50)  # type: ignore[arg-type] # stands in for a client
+    wait_until_loaded(Busy(), "run_time", 50)  # type: ignore[arg-type] # stands in for a client
     assert next(left, None) is None

@@ -9,9 +9,9 @@ from rerun.chunk import Chunk
 from rrd_entities import read_entities, run_info_of
 
 from handctl.errors import LogError
-from handctl.view.feed import log_chunks
+from handctl.view.log_tail import LogTail
+from handctl.view.rerun_conversion import log_chunks
 from handctl.view.scene.topic_converters import TopicConverters
-from handctl.view.tail import LogTail
 
 
 def grow_file(whole: bytes, seed: int) -> list[int]:
@@ -30,13 +30,13 @@ def test_the_parts_of_a_growing_log_add_up_to_the_whole_log(
     converters, tail, chunks, times = TopicConverters(run), LogTail(path), list[Chunk](), 0
     for size in grow_file(whole, seed):
         path.write_bytes(whole[:size])
-        assert not (tail.ended and size < 0.9 * len(whole))
-        since = tail.write_new(part)
+        assert not (tail.log_ended and size < 0.9 * len(whole))
+        since = tail.write_new_chunks(part)
         if since is not None:
             chunks += log_chunks(part, converters, "part", since)
             times += 1
-    assert tail.ended
-    assert tail.write_new(part) is None
+    assert tail.log_ended
+    assert tail.write_new_chunks(part) is None
     assert times > 4
     shown, expected = (
         read_entities(chunks),
@@ -57,7 +57,7 @@ def test_every_byte_of_growth_within_a_chunk_is_safe(jamia_path: Path, tmp_path:
     start = len(whole) // 2
     for size in range(start, start + 60_000, 997):
         path.write_bytes(whole[:size])
-        parts += tail.write_new(part) is not None
+        parts += tail.write_new_chunks(part) is not None
     assert parts > 1
 
 
@@ -66,4 +66,4 @@ def test_another_file_is_an_error(jamia_path: Path, tmp_path: Path) -> None:
     data[0] = 0
     path.write_bytes(data)
     with pytest.raises(LogError, match="not an MCAP file"):
-        LogTail(path).write_new(tmp_path / "part.mcap")
+        LogTail(path).write_new_chunks(tmp_path / "part.mcap")

@@ -17,11 +17,11 @@ from handctl.hand.link_frames import link_transforms
 from handctl.log.read.logfile import LogFile
 from handctl.log.read.reader import RunLog
 from handctl.log.read.record_scan import RecordScan, scan_records
-from handctl.view import feed
+from handctl.view import rerun_conversion
 from handctl.view.scene import palette
 from handctl.view.scene.frame_load import LOAD_WINDOW_NS
 from handctl.view.scene.run_info import RunInfo
-from handctl.view.scene.topic_converters import FORCE_SCALE
+from handctl.view.scene.topic_converters import ARROW_LENGTH_M_PER_N
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +92,9 @@ def test_arrows_are_the_forces_of_the_object_on_the_tips(
         one = recorded_entities[f"/force/{digit}"]
         vectors = one.table("Arrows3D:vectors")[:, 0]
         force = np.where(forces[:, index] >= 0.05, forces[:, index], 0.0)
-        np.testing.assert_allclose(vectors, force[:, None] * (0, -FORCE_SCALE, 0), atol=1e-7)
+        np.testing.assert_allclose(
+            vectors, force[:, None] * (0, -ARROW_LENGTH_M_PER_N, 0), atol=1e-7
+        )
         at = int(force.argmax())
         assert one.rows["Arrows3D:labels"][at] == [f"{force[at]:.1f} N"]
         assert one.static["CoordinateFrame:frame"] == [f"{digit}_tip"]
@@ -214,7 +216,7 @@ def test_time_slices_do_not_change_the_recording(
     recorded_entities: dict[str, RecordingEntity], log_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("handctl.view.time_slices.SLICE_NS", 333_000_000)
-    again = read_entities(feed.run_chunks(log_path, run_info_of(log_path), 333_000_000))
+    again = read_entities(rerun_conversion.run_chunks(log_path, run_info_of(log_path), 333_000_000))
     assert again.keys() == recorded_entities.keys() - {"/__properties"}
     for path in again.keys() - {"/tension/limit"}:
         one = again[path]
@@ -229,7 +231,7 @@ def test_a_log_that_ends_early_is_shown_up_to_there(
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(jamia_path.read_bytes()[: int(fraction * jamia_path.stat().st_size)])
     with RunLog(cut) as half:
-        shown = read_entities(feed.run_chunks(cut, run_info_of(cut)))
+        shown = read_entities(rerun_conversion.run_chunks(cut, run_info_of(cut)))
         np.testing.assert_array_equal(
             shown["/controller/q"].table("Scalars:scalars"), half.field("q")
         )
@@ -245,7 +247,7 @@ def test_a_cut_within_the_index_of_a_chunk_loses_no_message(
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(jamia_path.read_bytes()[: scan.chunks[5].end + 40])
     with RunLog(cut) as half:
-        shown = read_entities(feed.run_chunks(cut, run_info_of(cut)))
+        shown = read_entities(rerun_conversion.run_chunks(cut, run_info_of(cut)))
         assert half.t_ns[-1] == shown["/loop/late"].times[-1] == shown["/bus/load"].times[-1]
 
 
@@ -255,6 +257,6 @@ def test_a_log_whose_hand_is_no_hand_or_another_is_refused(jamia_path: Path) -> 
     header = run_info_of(jamia_path).header
     for text in ("[[", "schema = 1\n"):
         with pytest.raises(ConfigError, match=r"hand\.toml"):
-            RunInfo.of(replace(header, hand_toml=text), "run")
+            RunInfo.from_header(replace(header, hand_toml=text), "run")
     with pytest.raises(LogError, match="names differ"):
-        RunInfo.of(replace(header, digits=("a", "b", "c", "d")), "run")
+        RunInfo.from_header(replace(header, digits=("a", "b", "c", "d")), "run")

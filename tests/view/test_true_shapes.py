@@ -14,7 +14,7 @@ from rrd_entities import entities_of_file, read_entities, run_info_of
 
 from handctl.cli.main import main
 from handctl.errors import LogError
-from handctl.report.truth import TruthRecord, read_truth
+from handctl.report.truth_record import TruthRecord, read_truth
 from handctl.view.scene.run_info import RunInfo
 from handctl.view.scene.true_shapes import true_shape_chunks
 

@@ -35,7 +35,7 @@ def estimate_plot(folder: Path) -> Any:
     """Plot the raw load cell, the estimate with its band, and the true tension, in motion and at contact."""
     log, truth, _ = runs.grasp_run(folder)
     offset = int(log.header.metadata.get("truth_offset_ns", "0"))
-    true = truth.at("tension/index_tendon", log.t_ns + offset)
+    true = truth.column_at("tension/index_tendon", log.t_ns + offset)
     raw, mean, sigma = (
         log.field(name)[:, 0] for name in ("tension_raw", "tension", "tension_sigma")
     )

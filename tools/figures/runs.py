@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.campaign.stage import advance_to, homed_run
+from handctl.campaign.run_stages import advance_to_stage, homed_run
 from handctl.cli.main import main
 from handctl.controller.run_setup import make_controller
 from handctl.core.gains.gains import Gains
@@ -26,7 +26,7 @@ from handctl.programs.program import Program
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
 from handctl.replay.motion_replay import active_interval, playback_program
-from handctl.report.truth import TruthRecord, read_truth
+from handctl.report.truth_record import TruthRecord, read_truth
 from handctl.session.simulate import SimulatedRun, SimulatorSettings
 from tools.figures.style import PLOT_SETTINGS
 
@@ -89,12 +89,14 @@ def record_run(run: SimulatedRun, seconds: float, until: str = "") -> RunRecordi
     }
     made = RunRecording(np.zeros(0), {}, [], [])
     times = []
-    run.record = False
+    run.record_ticks = False
     for _ in range(round(seconds * 1e9 / run.period_ns)):
         t = run.k * run.period_ns * 1e-9
-        truth = run.peer.truth()
-        contact = np.linalg.norm(np.reshape(run.peer.world.plant.contact_forces(), (-1, 3)), axis=1)
-        out = run.tick()
+        truth = run.simulated_hand.truth()
+        contact = np.linalg.norm(
+            np.reshape(run.simulated_hand.world.plant.contact_forces(), (-1, 3)), axis=1
+        )
+        out = run.run_tick()
         times.append(t)
         for name in RECORDED_FIELDS:
             rows[name].append(np.array(getattr(out.telemetry, name)))
@@ -156,7 +158,7 @@ def replay_run(folder: Path) -> RunRecording:
     program: Program = playback_program(log, 1.0 / RATE_HZ, False)
     hand = load_hand("jamia")
     controller = make_controller(hand, Gains(), RATE_HZ, program, None, arm_at_once=True)
-    with SimulatorSettings(hand, "cylinder", 5, homed=True).against(controller) as run:
+    with SimulatorSettings(hand, "cylinder", 5, homed=True).begin_run(controller) as run:
         return record_run(run, 30.0)
 
 
@@ -168,10 +170,10 @@ def recording_interval(log: RunLog) -> tuple[float, float]:
 def snap_run() -> RunRecording:
     """Record a grasp in which the tendon of the index finger snaps."""
     with homed_run(load_hand("jamia"), RATE_HZ, 0) as run:
-        advance_to(run, "grasp")
+        advance_to_stage(run, "grasp")
         record_run(run, 0.5)
         before = record_run(run, 0.05)
-        run.peer.inject("snap tendon=index_tendon")
+        run.simulated_hand.inject("snap tendon=index_tendon")
         after = record_run(run, SNAP_S)
     t = np.concatenate([before.t, after.t]) - after.t[0]
     values = {
@@ -225,7 +227,7 @@ def _record_press(
     controller = make_controller(
         hand, Gains(), TIP_RATE_HZ, TaskProgram(task), None, arm_at_once=True
     )
-    with SimulatorSettings(hand, scene, 0, homed=True).against(controller) as run:
+    with SimulatorSettings(hand, scene, 0, homed=True).begin_run(controller) as run:
         return record_run(run, 14.0)
 
 

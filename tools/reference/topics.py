@@ -77,7 +77,7 @@ def packaged_hand_topics() -> dict[str, tuple[str, str]]:
     """
     registered_topics = {}
     for name in EXAMPLE_HANDS:
-        header = RunHeader.of_hand(load_hand(name).to_toml(), 2_000_000)
+        header = RunHeader.from_hand(load_hand(name).to_toml(), 2_000_000)
         made = TopicSet(header)
         types = {schema.id: schema.name for schema in made.schemas}
         for channel in made.channels:

@@ -5,22 +5,22 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
+from handctl.campaign.fault_matrix import FaultScenario, fault_pairs, scenarios_of_hand
+from handctl.campaign.run_stages import hand_with_protocol, homed_run, run_experiments
 from handctl.campaign.scenario_run import ScenarioResult, run_scenario
-from handctl.campaign.scenarios import FaultScenario, fault_pairs, scenarios_of_hand
-from handctl.campaign.stage import hand_with_protocol, homed_run, run_experiments
 from handctl.core.tick_types import HandMode, TickEvent
 from handctl.hand.description import Hand
 from handctl.safety.action import SafetyAction
 from handctl.session.simulate import SimulatedRun
 
-QUICK_EVERY = 7
+QUICK_SCENARIO_STEP = 7
 """Interval between two scenarios that a quick campaign runs.
 
 A quick campaign runs every seventh scenario.
 """
 NOISE_FACTOR = 3.0
 """Factor by which the specified sensor noise is increased in the runs without faults."""
-FRAME_LOSS = 0.001
+FRAME_LOSS_PROBABILITY = 0.001
 """Probability with which each CAN frame is lost in the runs without faults."""
 MAX_RUN_NS = 8_000_000_000
 """Longest duration of one run without faults [ns]."""
@@ -34,17 +34,17 @@ class CampaignReport:
 
     Attributes:
         hand: name of the hand.
-        rates: control rate by protocol [Hz].
+        control_rates_hz: control rate by protocol [Hz].
         results: results of the scenarios, by protocol.
-        alarms: false alarms by protocol. A false alarm is a fault with reaction HOLD or a more
+        false_alarms: false alarms by protocol. A false alarm is a fault with reaction HOLD or a more
             severe one in a run without injected faults.
         simulated_s: simulated time of the runs without faults, for all protocols together [s].
     """
 
     hand: str
-    rates: dict[str, float] = field(default_factory=dict)
+    control_rates_hz: dict[str, float] = field(default_factory=dict)
     results: dict[str, list[ScenarioResult]] = field(default_factory=dict)
-    alarms: dict[str, list[str]] = field(default_factory=dict)
+    false_alarms: dict[str, list[str]] = field(default_factory=dict)
     simulated_s: float = 0.0
 
     @property
@@ -52,12 +52,12 @@ class CampaignReport:
         """Return the results of the scenarios for all protocols."""
         return [result for results in self.results.values() for result in results]
 
-    def plain(self) -> dict[str, Any]:
+    def as_json(self) -> dict[str, Any]:
         """Return the report as plain values for JSON. The totals come first."""
         results = self.all_results
         return {
             "hand": self.hand,
-            "rates_hz": self.rates,
+            "rates_hz": self.control_rates_hz,
             "scenarios": len(results),
             "late": sum(not result.ok for result in results),
             "worst_ticks": max((result.ticks for result in results), default=0),
@@ -66,11 +66,12 @@ class CampaignReport:
             ),
             "worst_tension_N": max((result.tension for result in results), default=0.0),
             "not_felt": sum(not result.effects for result in results),
-            "false_alarms": sum(map(len, self.alarms.values())),
+            "false_alarms": sum(map(len, self.false_alarms.values())),
             "false_alarm_run_s": self.simulated_s,
-            "alarms": self.alarms,
+            "alarms": self.false_alarms,
             "results": {
-                protocol: [r.plain() for r in results] for protocol, results in self.results.items()
+                protocol: [r.as_json() for r in results]
+                for protocol, results in self.results.items()
             },
         }
 
@@ -97,7 +98,7 @@ def campaign_scenarios(
     if row_ids:
         return [scenario for scenario in selected if scenario.row.id in row_ids]
     selected += fault_pairs(hand, protocol, period_ms)
-    return selected[seed % QUICK_EVERY :: QUICK_EVERY] if quick else selected
+    return selected[seed % QUICK_SCENARIO_STEP :: QUICK_SCENARIO_STEP] if quick else selected
 
 
 def run_campaign(
@@ -133,7 +134,7 @@ def run_campaign(
     report = CampaignReport(name)
     for protocol in protocols:
         hand = hand_with_protocol(name, protocol)
-        rate = report.rates[protocol] = rate_of(hand)
+        rate = report.control_rates_hz[protocol] = rate_of(hand)
         scenarios_to_run = (
             []
             if fault_free_only
@@ -143,7 +144,7 @@ def run_campaign(
 
         # The defaults bind the values of this protocol. A closure would use those of the last
         # protocol.
-        def done(
+        def add_result(
             result: ScenarioResult,
             results: list[ScenarioResult] = results,
             protocol: str = protocol,
@@ -154,9 +155,11 @@ def run_campaign(
 
         if scenarios_to_run:
             attempt = partial(run_scenario, protocol=protocol)
-            run_experiments(hand, rate, scenarios_to_run, jobs, attempt, done, on_failure, seed)
+            run_experiments(
+                hand, rate, scenarios_to_run, jobs, attempt, add_result, on_failure, seed
+            )
         # A quick campaign has these runs as well, because false alarms are as bad as missed faults.
-        report.alarms[protocol] = run_fault_free(hand, rate, fault_free_s, seed)
+        report.false_alarms[protocol] = run_fault_free(hand, rate, fault_free_s, seed)
         report.simulated_s += fault_free_s
     return report
 
@@ -174,12 +177,16 @@ def run_fault_free(hand: Hand, rate_hz: float, seconds: float, seed: int = 1) ->
             for bus in hand.bus_names:
                 # `drop` loses frames that the drives send to the host. `deaf` loses frames that the
                 # host sends to the drives.
-                simulation.peer.inject(f"drop bus={bus} p={FRAME_LOSS} seed={seed}")
-                simulation.peer.inject(f"deaf bus={bus} p={FRAME_LOSS} seed={seed}")
+                simulation.simulated_hand.inject(
+                    f"drop bus={bus} p={FRAME_LOSS_PROBABILITY} seed={seed}"
+                )
+                simulation.simulated_hand.inject(
+                    f"deaf bus={bus} p={FRAME_LOSS_PROBABILITY} seed={seed}"
+                )
             alarms_before = len(alarms)
             ended = False
             while remaining_s > 0.0 and not ended:
-                out = simulation.tick()
+                out = simulation.run_tick()
                 remaining_s -= simulation.period_ns * 1e-9
                 alarms += [
                     event.text
@@ -192,11 +199,11 @@ def run_fault_free(hand: Hand, rate_hz: float, seconds: float, seed: int = 1) ->
             if (
                 ended
                 and len(alarms) == alarms_before
-                and simulation.out
-                and simulation.out.phase != LAST_PHASE
+                and simulation.last_output
+                and simulation.last_output.phase != LAST_PHASE
             ):
                 alarms.append(
-                    f"seed {seed} did not reach a grasp: {simulation.state.failure or simulation.out.phase}"
+                    f"seed {seed} did not reach a grasp: {simulation.state.failure or simulation.last_output.phase}"
                 )
         seed += 1
     return alarms

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from handctl.campaign.scenarios import GRASP_STAGE, HOST_PREFIX, FaultScenario, MatrixRow
+from handctl.campaign.fault_matrix import GRASP_STAGE, HOST_PREFIX, FaultScenario, MatrixRow
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode, IoEvent, TickOut
 from handctl.errors import REMOVE_POWER
@@ -67,7 +67,7 @@ class ScenarioResult:
     ok: bool = False
     problem: str = ""
 
-    def plain(self) -> dict[str, Any]:
+    def as_json(self) -> dict[str, Any]:
         """Return the result as plain values for JSON."""
         # The keys must stay equal to those of the report file, because other programs read this
         # file.
@@ -92,12 +92,12 @@ def run_scenario(
         protocol: protocol that the drives of the hand use.
     """
     row = scenario.row
-    bound = row.bound(protocol, simulation.period_ns / 1e6) + (
-        PAIR_EXTRA_TICKS if scenario.second else 0
+    bound = row.bound_ticks(protocol, simulation.period_ns / 1e6) + (
+        PAIR_EXTRA_TICKS if scenario.second_fault else 0
     )
     result = ScenarioResult(scenario.name, row.id, scenario.stage, bound=bound)
     start_ns = simulation.k * simulation.period_ns
-    start_tension = simulation.peer.truth()["tension"]
+    start_tension = simulation.simulated_hand.truth()["tension"]
     speed = _tendon_speeds(simulation)
     host = (
         HostFault(scenario.fault.removeprefix(HOST_PREFIX))
@@ -105,32 +105,32 @@ def run_scenario(
         else None
     )
     if host is None:
-        simulation.peer.inject(scenario.fault)
+        simulation.simulated_hand.inject(scenario.fault)
     second_host = (
-        HostFault(scenario.second.removeprefix(HOST_PREFIX))
-        if scenario.second.startswith(HOST_PREFIX)
+        HostFault(scenario.second_fault.removeprefix(HOST_PREFIX))
+        if scenario.second_fault.startswith(HOST_PREFIX)
         else None
     )
     for i in range(
         bound + PAIR_DELAY_TICKS + round(OBSERVATION_TIME_S * 1e9 / simulation.period_ns)
     ):
         inputs: dict[str, Any] = {"requests": (CUT_REQUEST,)} if i == 1 and row.id == "N16" else {}
-        inputs |= host.at(i, simulation) if host else {}
+        inputs |= host.tick_arguments(i, simulation) if host else {}
         if i == PAIR_DELAY_TICKS and second_host:
-            inputs |= second_host.at(0, simulation)
-        elif i == PAIR_DELAY_TICKS and scenario.second:
-            simulation.peer.inject(scenario.second)
+            inputs |= second_host.tick_arguments(0, simulation)
+        elif i == PAIR_DELAY_TICKS and scenario.second_fault:
+            simulation.simulated_hand.inject(scenario.second_fault)
         t_ns = (simulation.k + int(inputs.get("skip", 0))) * simulation.period_ns
         # If the fault stops the host for some ticks, the reaction time counts from the tick in
         # which the host wakes up.
         start_ns = t_ns if host and i == 0 else start_ns
-        out = simulation.tick(**inputs)
+        out = simulation.run_tick(**inputs)
         _observe_tick(
             result, simulation, scenario, out, _first_effect_ns(simulation, host, start_ns), t_ns
         )
         if out.mode == HandMode.DONE:
             break
-    result.effects = 1 if host else int(simulation.peer.fault_states()[0]["felt"])
+    result.effects = 1 if host else int(simulation.simulated_hand.fault_states()[0]["felt"])
     result.tension_bound = tension_bound(
         simulation,
         scenario,
@@ -146,11 +146,12 @@ def _tendon_speeds(simulation: SimulatedRun) -> list[float]:
 
     The speed is zero before the first tick.
     """
-    if simulation.out is None:
+    if simulation.last_output is None:
         return [0.0] * simulation.controller.model.tendon_count
     spool = simulation.controller.model.space.spool
     return [
-        float(v) for v in np.nan_to_num(np.abs(simulation.out.telemetry.motor_velocity * spool))
+        float(v)
+        for v in np.nan_to_num(np.abs(simulation.last_output.telemetry.motor_velocity * spool))
     ]
 
 
@@ -174,7 +175,7 @@ def tension_bound(
         speed: speed of each tendon when the fault was injected [m/s].
         seconds: time from the fault until all torques are zero [s].
     """
-    if RUNAWAY_FAULT not in (scenario.fault.split()[0], *scenario.second.split()[:1]):
+    if RUNAWAY_FAULT not in (scenario.fault.split()[0], *scenario.second_fault.split()[:1]):
         return max(*simulation.controller.limits.tension_trip, *start_tension)
     return runaway_tension(
         simulation.controller.model,
@@ -219,7 +220,7 @@ def _first_effect_ns(simulation: SimulatedRun, host: "HostFault | None", start_n
     """
     if host is not None:
         return start_ns
-    return int(simulation.peer.fault_states()[0]["first_ns"])
+    return int(simulation.simulated_hand.fault_states()[0]["first_ns"])
 
 
 def _observe_tick(
@@ -232,7 +233,7 @@ def _observe_tick(
 ) -> None:
     """Update the result of a scenario from the output of a tick."""
     row = scenario.row
-    truth = simulation.peer.truth()
+    truth = simulation.simulated_hand.truth()
     result.tension = max(result.tension, *truth["tension"])
     if first_effect_ns < 0:
         return
@@ -240,9 +241,9 @@ def _observe_tick(
     for event in out.events:
         is_report = event.name == "fault" or REMOVE_POWER in event.text
         is_expected = (
-            event.text.startswith(tuple(filter(None, row.rows)))
-            or not any(row.rows)
-            or scenario.second
+            event.text.startswith(tuple(filter(None, row.accepted_faults)))
+            or not any(row.accepted_faults)
+            or scenario.second_fault
         )
         if not result.detected_by and is_report and is_expected:
             result.detected_by = " ".join(event.text.split(":")[0].split()[:1]) + f" {event.where}"
@@ -259,7 +260,7 @@ def _observe_tick(
     if (
         result.ticks < 0
         and reacted
-        and (result.detected_by or not any(row.rows) or out.mode in SHUT_DOWN_MODES)
+        and (result.detected_by or not any(row.accepted_faults) or out.mode in SHUT_DOWN_MODES)
     ):
         result.ticks = max(0, since)
     if result.ticks >= 0 and result.safe_ticks < 0 and not any(truth["torque"]):
@@ -275,8 +276,8 @@ def _judge_result(result: ScenarioResult, row: MatrixRow) -> ScenarioResult:
         problems.append("no reaction")
     elif result.ticks > result.bound:
         problems.append(f"late: {result.ticks} ticks, at most {result.bound}")
-    elif not result.detected_by and any(row.rows):
-        problems.append(f"none of {', '.join(filter(None, row.rows))} was reported")
+    elif not result.detected_by and any(row.accepted_faults):
+        problems.append(f"none of {', '.join(filter(None, row.accepted_faults))} was reported")
     if row.action >= SafetyAction.RELAX and result.effects and result.safe_ticks < 0:
         problems.append("torque remains")
     if result.tension > result.tension_bound:
@@ -297,21 +298,21 @@ class HostFault:
 
     def __init__(self, text: str) -> None:
         """Parse the text of a host fault."""
-        self.verb, *self.words = text.split()
+        self.kind, *self.words = text.split()
 
-    def at(self, i: int, simulation: SimulatedRun) -> dict[str, Any]:
+    def tick_arguments(self, i: int, simulation: SimulatedRun) -> dict[str, Any]:
         """Return the arguments with which the simulation executes the i-th tick after the start of the fault."""
         first = i == 0
-        if self.verb == "io":
+        if self.kind == "io":
             if not first and "lasting" not in self.words:
                 return {}
             where = self.words[1] if len(self.words) > 1 and self.words[1] != "lasting" else "bus"
             return {"io": (IoEvent(self.words[0], where),)}
         if not first:
             return {}
-        if self.verb == "skip":
+        if self.kind == "skip":
             return {"skip": int(self.words[0])}
-        if self.verb == "late":
+        if self.kind == "late":
             return {"late_ns": round(float(self.words[0]) * simulation.period_ns)}
         times = int(self.words[1]) if len(self.words) > 1 else 1
         return {"requests": (f'{{"do": "{self.words[0]}"}}',) * times}

@@ -22,9 +22,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from handctl.campaign.fault_matrix import FAULT_MATRIX, HOST_PREFIX, texts_of_fault
+from handctl.campaign.run_stages import RUN_STAGES, run_experiments
 from handctl.campaign.scenario_run import RUNAWAY_FAULT, HostFault, ScenarioResult, runaway_tension
-from handctl.campaign.scenarios import FAULT_MATRIX, HOST_PREFIX, texts_of_fault
-from handctl.campaign.stage import RUN_STAGES, run_experiments
 from handctl.controller.controller_state import ControllerState
 from handctl.core.tick_types import HandMode
 from handctl.errors import REMOVE_POWER
@@ -37,15 +37,15 @@ SEQUENCE_TICKS = 200
 MIN_FAULTS = 2
 MAX_FAULTS = 6
 """Largest number of faults in a sequence."""
-BRIEF_MS = (5, 200)
+BRIEF_DURATION_RANGE_MS = (5, 200)
 """Shortest and longest duration of a fault that ends by itself [ms]."""
 PERMANENT_FAULTS = ("snap", "slack")
 """Names of the faults that never end by themselves."""
-HOST_STEP_FRACTION = 0.2
+HOST_FAULT_FRACTION = 0.2
 """Fraction of the steps of sequences that are requests or faults of the host."""
 BRIEF_FRACTION = 0.6
 """Fraction of the other steps, faults that the simulator injects, that end by themselves."""
-HOST_STEPS = (
+HOST_FAULT_TEXTS = (
     f"{HOST_PREFIX}ask stop",
     f"{HOST_PREFIX}ask clear",
     f"{HOST_PREFIX}ask nonsense 1",
@@ -53,7 +53,7 @@ HOST_STEPS = (
     f"{HOST_PREFIX}late 0.3",
 )
 """Requests and faults of the host that a sequence may contain."""
-SHUTDOWN_S = 2.5
+SHUTDOWN_TIMEOUT_S = 2.5
 """Time for which a run is observed after the stop [s].
 
 The time covers relaxing, disarming, the timeouts of both, and the heartbeat of an ODrive.
@@ -125,11 +125,11 @@ def draw_sequence(hand: Hand, protocol: str, period_ms: float, seed: int) -> Fau
     count = chance.randint(MIN_FAULTS, MAX_FAULTS)
     steps = []
     for tick in sorted(chance.sample(range(SEQUENCE_TICKS), count)):
-        if chance.random() < HOST_STEP_FRACTION:
-            steps.append(FaultStep(tick, chance.choice(HOST_STEPS)))
+        if chance.random() < HOST_FAULT_FRACTION:
+            steps.append(FaultStep(tick, chance.choice(HOST_FAULT_TEXTS)))
             continue
         fault = chance.choice(
-            texts_of_fault(hand, chance.choice(rows).fault, period_ms) or list(HOST_STEPS)
+            texts_of_fault(hand, chance.choice(rows).fault, period_ms) or list(HOST_FAULT_TEXTS)
         )
         brief = (
             not fault.startswith((HOST_PREFIX, *PERMANENT_FAULTS))
@@ -137,7 +137,10 @@ def draw_sequence(hand: Hand, protocol: str, period_ms: float, seed: int) -> Fau
             and chance.random() < BRIEF_FRACTION
         )
         steps.append(
-            FaultStep(tick, f"{fault} for={chance.randint(*BRIEF_MS)}ms" if brief else fault)
+            FaultStep(
+                tick,
+                f"{fault} for={chance.randint(*BRIEF_DURATION_RANGE_MS)}ms" if brief else fault,
+            )
         )
     return FaultSequence(seed, RUN_STAGES[seed % len(RUN_STAGES)], tuple(steps))
 
@@ -167,11 +170,11 @@ def run_sequences(
     sequences = [draw_sequence(hand, protocol, 1e3 / rate_hz, seed) for seed in seeds]
     results = list[ScenarioResult]()
 
-    def done(result: ScenarioResult) -> None:
+    def add_result(result: ScenarioResult) -> None:
         results.append(result)
         on_progress(len(results))
 
-    run_experiments(hand, rate_hz, sequences, jobs, run_sequence, done, on_failure)
+    run_experiments(hand, rate_hz, sequences, jobs, run_sequence, add_result, on_failure)
     return results
 
 
@@ -183,20 +186,22 @@ def run_sequence(simulation: SimulatedRun, sequence: FaultSequence) -> ScenarioR
             run.
         sequence: faults to inject.
     """
-    start = (simulation.state, len(simulation.recorded))
-    start_tension = simulation.peer.truth()["tension"]
+    start = (simulation.state, len(simulation.recorded_ticks))
+    start_tension = simulation.simulated_hand.truth()["tension"]
     violations: list[str] = []
     tension = 0.0
     for inputs in _sequence_ticks(simulation, sequence):
         before = simulation.state
-        simulation.tick(**inputs)
-        tension = max(tension, *simulation.peer.truth()["tension"])
+        simulation.run_tick(**inputs)
+        tension = max(tension, *simulation.simulated_hand.truth()["tension"])
         violations += violations_in_tick(
             before, simulation.state, cleared=CLEAR_REQUEST in inputs["requests"]
         )
         if simulation.state.mode == HandMode.DONE:
             break
-    active_faults = sum(int(fault["felt"]) > 0 for fault in simulation.peer.fault_states())
+    active_faults = sum(
+        int(fault["felt"]) > 0 for fault in simulation.simulated_hand.fault_states()
+    )
     bound = _tension_bound(simulation, sequence, start_tension)
     if tension > bound:
         violations.append(f"{tension:.0f} N in a tendon, at most {bound:.0f} N expected")
@@ -220,18 +225,18 @@ def _sequence_ticks(simulation: SimulatedRun, sequence: FaultSequence) -> Iterat
     At the end of the sequence, the inputs have a stop request.
     """
     host_faults: list[tuple[int, HostFault]] = []
-    for i in range(SEQUENCE_TICKS + round(SHUTDOWN_S * 1e9 / simulation.period_ns)):
+    for i in range(SEQUENCE_TICKS + round(SHUTDOWN_TIMEOUT_S * 1e9 / simulation.period_ns)):
         for fault in [step.fault for step in sequence.steps if step.tick == i]:
             if fault.startswith(HOST_PREFIX):
                 host_faults.append((i, HostFault(fault.removeprefix(HOST_PREFIX))))
             else:
-                simulation.peer.inject(fault)
+                simulation.simulated_hand.inject(fault)
         inputs: dict[str, Any] = {
             "io": (),
             "requests": (STOP_REQUEST,) if i == SEQUENCE_TICKS else (),
         }
         for start_tick, host in host_faults:
-            for key, value in host.at(i - start_tick, simulation).items():
+            for key, value in host.tick_arguments(i - start_tick, simulation).items():
                 inputs[key] = inputs[key] + value if key in ("io", "requests") else value
         yield inputs
 
@@ -284,7 +289,7 @@ def violations_at_end(simulation: SimulatedRun) -> list[str]:
         return [f"the run does not end: {state.mode.name}"]
     with_torque = [
         name
-        for name, torque in zip(names, simulation.peer.truth()["torque"], strict=True)
+        for name, torque in zip(names, simulation.simulated_hand.truth()["torque"], strict=True)
         if torque
     ]
     return (
@@ -299,7 +304,7 @@ def violations_on_replay(simulation: SimulatedRun, state: ControllerState, first
 
     Return a text about the first tick whose state, frames or events differ, if there is one.
     """
-    for entry, out in simulation.recorded[first:]:
+    for entry, out in simulation.recorded_ticks[first:]:
         state, replayed = simulation.controller.tick(state, entry)
         if (replayed.state_hash, replayed.frames, replayed.events) != (
             out.state_hash,

@@ -26,7 +26,7 @@ from handctl.cli.console.termination import (
 )
 from handctl.cli.console.verbosity import is_verbose, print_detail, use_verbosity
 from handctl.cli.parsing.completion import is_completing, print_completions
-from handctl.cli.parsing.needs import optional_packages
+from handctl.cli.parsing.optional_packages import optional_packages
 from handctl.cli.parsing.parser import VerbParser, check_words, did_you_mean
 from handctl.errors import ConfigError, HandctlError, IncomparableError, LogError, PowerError
 from handctl.extras import missing_extra, require_extra
@@ -236,7 +236,9 @@ def verb_parser(name: str) -> VerbParser:
     text = VERB_HELP[name]
     example = _import_arguments(name).EXAMPLES[name]
     parser = VerbParser(
-        prog=f"handctl {name}", description=f"{text[0].upper()}{text[1:]}.", epilog=example.epilog()
+        prog=f"handctl {name}",
+        description=f"{text[0].upper()}{text[1:]}.",
+        epilog=example.help_epilog(),
     )
     getattr(_import_arguments(name), name)(parser)
     return parser
@@ -282,7 +284,7 @@ def _run_verb(name: str, words: list[str]) -> int:
 
 def _start_recorder_early() -> AbstractContextManager[None]:
     """Start the recorder process early. Then both processes import modules at the same time."""
-    from handctl.log.write.child import (
+    from handctl.log.write.recorder_start import (
         recorder_process_ahead,
     )  # a verb without a run needs no subprocess
 

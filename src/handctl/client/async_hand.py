@@ -12,9 +12,9 @@ from handctl.client.observation import Observation
 from handctl.client.stream import TargetStream, TargetValues
 from handctl.hand.description import Hand
 from handctl.programs.stream_plans import StreamStatus
-from handctl.runtime.confirm import CONFIRMATION_TIMEOUT_S
+from handctl.runtime.confirmed_requests import CONFIRMATION_TIMEOUT_S
 
-POLL_OBSERVATION_S = 0.5e-3
+OBSERVATION_POLL_PERIOD_S = 0.5e-3
 """Pause between two reads of the shared memory with observations [s].
 
 The event loop runs other tasks meanwhile.
@@ -125,7 +125,7 @@ class AsyncHandClient:
         """
         for seen in self.client.poll_observations(timeout_s):
             if seen is None:
-                await asyncio.sleep(POLL_OBSERVATION_S)
+                await asyncio.sleep(OBSERVATION_POLL_PERIOD_S)
             else:
                 yield seen
 

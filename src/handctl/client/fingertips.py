@@ -52,8 +52,8 @@ class Fingertips:
             if name not in on_palm or self.digits.count(name) > 1:
                 right = f"some of {', '.join(on_palm)}, each once"
                 raise ConfigError(f"{name!r}: no digit on the palm, or twice", "fingertips", right)
-        self._models = [DigitModel.from_hand(hand, name) for name in self.digits]
-        self.joints = tuple(joint for model in self._models for joint in model.joint_names)
+        self._digit_models = [DigitModel.from_hand(hand, name) for name in self.digits]
+        self.joints = tuple(joint for model in self._digit_models for joint in model.joint_names)
         self.distances_m = np.full(len(self.digits), np.nan)
         self._coordinates: list[NDArray[np.float64] | None] = [None] * len(self.digits)
 
@@ -66,7 +66,7 @@ class Fingertips:
         return np.array(
             [
                 joint_points(model, [angles_rad[joint] for joint in model.joint_names])[-1]
-                for model in self._models
+                for model in self._digit_models
             ]
         )
 
@@ -82,8 +82,8 @@ class Fingertips:
                 finite.
         """
         angles: dict[str, float] = {}
-        for d, target in self._targets(positions).items():
-            model = self._models[d]
+        for d, target in self._positions_by_digit(positions).items():
+            model = self._digit_models[d]
             found = closest_tip(model, target, self._coordinates[d])
             self._coordinates[d] = found.coordinates
             self.distances_m[d] = found.distance
@@ -91,7 +91,7 @@ class Fingertips:
             angles |= dict(zip(model.joint_names, joints, strict=True))
         return angles
 
-    def _targets(self, positions: TipPositions) -> dict[int, NDArray[np.float64]]:
+    def _positions_by_digit(self, positions: TipPositions) -> dict[int, NDArray[np.float64]]:
         """Check positions of fingertips, and return them by index of the digit."""
         if isinstance(positions, Mapping):
             if unknown := [str(name) for name in positions if name not in self.digits]:
@@ -148,18 +148,18 @@ class FingertipStream(TargetStream):
         self.joints = self.names
         self.names = fingertips.digits
 
-    def _target(self, values: Any) -> NDArray[np.float64]:
+    def _ordered_values(self, values: Any) -> NDArray[np.float64]:
         """Return the joint angles for positions of fingertips [deg].
 
         Digits that a mapping leaves out keep their angles.
         """
         angles = self.fingertips.angles_deg(values)
-        target = self._present() if self._last is None else self._last.copy()
+        target = self._present_values() if self._last is None else self._last.copy()
         for name, angle in angles.items():
             target[self.joints.index(name)] = angle
         return target
 
-    def _present(self) -> NDArray[np.float64]:
+    def _present_values(self) -> NDArray[np.float64]:
         """Return the present joint angles [deg]."""
         present = self._hand.observe().named("q_rad")
         return np.degrees([present[joint] for joint in self.joints])

@@ -40,7 +40,7 @@ from handctl.programs.requests import (
 )
 from handctl.programs.stream_plans import target_horizon_s
 from handctl.programs.task import HoldPhase
-from handctl.runtime.confirm import (
+from handctl.runtime.confirmed_requests import (
     CONFIRMATION_TIMEOUT_S,
     follow_until_off,
     is_hand_off,
@@ -52,7 +52,7 @@ from handctl.runtime.targets import TargetSender, stream_name
 from handctl.session.buses import named_buses, refuse_default_hand
 from handctl.session.defaults import DEFAULT_HAND
 from handctl.session.exit_codes import ExitCode
-from handctl.session.tasks import find_task
+from handctl.session.tasks import load_task_for_hand
 
 START_TIMEOUT_S = 300.0
 """Longest wait for a controller started here to accept goals [s]. The time covers commissioning on a slow machine.
@@ -61,9 +61,9 @@ A controller that cannot start ends much earlier.
 """
 ATTACH_TIMEOUT_S = 60.0
 """Longest wait for a controller that another process has started to accept goals [s]."""
-POLL_OBSERVATION_S = 50e-6
+OBSERVATION_POLL_PERIOD_S = 50e-6
 """Pause between two reads of the shared memory with observations [s]."""
-POLL_S = 0.2
+STATE_POLL_PERIOD_S = 0.2
 """Longest wait for a status line, after which the client checks that the controller process still runs [s]."""
 SENDER_NAME_BYTES = 64
 """Largest number of bytes that the name of the sender adds to a request."""
@@ -182,13 +182,15 @@ class HandClient:
         self.name = f"client-{os.getpid()}-{next(_client_numbers)}"
         self.child: subprocess.Popen[bytes] | None = None
         self.result: dict[str, Any] = {}
-        self._live = self._commands = self._closed = self._error_raised = self._off = False
+        self._has_been_live = self._has_commanded = self._closed = self._error_raised = (
+            self._is_hand_off
+        ) = False
         self._lock = threading.RLock()  # only one call may wait for a status line at a time
         self._observations: ObservationReader | None = None
         self._description: Hand | None = None
         self._watcher = StatusWatcher(bus)
         self._stderr = tempfile.TemporaryFile()  # noqa: SIM115
-        self._shown = 0
+        self._printed_bytes = 0
         self._last_message = ""
         if command:
             pipe = subprocess.PIPE
@@ -249,8 +251,8 @@ class HandClient:
         angles = _values_by_digit("move", goals, angle_deg)
         goal = {
             "do": "move",
-            "angle_deg": _numbers_of(angles),
-            **_numbers_of({"duration_s": duration_s}),
+            "angle_deg": _with_float_numbers(angles),
+            **_with_float_numbers({"duration_s": duration_s}),
         }
         validate_content(goal, MoveDigits, "move")
         start_s = self._set_goal(goal)
@@ -289,8 +291,8 @@ class HandClient:
         tensions = _values_by_digit("hold", goals, tension_N)
         goal = {
             "do": "hold",
-            "tension_N": _numbers_of(tensions),
-            **_numbers_of({"rate_N_per_s": rate_N_per_s}),
+            "tension_N": _with_float_numbers(tensions),
+            **_with_float_numbers({"rate_N_per_s": rate_N_per_s}),
         }
         validate_content(goal, HoldTension, "hold")
         self._set_goal(goal)
@@ -345,7 +347,7 @@ class HandClient:
             "do": "stream", "stream": stream_name(os.getpid(), number),
             "space": "joint" if tips else space,
             "names": list(everything if names is None else names), "interpolation": interpolation,
-            **_numbers_of(numbers),
+            **_with_float_numbers(numbers),
         }  # fmt: skip
         validate_content(goal, OpenStream, "stream")
         with ExitStack() as undo:
@@ -378,7 +380,7 @@ class HandClient:
             DriveError: the task has ended before its hold phase, the timeout has passed, or the run
                 has ended.
         """
-        found, _ = find_task(Path(task), self.description)
+        found, _ = load_task_for_hand(Path(task), self.description)
         hold = next((phase.name for phase in found.phase if isinstance(phase, HoldPhase)), "live")
         content = found.model_dump(by_alias=True, exclude_unset=True, mode="json")
         self._set_goal({"do": "grasp", "task": content})
@@ -452,11 +454,15 @@ class HandClient:
         reader = self._open_reader()
         end = time.monotonic() + timeout_s
         while True:
-            record = reader.latest() if not wait or reader.written > reader.seen else None
+            record = (
+                reader.latest_record()
+                if not wait or reader.written_count > reader.last_read_number
+                else None
+            )
             if record is not None:
                 return Observation(record, self.description)
-            self._check_silence(reader, end)
-            time.sleep(POLL_OBSERVATION_S)
+            self._check_run_and_timeout(reader, end)
+            time.sleep(OBSERVATION_POLL_PERIOD_S)
 
     def observations(self, timeout_s: float = CONFIRMATION_TIMEOUT_S) -> Iterator[Observation]:
         """Yield the observation of every tick from now on, in order, until the run ends.
@@ -471,7 +477,7 @@ class HandClient:
         """
         for seen in self.poll_observations(timeout_s):
             if seen is None:
-                time.sleep(POLL_OBSERVATION_S)
+                time.sleep(OBSERVATION_POLL_PERIOD_S)
             else:
                 yield seen
 
@@ -481,17 +487,17 @@ class HandClient:
         The argument and the errors are those of ``observations``.
         """
         reader = self._open_reader()
-        reader.seen = reader.written
+        reader.last_read_number = reader.written_count
         end = time.monotonic() + timeout_s
         while True:
-            if (record := reader.next()) is not None:
+            if (record := reader.next_record()) is not None:
                 end = time.monotonic() + timeout_s
                 self._note_call()
                 yield Observation(record, self.description)
-            elif reader.ended:
+            elif reader.run_ended:
                 return
             else:
-                self._check_silence(reader, end)
+                self._check_run_and_timeout(reader, end)
                 yield None
 
     def wait_for(
@@ -537,22 +543,22 @@ class HandClient:
         The first call opens the reader. This is possible only while the run is alive.
         """
         if self._observations is not None:
-            if not self._observations.ended:
+            if not self._observations.run_ended:
                 return self._observations
             self._collect_result()
-        self._refuse_ended()
-        if self._observations is None or self._observations.ended:
+        self._check_not_ended()
+        if self._observations is None or self._observations.run_ended:
             self._observations = ObservationReader(self.bus)
         return self._observations
 
-    def _check_silence(self, reader: ObservationReader, end: float) -> None:
+    def _check_run_and_timeout(self, reader: ObservationReader, end: float) -> None:
         """Raise an error if the run has ended, or if the time ``end`` of a wait has passed."""
-        if reader.ended:
+        if reader.run_ended:
             self._collect_result()
-            self._refuse_ended()
+            self._check_not_ended()
             raise DriveError("the run has ended", f"bus {self.bus}")
         if time.monotonic() >= end:
-            self._refuse_ended()
+            self._check_not_ended()
             raise BusError("the controller is silent", f"bus {self.bus}", RUN_OWNER)
 
     def state(self, timeout_s: float = CONFIRMATION_TIMEOUT_S) -> dict[str, Any]:
@@ -578,11 +584,13 @@ class HandClient:
         self._note_call()
         end = time.monotonic() + timeout_s
         while True:
-            self._refuse_ended()
+            self._check_not_ended()
             with self._lock:
-                line = self._watcher.fresh_line(max(0.0, min(POLL_S, end - time.monotonic())))
+                line = self._watcher.request_line(
+                    max(0.0, min(STATE_POLL_PERIOD_S, end - time.monotonic()))
+                )
             if line is not None:
-                self._off |= is_hand_off(line)
+                self._is_hand_off |= is_hand_off(line)
                 return line
             if time.monotonic() >= end:
                 raise BusError("the controller is silent", f"bus {self.bus}", RUN_OWNER)
@@ -600,10 +608,10 @@ class HandClient:
         end = time.monotonic() + timeout_s
         last_phase = "no state received"
         while (remaining_s := end - time.monotonic()) > 0.0:
-            self._refuse_ended()
+            self._check_not_ended()
             with suppress(BusError):
-                line = self.state(min(POLL_S, remaining_s))
-                self._live |= line["phase"] == "live"
+                line = self.state(min(STATE_POLL_PERIOD_S, remaining_s))
+                self._has_been_live |= line["phase"] == "live"
                 if line["phase"] == phase:
                     return line
                 last_phase = f"phase {line['phase']!r}"
@@ -621,7 +629,7 @@ class HandClient:
         with self._lock:
             line, _ = send_with_confirmation(self._watcher, {"do": "stop"}, repeat=True)
             follow_until_off(self._watcher, "stop", line)
-            self._off = True
+            self._is_hand_off = True
 
     def close(self) -> None:
         """Close the client, as the end of the ``with`` statement does.
@@ -647,13 +655,13 @@ class HandClient:
             with self._lock:
                 line, replies = send_with_confirmation(self._watcher, {**goal, "client": self.name})
         except UnconfirmedError:
-            self._refuse_ended()
+            self._check_not_ended()
             raise
         if refused := [text for text in replies if text.startswith(REFUSED_PREFIX)]:
             raise ConfigError(
                 refused[0].removeprefix(REFUSED_PREFIX), f"the controller of {self.bus}"
             )
-        self._commands = True
+        self._has_commanded = True
         self._start_heartbeat()
         return float(line["t_s"])
 
@@ -679,18 +687,18 @@ class HandClient:
         line = self.state(timeout_s)
         if line["mode"] in SHUTDOWN_MODE_NAMES:
             self._collect_result()
-            self._refuse_ended()
+            self._check_not_ended()
             raise DriveError(f"the hand no longer accepts goals: {line['mode']}", f"bus {self.bus}")
         return line
 
-    def _refuse_ended(self) -> None:
+    def _check_not_ended(self) -> None:
         """Raise an error if the controller or this client has ended.
 
         If the controller has ended, the method first waits for the result of the run.
         """
-        self._pass_on()
+        self._print_new_messages()
         if self.child is not None and (
-            self.child.poll() is not None or (self._live and not is_running(self.bus))
+            self.child.poll() is not None or (self._has_been_live and not is_running(self.bus))
         ):
             self._collect_result()
             self._error_raised = True
@@ -713,7 +721,7 @@ class HandClient:
         if self._heartbeat is not None:
             self._heartbeat.end()
         try:
-            if self.child is None and self._commands and is_running(self.bus):
+            if self.child is None and self._has_commanded and is_running(self.bus):
                 with self._lock:
                     send_with_confirmation(
                         self._watcher, {"do": "leave", "client": self.name}, repeat=True
@@ -732,7 +740,7 @@ class HandClient:
         """End the controller by closing its standard input, and read the result of the run."""
         if self.child is not None and self.child.stdout and not self.child.stdout.closed:
             out, _ = self.child.communicate()
-            self._pass_on()
+            self._print_new_messages()
             with suppress(ValueError):  # a killed process leaves no output, or a part of it
                 self.result = json.loads(out)
 
@@ -745,12 +753,12 @@ class HandClient:
             return PowerError(reason, f"bus {self.bus}", "its power removed")
         return DriveError(f"the controller ended: {reason}", f"bus {self.bus}")
 
-    def _pass_on(self) -> None:
+    def _print_new_messages(self) -> None:
         """Print new messages of the controller to the standard error of this program."""
         if self._stderr.closed:
             return
-        new = os.pread(self._stderr.fileno(), 1 << 16, self._shown)
-        self._shown += len(new)
+        new = os.pread(self._stderr.fileno(), 1 << 16, self._printed_bytes)
+        self._printed_bytes += len(new)
         if text := new.decode("utf-8", "replace"):
             self._last_message = (
                 text.strip().splitlines()[-1].removeprefix("handctl: ") if text.strip() else ""
@@ -774,7 +782,7 @@ def _values_by_digit(do: str, goals: object, named: Mapping[str, Any]) -> dict[s
     return values | dict(named)
 
 
-def _numbers_of(values: Mapping[str, Any]) -> dict[str, Any]:
+def _with_float_numbers(values: Mapping[str, Any]) -> dict[str, Any]:
     """Convert the numbers among some values to float, whatever their type, and return all values.
 
     Other values are not converted. A later check can then name a wrong value in the error message.

@@ -36,10 +36,10 @@ class Heartbeat:
                 given, any time is allowed.
         """
         self._bus = bus
-        self._data = alive_request_text(client).encode()
+        self._heartbeat_request = alive_request_text(client).encode()
         self._period_s = period_s
         self._watchdog_s = watchdog_s
-        self._used_s = time.monotonic()
+        self._last_call_s = time.monotonic()
         self._ended = threading.Event()
         self._thread = threading.Thread(
             target=self._send_regularly, name=f"heartbeat of {client}", daemon=True
@@ -48,7 +48,7 @@ class Heartbeat:
 
     def note_call(self) -> None:
         """Store that the program has used the client now."""
-        self._used_s = time.monotonic()
+        self._last_call_s = time.monotonic()
 
     def end(self) -> None:
         """End the thread."""
@@ -59,7 +59,10 @@ class Heartbeat:
         """Send signs of life until ``end``, or until the controller has ended."""
         with closing(RequestSender(self._bus)) as sender, suppress(OSError):
             while not self._ended.wait(self._period_s):
-                if self._watchdog_s is None or time.monotonic() - self._used_s <= self._watchdog_s:
+                if (
+                    self._watchdog_s is None
+                    or time.monotonic() - self._last_call_s <= self._watchdog_s
+                ):
                     sender.send(
-                        self._data
+                        self._heartbeat_request
                     )  # if the mailbox is full, the next message renews the lease

@@ -11,7 +11,7 @@ from handctl.hand.description import Hand
 from handctl.programs.stream_plans import StreamStatus
 from handctl.runtime.observations import PUBLISHED_NAMES
 
-AXIS_OF = {PUBLISHED_NAMES[name]: axis for name, axis in TELEMETRY_AXES.items()}
+AXIS_OF_FIELD = {PUBLISHED_NAMES[name]: axis for name, axis in TELEMETRY_AXES.items()}
 """Axis of each array in an observation: joint, tendon, motor or digit."""
 
 
@@ -74,7 +74,7 @@ class Observation:
         """Make an observation from a record.
 
         Args:
-            record: array of shape (), see ``runtime.observations.record_type``.
+            record: array of shape (), see ``runtime.observations.observation_dtype``.
             hand: description of the hand, for the names.
         """
         self.record = record
@@ -128,7 +128,7 @@ class Observation:
         hand = self._hand
         axes = {"joint": hand.joints, "tendon": hand.tendon_names, "motor": hand.motor_names,
                 "digit": hand.digit_names}  # fmt: skip
-        return axes[AXIS_OF[field]]
+        return axes[AXIS_OF_FIELD[field]]
 
     def named(self, field: str) -> dict[str, float]:
         """Return the values of a field by name, e.g. ``observation.named("q_rad")["index_j1"]``."""

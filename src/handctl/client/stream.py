@@ -82,7 +82,7 @@ class TargetStream:
         self._hand = hand
         self._sender = sender
         self.space: str = goal["space"]
-        self._factor = (
+        self._unit_factor = (
             180.0 / np.pi if unit == "rad" and TARGET_UNIT_BY_SPACE[self.space] == "deg" else 1.0
         )
         self.name: str = goal["stream"]
@@ -91,7 +91,7 @@ class TargetStream:
         self.horizon_s = horizon_s
         self.sent = self.skipped = 0
         self._period_ns = 1e9 / self.rate_Hz / time_scale
-        self._next_ns = float(time.monotonic_ns())
+        self._next_due_ns = float(time.monotonic_ns())
         self._last: NDArray[np.float64] | None = None
         self._closed = False
 
@@ -120,9 +120,9 @@ class TargetStream:
         """
         if self._closed:
             raise DriveError("this stream is closed", self.name, "another hand.stream")
-        target = self._target(values)
+        target = self._ordered_values(values)
         try:
-            accepted = self._sender.send(self.sent, time.monotonic_ns(), target * self._factor)
+            accepted = self._sender.send(self.sent, time.monotonic_ns(), target * self._unit_factor)
         except OSError:
             self._hand.state()  # raises the reason if the run has ended
             raise DriveError("the controller no longer accepts targets", self._hand.bus) from None
@@ -143,8 +143,8 @@ class TargetStream:
 
         Every call moves the time on by one period.
         """
-        self._next_ns = max(self._next_ns + self._period_ns, float(time.monotonic_ns()))
-        return self._next_ns / 1e9
+        self._next_due_ns = max(self._next_due_ns + self._period_ns, float(time.monotonic_ns()))
+        return self._next_due_ns / 1e9
 
     @property
     def status(self) -> StreamStatus:
@@ -159,7 +159,7 @@ class TargetStream:
         self._sender.close()
         self._hand.end_stream(self.name)
 
-    def _target(self, values: TargetValues) -> NDArray[np.float64]:
+    def _ordered_values(self, values: TargetValues) -> NDArray[np.float64]:
         """Return the values of a target in the order of the stream's names, in the unit that the program uses.
 
         Raises:
@@ -170,7 +170,7 @@ class TargetStream:
                 raise ConfigError(
                     f"no {unknown[0]!r} in this stream", "send", f"some of {', '.join(self.names)}"
                 )
-            target = self._present() if self._last is None else self._last.copy()
+            target = self._present_values() if self._last is None else self._last.copy()
             for name, value in values.items():
                 target[self.names.index(name)] = value
         else:
@@ -184,7 +184,7 @@ class TargetStream:
             raise ConfigError(f"{name} is not finite", "send", "a finite number")
         return target
 
-    def _present(self) -> NDArray[np.float64]:
+    def _present_values(self) -> NDArray[np.float64]:
         """Return the present values of the hand.
 
         Values left out in the first target start from the present values.
@@ -199,4 +199,4 @@ class TargetStream:
         joints = self._hand.description.digit_joints
         for name, part in joints.items():
             angles[name] = float(np.degrees(seen.q_rad[part]).mean())
-        return np.array([angles[name] for name in self.names]) / self._factor
+        return np.array([angles[name] for name in self.names]) / self._unit_factor

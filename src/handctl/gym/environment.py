@@ -24,7 +24,7 @@ from handctl.core.gains.gains import packaged_gains
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode, TickOut, Vector
 from handctl.errors import ConfigError
-from handctl.gym.observed import (
+from handctl.gym.observation_layout import (
     FIELD_OF_NAME,
     Float32Array,
     ObservationLayout,
@@ -43,7 +43,7 @@ RATE_HZ = 50.0
 
 The actual rate is the nearest one whose period is a whole number of ticks.
 """
-SPEED_DEG_S = 60.0
+MAX_TARGET_SPEED_DEG_S = 60.0
 """Default for the largest rate of change of a target [deg/s], a fifth of the default limit of a stream."""
 READY_TIMEOUT_S = 5.0
 """Longest simulated time from power-up until the hand accepts targets [s]."""
@@ -64,7 +64,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         ticks: number of control ticks in a step.
         step_s: duration of a step [s].
         horizon_s: time from an action until the hand should reach the target of the action [s].
-        longest: largest number of steps in an episode.
+        max_steps: largest number of steps in an episode.
     """
 
     has_tensions: ClassVar = False
@@ -77,7 +77,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         space: TargetSpace,
         duration_s: float,
         perturb: Mapping[str, float] | None,
-        speed_deg_s: float = SPEED_DEG_S,
+        speed_deg_s: float = MAX_TARGET_SPEED_DEG_S,
     ) -> None:
         """Create the environment. The controller of each hand is designed only once in a process.
 
@@ -107,27 +107,27 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         rate = 1.0 / self.model.period
         self.ticks = max(1, round(rate / RATE_HZ))
         self.step_s = self.ticks * self.model.period
-        self.longest = max(1, round(duration_s / self.step_s))
+        self.max_steps = max(1, round(duration_s / self.step_s))
         self.horizon_s = target_horizon_s(1.0 / self.step_s, self.model.period)
         self._space = space
         self._largest_step_deg = speed_deg_s * self.step_s
         self._target_deg = self.low_deg
         self._perturb = dict(perturb or {})
-        self.layout = ObservationLayout(self.parts())
+        self.layout = ObservationLayout(self.observation_parts())
         self.observation_space = self.layout.space
         tensions = len(self.hand.digit_names) if self.has_tensions else 0
         self.action_space = Box(-1.0, 1.0, (len(self.names) + tensions,), np.float32)
-        self._open = ExitStack()
+        self._episode_stack = ExitStack()
         self._run: SimulatedRun | None = None
         self.steps = 0
-        self._number = 0
-        self._streamed: tuple[str, ...] = ()
+        self._target_number = 0
+        self._last_streamed_names: tuple[str, ...] = ()
 
     @abstractmethod
-    def parts(self) -> list[ObservationPart]:
+    def observation_parts(self) -> list[ObservationPart]:
         """Return the parts of an observation of this environment."""
 
-    def body_parts(self) -> list[ObservationPart]:
+    def body_observation_parts(self) -> list[ObservationPart]:
         """Return the parts of an observation that all environments have: joint angles, joint rates and tensions."""
         largest = 2.0 * max(tendon.tension_max_N for tendon in self.hand.tendon)
         return [
@@ -141,30 +141,30 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         """Return the values of a part of the observation that does not come from the telemetry."""
 
     @abstractmethod
-    def begin(self) -> None:
+    def begin_episode(self) -> None:
         """Begin an episode. The simulated hand has just started to accept targets."""
 
     @abstractmethod
-    def judge(self) -> tuple[float, bool, dict[str, Any]]:
+    def judge_step(self) -> tuple[float, bool, dict[str, Any]]:
         """Return the reward of a step, True if the episode has ended by success or failure, and further information."""
 
-    def scene(self) -> str | None:
+    def choose_scene(self) -> str | None:
         """Return the scene of the next episode, or None for a hand without objects.
 
         A subclass that chooses a scene at random uses ``np_random``.
         """
         return None
 
-    def requests(self, action: Vector) -> list[str]:
+    def action_requests(self, action: Vector) -> list[str]:
         """Return the requests that a step sends besides the target of the stream."""
         return []
 
-    def streamed(self, action: Vector) -> tuple[str, ...]:
+    def streamed_names(self, action: Vector) -> tuple[str, ...]:
         """Return those joints or digits whose targets the step streams."""
         return self.names
 
     @property
-    def run(self) -> SimulatedRun:
+    def simulated_run(self) -> SimulatedRun:
         """Return the simulation of the present episode.
 
         Raises:
@@ -175,9 +175,9 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         return self._run
 
     @property
-    def out(self) -> TickOut:
+    def last_output(self) -> TickOut:
         """Return the output of the latest tick."""
-        out = self.run.out
+        out = self.simulated_run.last_output
         assert out is not None
         return out
 
@@ -189,12 +189,12 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
     @property
     def true_q(self) -> Vector:
         """Return the true joint angles of the simulated hand (J,) [rad]."""
-        return np.array(self.run.peer.world.plant.engine.q)
+        return np.array(self.simulated_run.simulated_hand.world.plant.engine.q)
 
     @property
-    def world(self) -> Any:
+    def simulated_world(self) -> Any:
         """Return the simulated world, whose true values the rewards need."""
-        return self.run.peer.world
+        return self.simulated_run.simulated_hand.world
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -208,26 +208,28 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
             options: not used.
         """
         super().reset(seed=seed)
-        self._open.close()
+        self._episode_stack.close()
         plant_seed = int(self.np_random.integers(1 << 31))
         simulator = SimulatorSettings(
-            self._path, self.scene(), plant_seed, self._perturb or None, homed=True
+            self._path, self.choose_scene(), plant_seed, self._perturb or None, homed=True
         )
-        run = self._open.enter_context(simulator.against(self._controller))
-        run.record = False
+        run = self._episode_stack.enter_context(simulator.begin_run(self._controller))
+        run.record_ticks = False
         self._run = run
-        if not run.until(lambda out: out.phase == "live", READY_TIMEOUT_S):
+        if not run.run_until(lambda out: out.phase == "live", READY_TIMEOUT_S):
             problem = run.state.failure or "not ready"
             raise ConfigError(
                 problem, f"the simulated {self.hand.name}", "a hand that can be armed"
             )
         self.steps = 0
-        self._number = 0
-        self._streamed = ()
+        self._target_number = 0
+        self._last_streamed_names = ()
         self._target_deg = np.clip(
-            np.degrees(self.values_of(self.out.telemetry.q)), self.low_deg, self.high_deg
+            np.degrees(self.coordinates_of_joints(self.last_output.telemetry.q)),
+            self.low_deg,
+            self.high_deg,
         )
-        self.begin()
+        self.begin_episode()
         return self._observation(), self._extra_information()
 
     def step(self, action: Float32Array) -> tuple[Float32Array, float, bool, bool, dict[str, Any]]:
@@ -235,13 +237,13 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
 
         ``gymnasium.Env`` defines the results.
         """
-        run = self.run
+        run = self.simulated_run
         clipped = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
         if clipped.shape != self.action_space.shape or not np.isfinite(clipped).all():
             raise ConfigError(
                 f"{action!r}", "action", f"{math.prod(self.action_space.shape or ())} finite values"
             )
-        out = run.tick(requests=tuple(self._step_requests(clipped)))
+        out = run.run_tick(requests=tuple(self._step_requests(clipped)))
         refused = [event.text for event in out.events if event.text.startswith(REFUSED_PREFIX)]
         if refused and out.mode == HandMode.ACTIVE:
             raise ConfigError(
@@ -250,11 +252,11 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         for _ in range(self.ticks - 1):
             if out.mode == HandMode.DONE:
                 break
-            out = run.tick()
+            out = run.run_tick()
         self.steps += 1
-        reward, ended, information = self.judge()
+        reward, ended, information = self.judge_step()
         failed = out.mode != HandMode.ACTIVE
-        truncated = self.steps >= self.longest and not (ended or failed)
+        truncated = self.steps >= self.max_steps and not (ended or failed)
         return (
             self._observation(),
             float(reward),
@@ -265,7 +267,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
 
     def close(self) -> None:
         """End the simulation of the hand."""
-        self._open.close()
+        self._episode_stack.close()
         self._run = None
 
     def angles_deg(self, action: Vector | Float32Array) -> Vector:
@@ -283,7 +285,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         )
         return np.clip(scaled, -1.0, 1.0).astype(np.float32)
 
-    def values_of(self, q: Vector) -> Vector:
+    def coordinates_of_joints(self, q: Vector) -> Vector:
         """Return joint angles (J,) in the form of an action's targets (V,), in the unit of the angles."""
         if self._space == "joint":
             return np.asarray(q)
@@ -296,15 +298,15 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
 
         A request opens a new stream if other joints or digits are streamed than before.
         """
-        requests = self.requests(action)
-        names = self.streamed(action)
-        if names and names != self._streamed:
+        requests = self.action_requests(action)
+        names = self.streamed_names(action)
+        if names and names != self._last_streamed_names:
             opening = {
                 "do": "stream", "stream": STREAM_NAME, "space": self._space, "names": list(names),
                 "rate_Hz": 1.0 / self.step_s, "interpolation": "minimum_jerk",
             }  # fmt: skip
             requests.append(json.dumps(opening))
-        self._streamed = names
+        self._last_streamed_names = names
         return [*requests, self._target_request(action)] if names else requests
 
     def _target_request(self, action: Vector) -> str:
@@ -317,17 +319,17 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
             change, -self._largest_step_deg, self._largest_step_deg
         )
         angles = dict(zip(self.names, self._target_deg.tolist(), strict=True))
-        number = self._number
-        self._number += 1
+        number = self._target_number
+        self._target_number += 1
         return target_request_text(
             STREAM_NAME,
             number,
-            self.run.k * self.run.period_ns,
-            [angles[name] for name in self._streamed],
+            self.simulated_run.k * self.simulated_run.period_ns,
+            [angles[name] for name in self._last_streamed_names],
         )
 
     def _observation(self) -> Float32Array:
-        telemetry = self.out.telemetry
+        telemetry = self.last_output.telemetry
         return self.layout.vector(
             lambda name: (
                 getattr(telemetry, FIELD_OF_NAME[name])
@@ -338,11 +340,11 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
 
     def _extra_information(self) -> dict[str, Any]:
         """Return the information about the hand that does not belong to the observation."""
-        state = self.run.state
+        state = self.simulated_run.state
         stream = stream_status(state)
         return {
             "t_s": self.t_s,
-            "mode": self.out.mode.name,
+            "mode": self.last_output.mode.name,
             "failure": state.failure,
             "clipped": stream.clipped,
             "limited": stream.limited,

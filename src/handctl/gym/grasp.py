@@ -9,8 +9,8 @@ import numpy as np
 
 from handctl.core.tick_types import HandMode, Vector
 from handctl.errors import ConfigError
-from handctl.gym.environment import SPEED_DEG_S, HandEnv, TargetSpace
-from handctl.gym.observed import ObservationPart, telemetry_part
+from handctl.gym.environment import MAX_TARGET_SPEED_DEG_S, HandEnv, TargetSpace
+from handctl.gym.observation_layout import ObservationPart, telemetry_part
 
 FULL_REWARD_FORCE_N = 1.0
 """Force of a digit on the object from which the reward for this digit no longer grows [N]."""
@@ -18,7 +18,7 @@ SUCCESS_HOLD_S = 1.0
 """Time for which the object must stay in the hand after the table begins to sink, for a success [s]."""
 DROP_DISTANCE_M = 0.015
 """Distance of a fall above which the object counts as dropped [m]."""
-RATE_N_PER_S = 40.0
+TENSION_RATE_N_PER_S = 40.0
 """Rate at which the tension of a digit approaches the tension that an action demands [N/s]."""
 SUCCESS_REWARD = 10.0
 FAILURE_REWARD = -1.0
@@ -44,7 +44,7 @@ class GraspEnv(HandEnv):
         space: TargetSpace = "digit",
         duration_s: float = 6.0,
         perturb: Mapping[str, float] | None = None,
-        speed_deg_s: float = SPEED_DEG_S,
+        speed_deg_s: float = MAX_TARGET_SPEED_DEG_S,
         diameter_mm: tuple[float, float] = (30.0, 35.0),
     ) -> None:
         """Create the environment. ``HandEnv`` explains the common arguments.
@@ -63,23 +63,23 @@ class GraspEnv(HandEnv):
             )
         self._diameter_mm = float(low), float(high)
         super().__init__(hand, space, duration_s, perturb, speed_deg_s)
-        self._largest_N = np.array(
+        self._max_tension_N = np.array(
             [self.model.ceiling[tendons].min() for tendons in self.model.digit_tendons]
         )
-        self._digit_of = [
+        self._digit_of_coordinate = [
             d
             for d, digit in enumerate(self.model.digits)
             for _ in (digit.joint_names if space == "joint" else (0,))
         ]
 
-    def scene(self) -> str:
+    def choose_scene(self) -> str:
         """Return the scene of the next episode: a cylinder of random diameter."""
         return f"cylinder:{self.np_random.uniform(*self._diameter_mm):.2f}"
 
-    def parts(self) -> list[ObservationPart]:
+    def observation_parts(self) -> list[ObservationPart]:
         """Return the parts of an observation: joint angles, joint rates, tensions, tip forces and contacts."""
         return [
-            *self.body_parts(),
+            *self.body_observation_parts(),
             telemetry_part(self.hand, "tip_force_N", -50.0, 50.0),
             telemetry_part(self.hand, "contact", 0.0, 1.0),
         ]
@@ -88,26 +88,26 @@ class GraspEnv(HandEnv):
         """Raise an error, because the telemetry contains all values of an observation."""
         raise KeyError(name)
 
-    def begin(self) -> None:
+    def begin_episode(self) -> None:
         """Begin an episode: store the initial height of the object.
 
         Raises:
             ConfigError: the object is too large and touches the open hand.
         """
-        engine = self.world.plant.engine
+        engine = self.simulated_world.plant.engine
         self._forces = engine.forces_on("contact", list(self.hand.digit_names))
         self._height_m = engine.object_pose()[2]
         if max(np.abs(self._forces())) > FULL_REWARD_FORCE_N:
-            scene = self.world.plant.scene.name
+            scene = self.simulated_world.plant.scene.name
             raise ConfigError(
                 f"{scene} touches the open {self.hand.name}", "diameter_mm", "a smaller object"
             )
         self._pressing = 0.0
         self._held: dict[str, float] = {}
 
-    def requests(self, action: Vector) -> list[str]:
+    def action_requests(self, action: Vector) -> list[str]:
         """Return the request with the new tensions of digits that hold a tension, if there are any."""
-        tension = self._tensions(action).tolist()
+        tension = self._demanded_tensions(action).tolist()
         held = {
             name: value
             for name, value in zip(self.hand.digit_names, tension, strict=True)
@@ -116,41 +116,43 @@ class GraspEnv(HandEnv):
         new = {name: value for name, value in held.items() if value != self._held.get(name)}
         self._held = held
         return (
-            [json.dumps({"do": "hold", "tension_N": new, "rate_N_per_s": RATE_N_PER_S})]
+            [json.dumps({"do": "hold", "tension_N": new, "rate_N_per_s": TENSION_RATE_N_PER_S})]
             if new
             else []
         )
 
-    def streamed(self, action: Vector) -> tuple[str, ...]:
+    def streamed_names(self, action: Vector) -> tuple[str, ...]:
         """Return the joints or digits of an action that follow targets.
 
         The other digits hold a tension.
         """
-        moves = self._tensions(action) <= 0.0
-        return tuple(name for name, d in zip(self.names, self._digit_of, strict=True) if moves[d])
+        moves = self._demanded_tensions(action) <= 0.0
+        return tuple(
+            name for name, d in zip(self.names, self._digit_of_coordinate, strict=True) if moves[d]
+        )
 
-    def _tensions(self, action: Vector) -> Vector:
+    def _demanded_tensions(self, action: Vector) -> Vector:
         """Return the tension that an action demands of each digit (D,) [N].
 
         The tension is 0 or less for a digit that follows targets.
         """
-        tensions: Vector = np.round(action[len(self.names) :] * self._largest_N, 3)
+        tensions: Vector = np.round(action[len(self.names) :] * self._max_tension_N, 3)
         return tensions
 
-    def judge(self) -> tuple[float, bool, dict[str, Any]]:
+    def judge_step(self) -> tuple[float, bool, dict[str, Any]]:
         """Return the reward of a step, True if the object was held or dropped, and information about the object."""
         forces = np.linalg.norm(np.reshape(self._forces(), (-1, 3)), axis=1)
         pressing = float(np.minimum(forces / FULL_REWARD_FORCE_N, 1.0).mean())
         reward = pressing - self._pressing
         self._pressing = pressing
-        plant = self.world.plant
+        plant = self.simulated_world.plant
         fallen_m = self._height_m - plant.engine.object_pose()[2]
         since = plant.table.dropped_at
         dropped = fallen_m > DROP_DISTANCE_M
         held = since is not None and plant.t_ns / 1e9 - since >= SUCCESS_HOLD_S and not dropped
         if held:
             reward += SUCCESS_REWARD
-        elif dropped or self.out.mode != HandMode.ACTIVE:
+        elif dropped or self.last_output.mode != HandMode.ACTIVE:
             reward += FAILURE_REWARD
         information = {
             "is_success": held,

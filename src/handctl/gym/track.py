@@ -9,18 +9,18 @@ import numpy as np
 
 from handctl.core.tick_types import Vector
 from handctl.errors import ConfigError
-from handctl.gym.environment import SPEED_DEG_S, HandEnv, TargetSpace
-from handctl.gym.observed import ObservationPart
+from handctl.gym.environment import MAX_TARGET_SPEED_DEG_S, HandEnv, TargetSpace
+from handctl.gym.observation_layout import ObservationPart
 
 HALF_REWARD_ERROR_DEG = 5.0
 """Tracking error at which the reward of a step is half the largest reward [deg]."""
-ANGLE_RANGE = (0.15, 0.55)
+REFERENCE_RANGE_FRACTIONS = (0.15, 0.55)
 """Default for the lowest and the highest reference angle, as fractions of the range of a joint or digit."""
-PERIODS_S = (1.5, 4.0)
+SINE_PERIOD_RANGE_S = (1.5, 4.0)
 """Shortest and longest period of the two sines in the reference [s]."""
 MAX_REFERENCE_RATE_DEG_S = 45.0
 """Largest rate of change of the reference, except in the first second [deg/s]."""
-BLEND_S = 1.0
+REFERENCE_BLEND_S = 1.0
 """Time at the start of an episode in which the reference changes from the initial posture to the sines [s]."""
 
 
@@ -37,8 +37,8 @@ class TrackEnv(HandEnv):
         space: TargetSpace = "digit",
         duration_s: float = 5.0,
         perturb: Mapping[str, float] | None = None,
-        speed_deg_s: float = SPEED_DEG_S,
-        span: tuple[float, float] = ANGLE_RANGE,
+        speed_deg_s: float = MAX_TARGET_SPEED_DEG_S,
+        span: tuple[float, float] = REFERENCE_RANGE_FRACTIONS,
     ) -> None:
         """Create the environment. ``HandEnv`` explains the common arguments.
 
@@ -55,30 +55,30 @@ class TrackEnv(HandEnv):
         self._span = span
         super().__init__(hand, space, duration_s, perturb, speed_deg_s)
 
-    def parts(self) -> list[ObservationPart]:
+    def observation_parts(self) -> list[ObservationPart]:
         """Return the parts of an observation: joint angles and rates, tensions, present and later references."""
         return [
-            *self.body_parts(),
+            *self.body_observation_parts(),
             ObservationPart("reference_rad", self.names, -math.pi, math.pi),
             ObservationPart("reference_ahead_rad", self.names, -math.pi, math.pi),
         ]
 
-    def begin(self) -> None:
+    def begin_episode(self) -> None:
         """Begin an episode: choose a random reference."""
         low, high = self._limits_deg()
         shape = (2, len(low))
-        period = self.np_random.uniform(*PERIODS_S, shape)
+        period = self.np_random.uniform(*SINE_PERIOD_RANGE_S, shape)
         self._rate = 2.0 * np.pi / period
         self._phase = self.np_random.uniform(0.0, 2.0 * np.pi, shape)
         self._middle = low + sum(self._span) / 2.0 * (high - low)
         swing = (self._span[1] - self._span[0]) / 2.0 * (high - low) * np.array([[0.6], [0.4]])
         self._swing = np.minimum(swing, 0.5 * MAX_REFERENCE_RATE_DEG_S / self._rate)
-        self._start = self._coordinates_of(self.out.telemetry.q)
+        self._start = self._coordinates_of(self.last_output.telemetry.q)
 
     def reference_deg(self, t_s: float) -> Vector:
         """Return the reference of each joint or digit (V,) at a time since the start of the episode [deg]."""
         course = self._middle + (self._swing * np.sin(self._rate * t_s + self._phase)).sum(axis=0)
-        s = min(t_s / BLEND_S, 1.0)
+        s = min(t_s / REFERENCE_BLEND_S, 1.0)
         blend = s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
         angles = np.degrees(self._start) * (1.0 - blend) + course * blend
         return angles if self._space == "digit" else self._joints_of(angles)
@@ -88,9 +88,9 @@ class TrackEnv(HandEnv):
         ahead = self.horizon_s if name == "reference_ahead_rad" else 0.0
         return np.radians(self.reference_deg(self.t_s + ahead))
 
-    def judge(self) -> tuple[float, bool, dict[str, Any]]:
+    def judge_step(self) -> tuple[float, bool, dict[str, Any]]:
         """Return the reward of a step for its true tracking error, False, and the error as information."""
-        error = np.degrees(self.values_of(self.true_q)) - self.reference_deg(self.t_s)
+        error = np.degrees(self.coordinates_of_joints(self.true_q)) - self.reference_deg(self.t_s)
         rms = float(np.sqrt(np.mean(error**2)))
         return 1.0 / (1.0 + (rms / HALF_REWARD_ERROR_DEG) ** 2), False, {"error_deg": rms}
 
@@ -107,7 +107,7 @@ class TrackEnv(HandEnv):
     def _coordinates_of(self, q: Vector) -> Vector:
         """Return the values of the references that correspond to joint angles (J,), in the unit of these angles."""
         if self._space == "digit":
-            return self.values_of(q)
+            return self.coordinates_of_joints(q)
         return np.concatenate(
             [digit.joints_to_coordinates @ q[digit.joints] for digit in self.model.digits]
         )

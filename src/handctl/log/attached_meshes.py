@@ -18,7 +18,7 @@ from handctl.hand.formats.link_meshes import (
 )
 from handctl.hand.formats.mesh_file import mesh_triangles
 
-MAX_BYTES = 4 << 20
+MAX_MESH_BYTES = 4 << 20
 """Largest total size of the mesh files in a log [bytes].
 
 If the files of a hand exceed the limit, the log stores no mesh file.
@@ -53,8 +53,8 @@ def mesh_attachments(hand: Hand, folder: Path) -> tuple[dict[str, bytes], list[s
         folder: folder of the hand file.
     """
     total = sum(mesh_sizes(hand, folder).values())
-    if total > MAX_BYTES:
-        sizes = f"{total / 1e6:.1f} MB, more than {MAX_BYTES / 1e6:.1f} MB"
+    if total > MAX_MESH_BYTES:
+        sizes = f"{total / 1e6:.1f} MB, more than {MAX_MESH_BYTES / 1e6:.1f} MB"
         return {}, [
             f"the meshes have {sizes}, and are not stored in the log: its views show capsules"
         ]

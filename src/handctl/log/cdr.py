@@ -12,7 +12,7 @@ Source: OMG CORBA 3.0, section 15.3, as implemented by the packages rosbags and 
 import struct
 from dataclasses import dataclass
 
-ENCAPSULATION = b"\x00\x01\x00\x00"
+ENCAPSULATION_HEADER = b"\x00\x01\x00\x00"
 """Encapsulation header of little-endian plain CDR."""
 
 _UINT32_STRUCT = struct.Struct("<I")
@@ -37,7 +37,7 @@ class CdrWriter:
         # In Python -n % size is the distance from n up to the next multiple of size.
         self.data += bytes(-(self._start + len(self.data)) % size)
 
-    def put(self, code: str, value: float) -> None:
+    def put_number(self, code: str, value: float) -> None:
         """Append one number.
 
         Args:
@@ -47,28 +47,28 @@ class CdrWriter:
         self.align(struct.calcsize("<" + code))
         self.data += struct.pack("<" + code, value)
 
-    def count(self, number: int) -> None:
+    def put_length(self, number: int) -> None:
         """Append the length of a sequence."""
-        self.put("I", number)
+        self.put_number("I", number)
 
-    def text(self, value: str) -> None:
+    def put_string(self, value: str) -> None:
         """Append a string.
 
         A lone surrogate is escaped, because other CDR readers cannot decode lone surrogates.
         """
         raw = value.encode("utf-8", "backslashreplace")
-        self.count(len(raw) + 1)
+        self.put_length(len(raw) + 1)
         self.data += raw + b"\0"
 
-    def texts(self, values: tuple[str, ...]) -> None:
+    def put_strings(self, values: tuple[str, ...]) -> None:
         """Append a sequence of strings."""
-        self.count(len(values))
+        self.put_length(len(values))
         for value in values:
-            self.text(value)
+            self.put_string(value)
 
-    def message(self) -> bytes:
+    def finished_message(self) -> bytes:
         """Return the whole message with the encapsulation header."""
-        return ENCAPSULATION + bytes(self.data)
+        return ENCAPSULATION_HEADER + bytes(self.data)
 
 
 class CdrReader:
@@ -84,12 +84,12 @@ class CdrReader:
         Raises:
             ValueError: the message is not little-endian plain CDR.
         """
-        if message[:4] != ENCAPSULATION:
+        if message[:4] != ENCAPSULATION_HEADER:
             raise ValueError("not little-endian CDR")
         self._data = message
         self._at = 4
 
-    def take(self, size: int) -> bytes:
+    def read_bytes(self, size: int) -> bytes:
         """Return the next `size` bytes, without alignment."""
         end = self._at + size
         if end > len(self._data):
@@ -102,22 +102,22 @@ class CdrReader:
         """Move to the next multiple of `size` bytes."""
         self._at += -(self._at - 4) % size
 
-    def count(self) -> int:
+    def read_length(self) -> int:
         """Read the length of a sequence."""
         self.align(4)
-        return int(_UINT32_STRUCT.unpack(self.take(4))[0])
+        return int(_UINT32_STRUCT.unpack(self.read_bytes(4))[0])
 
-    def i64(self) -> int:
+    def read_int64(self) -> int:
         """Read a signed 64-bit integer."""
         self.align(8)
-        return int(_INT64_STRUCT.unpack(self.take(8))[0])
+        return int(_INT64_STRUCT.unpack(self.read_bytes(8))[0])
 
-    def text(self) -> str:
+    def read_string(self) -> str:
         """Read a string."""
-        size = self.count()
+        size = self.read_length()
         # The length includes the closing NUL. Some writers store an empty string with length 0,
         # without a NUL.
-        return self.take(size)[: max(size - 1, 0)].decode()
+        return self.read_bytes(size)[: max(size - 1, 0)].decode()
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,14 +126,14 @@ class MessageTemplate:
 
     Attributes:
         data: the message with zeros in all variable fields.
-        stamps: offsets of the 8-byte time stamps.
-        places: (offset, numpy format, number of values) of every variable field except the time
+        stamp_offsets: offsets of the 8-byte time stamps.
+        fields: (offset, numpy format, number of values) of every variable field except the time
             stamps, by name.
     """
 
     data: bytes
-    stamps: tuple[int, ...]
-    places: dict[str, tuple[int, str, int]]
+    stamp_offsets: tuple[int, ...]
+    fields: dict[str, tuple[int, str, int]]
 
 
 class TemplateWriter(CdrWriter):
@@ -142,22 +142,22 @@ class TemplateWriter(CdrWriter):
     def __init__(self) -> None:
         """Start with an empty message."""
         super().__init__()
-        self._stamps: list[int] = []
-        self._places: dict[str, tuple[int, str, int]] = {}
+        self._stamp_offsets: list[int] = []
+        self._fields: dict[str, tuple[int, str, int]] = {}
 
-    def stamp(self) -> None:
+    def put_stamp(self) -> None:
         """Append a builtin_interfaces/Time as a variable field."""
         self.align(4)
         # Offsets count from the start of the message. The encapsulation is 4 bytes long.
-        self._stamps.append(len(self.data) + 4)
+        self._stamp_offsets.append(len(self.data) + 4)
         self.data += bytes(8)
 
-    def header(self, frame_id: str = "") -> None:
+    def put_header(self, frame_id: str = "") -> None:
         """Append a std_msgs/Header with a variable stamp and a constant frame_id."""
-        self.stamp()
-        self.text(frame_id)
+        self.put_stamp()
+        self.put_string(frame_id)
 
-    def place(self, name: str, code: str, number: int = 1) -> None:
+    def put_field(self, name: str, code: str, number: int = 1) -> None:
         """Append a variable field of one or more numbers.
 
         Args:
@@ -168,18 +168,20 @@ class TemplateWriter(CdrWriter):
         size = int(code[-1])
         if number:
             self.align(size)
-        self._places[name] = (len(self.data) + 4, code, number)
+        self._fields[name] = (len(self.data) + 4, code, number)
         self.data += bytes(size * number)
 
-    def floats(self, name: str, number: int) -> None:
+    def put_float_sequence(self, name: str, number: int) -> None:
         """Append a float64 sequence of constant length as a variable field.
 
         An empty sequence adds no variable field.
         """
-        self.count(number)
+        self.put_length(number)
         if number:
-            self.place(name, "<f8", number)
+            self.put_field(name, "<f8", number)
 
-    def template(self) -> MessageTemplate:
+    def finished_template(self) -> MessageTemplate:
         """Return the finished template."""
-        return MessageTemplate(self.message(), tuple(self._stamps), dict(self._places))
+        return MessageTemplate(
+            self.finished_message(), tuple(self._stamp_offsets), dict(self._fields)
+        )

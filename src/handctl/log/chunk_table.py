@@ -56,7 +56,7 @@ class ChunkTable:
         """Return the number of chunks."""
         return CHUNKS_PER_BLOCK * len(self._packed) + len(self._latest) // _CHUNK_ROW_STRUCT.size
 
-    def add(self, chunk: ChunkEntry, index_offsets: dict[int, int]) -> None:
+    def add_chunk(self, chunk: ChunkEntry, index_offsets: dict[int, int]) -> None:
         """Append a chunk to the table.
 
         Args:
@@ -73,7 +73,7 @@ class ChunkTable:
             self._packed.append(zlib.compress(self._latest))
             self._latest.clear()
 
-    def indexes(self) -> Iterator[ChunkIndex]:
+    def chunk_indexes(self) -> Iterator[ChunkIndex]:
         """Yield the MCAP ChunkIndex record of each chunk."""
         layouts = [tuple(_CHANNEL_STRUCT.iter_unpack(layout)) for layout in self._layouts]
         for *fields, layout in self._stored_rows():

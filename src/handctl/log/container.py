@@ -44,7 +44,7 @@ from numpy.typing import NDArray
 
 from handctl.log.chunk_table import ChunkEntry, ChunkTable
 
-MAGIC = b"\x89MCAP0\r\n"
+MCAP_MAGIC = b"\x89MCAP0\r\n"
 MESSAGE_STRUCT = struct.Struct("<BQHIQQ")
 """Layout of the start of a Message record: opcode, length, channel, sequence, log time [ns], publish time [ns]."""
 _RECORD_STRUCT = struct.Struct("<BQ")
@@ -92,9 +92,9 @@ class _SummarySection:
     chunks: ChunkTable = field(default_factory=ChunkTable)
     attachments: list[McapRecord] = field(default_factory=list)
     metadata: list[McapRecord] = field(default_factory=list)
-    counts: Counter[int] = field(default_factory=Counter)
-    first: int = 2**64 - 1
-    last: int = 0
+    message_counts: Counter[int] = field(default_factory=Counter)
+    first_log_time: int = 2**64 - 1
+    last_log_time: int = 0
 
 
 class McapContainer:
@@ -105,7 +105,7 @@ class McapContainer:
 
     Raises:
         OSError: a write fails. Every writing method can raise this error. After such an error, only
-            `cut_back` may be called.
+            `cut_incomplete_record` may be called.
     """
 
     def __init__(self, descriptor: int) -> None:
@@ -120,12 +120,12 @@ class McapContainer:
         self._at = 0
         self.complete_size = 0
         self._summary = _SummarySection()
-        self._write_bytes(MAGIC + records_as_bytes([Header("ros2", "handctl")]))
+        self._write_bytes(MCAP_MAGIC + records_as_bytes([Header("ros2", "handctl")]))
 
     @property
-    def messages(self) -> int:
+    def message_count(self) -> int:
         """Return the number of messages written to the file so far."""
-        return self._summary.counts.total()
+        return self._summary.message_counts.total()
 
     def _write_bytes(self, data: bytes) -> int:
         """Write all bytes, and return the offset of the first byte in the file."""
@@ -137,18 +137,18 @@ class McapContainer:
             self._at += written
             view = view[written:]
         self._crc = zlib.crc32(data, self._crc)
-        # The complete size grows only after the last byte is written. So `cut_back` can remove an
+        # The complete size grows only after the last byte is written. So `cut_incomplete_record` can remove an
         # incomplete record.
         self.complete_size = self._at
         return start
 
-    def cut_back(self) -> None:
+    def cut_incomplete_record(self) -> None:
         """Cut the file after the last complete record, to remove the remains of a failed write."""
         os.ftruncate(self._fd, self.complete_size)
         os.lseek(self._fd, self.complete_size, os.SEEK_SET)
         self._at = self.complete_size
 
-    def attach(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
+    def write_attachment(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
         """Write an attachment."""
         raw = records_as_bytes([Attachment(time_ns, time_ns, name, media_type, data)])
         start = self._write_bytes(raw)
@@ -164,14 +164,14 @@ class McapContainer:
             )
         )
 
-    def metadata(self, name: str, values: dict[str, str]) -> None:
+    def write_metadata(self, name: str, values: dict[str, str]) -> None:
         """Write a metadata record."""
         raw = records_as_bytes([Metadata(name=name, metadata=values)])
         self._summary.metadata.append(
             MetadataIndex(offset=self._write_bytes(raw), length=len(raw), name=name)
         )
 
-    def chunk(
+    def write_chunk(
         self,
         blocks: Sequence[MessageBlock],
         schemas: Sequence[Schema] = (),
@@ -193,13 +193,13 @@ class McapContainer:
         indexes, index_offsets = _message_indexes(blocks, len(head))
         start = self._write_bytes(chunk + indexes)
         at = ChunkEntry(start, len(chunk), len(packed), len(content), first, last, len(indexes))
-        self._summary.chunks.add(at, index_offsets)
+        self._summary.chunks.add_chunk(at, index_offsets)
         self._summary.schemas += schemas
         self._summary.channels += channels
         for block in blocks:
-            self._summary.counts[block.channel] += len(block.log_times)
-        self._summary.first = min(first, self._summary.first)
-        self._summary.last = max(last, self._summary.last)
+            self._summary.message_counts[block.channel] += len(block.log_times)
+        self._summary.first_log_time = min(first, self._summary.first_log_time)
+        self._summary.last_log_time = max(last, self._summary.last_log_time)
 
     def finish(self) -> None:
         """Write the summary and the footer of the file."""
@@ -211,7 +211,7 @@ class McapContainer:
         footer = records_as_bytes(
             [Footer(self._at, offset_start, zlib.crc32(fields, zlib.crc32(body)))]
         )
-        self._write_bytes(body + footer + MAGIC)
+        self._write_bytes(body + footer + MCAP_MAGIC)
 
     def _statistics(self) -> Statistics:
         """Return the Statistics record of the file."""
@@ -219,11 +219,11 @@ class McapContainer:
         return Statistics(
             attachment_count=len(summary.attachments),
             channel_count=len(summary.channels),
-            channel_message_counts=dict(sorted(summary.counts.items())),
+            channel_message_counts=dict(sorted(summary.message_counts.items())),
             chunk_count=len(summary.chunks),
-            message_count=self.messages,
-            message_end_time=summary.last,
-            message_start_time=summary.first if summary.counts else 0,
+            message_count=self.message_count,
+            message_end_time=summary.last_log_time,
+            message_start_time=summary.first_log_time if summary.message_counts else 0,
             metadata_count=len(summary.metadata),
             schema_count=len(summary.schemas),
         )
@@ -241,7 +241,7 @@ class McapContainer:
             (Opcode.SCHEMA, summary.schemas),
             (Opcode.CHANNEL, summary.channels),
             (Opcode.STATISTICS, [self._statistics()]),
-            (Opcode.CHUNK_INDEX, summary.chunks.indexes()),
+            (Opcode.CHUNK_INDEX, summary.chunks.chunk_indexes()),
             (Opcode.ATTACHMENT_INDEX, summary.attachments),
             (Opcode.METADATA_INDEX, summary.metadata),
         ]

@@ -22,7 +22,7 @@ MAX_LOG_TIME_NS = 1 << 62
 
 The sum of two accepted times fits into 64 bits. As a UNIX time, the limit lies in the year 2116.
 """
-NAME_LISTS = ("joints", "tendons", "motors", "digits", "buses")
+NAME_LIST_KEYS = ("joints", "tendons", "motors", "digits", "buses")
 """Keys of the header values that are lists of names."""
 MAX_NAMES = 1000
 """Largest number of names in one list of a header."""
@@ -66,7 +66,7 @@ class RunHeader:
     deterministic: bool = False
 
     @classmethod
-    def of_hand(cls, hand_toml: str, period_ns: int, **more: object) -> Self:
+    def from_hand(cls, hand_toml: str, period_ns: int, **more: object) -> Self:
         """Return a header with the names of joints, tendons, motors, digits and buses from the hand's description.
 
         Args:
@@ -94,7 +94,7 @@ class RunHeader:
         )
 
     @classmethod
-    def of_record(
+    def from_record(
         cls,
         record: Mapping[str, str],
         metadata: Mapping[str, dict[str, str]],
@@ -112,7 +112,7 @@ class RunHeader:
             KeyError: a value is missing.
         """
         run = {name: json.loads(text) for name, text in record.items()}
-        names = {part: _checked_names(part, run[part]) for part in NAME_LISTS}
+        names = {part: _checked_names(part, run[part]) for part in NAME_LIST_KEYS}
         return cls(
             attachments.get("hand.toml", b"").decode(),
             **names,
@@ -143,7 +143,7 @@ class RunHeader:
             )
         return int(text)
 
-    def axis(self, name: str) -> tuple[str, ...]:
+    def axis_names(self, name: str) -> tuple[str, ...]:
         """Return the names of the elements of a telemetry axis: joint, tendon, motor or digit."""
         return {
             "joint": self.joints,
@@ -173,7 +173,7 @@ class RunHeader:
         for name, size in fields["attachments"].items():
             attachments[name] = rest[at : at + size]
             at += size
-        names = {part: tuple(fields[part]) for part in NAME_LISTS}
+        names = {part: tuple(fields[part]) for part in NAME_LIST_KEYS}
         return cls(**(fields | names | {"attachments": attachments}))
 
 

@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from handctl.paper.item import ErrataItem
+from handctl.paper.errata_item import ErrataItem
 from handctl.paper.sections import (
     INTRODUCTION_TEXT,
     PAGE_TITLE,

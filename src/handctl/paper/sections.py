@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from handctl.paper.bench import force_displacement, payload
-from handctl.paper.item import ErrataItem, ErrataVerdict
-from handctl.paper.model import assumptions, kinematics, lagrange, motion, statics, text
+from handctl.paper.errata_item import ErrataItem, ErrataVerdict
+from handctl.paper.model import assumptions, kinematics, lagrange, motion, statics, text_statements
 
 PAGE_TITLE = "Source paper"
 PAPER_CITATION = (
@@ -86,7 +86,7 @@ def _hand_section() -> PageSection:
             "motor and one tendon move each digit. `handctl paper --export DIR` writes the hand as URDF and MJCF.",
         ),
         ("fig1-hand",),
-        tuple(text.text_items()),
+        tuple(text_statements.text_items()),
     )
 
 
@@ -154,7 +154,7 @@ def _bench_section(measured: Mapping[str, Any]) -> PageSection:
         "Force and displacement, measured (section 5, Fig. 5)",
         (
             "Two fingers of the simulator's bench hand are clamped, and the controller pulls their tendons to "
-            f"{force_displacement.PULL_N:g} N over the simulated bus. The encoders of the motors measure the "
+            f"{force_displacement.MAX_PULL_N:g} N over the simulated bus. The encoders of the motors measure the "
             "displacement, and the load cells measure the force. One tendon has the knee of section 5, and the "
             "other has the knee of the abstract. The "
             "softening beyond the knee is a parameter of the simulator, because the paper prints no data.",

@@ -8,13 +8,13 @@ from handctl.hand.description import Hand
 from handctl.hand.file.sections import Digit
 from handctl.hand.hand_loading import load_hand
 
-PULLEY_MM = Fraction(3)
+PULLEY_RADIUS_MM = Fraction(3)
 """Radius of the joint pulleys [mm]. Source: section 5."""
-SPOOL_MM = Fraction(5)
+SPOOL_RADIUS_MM = Fraction(5)
 """Radius of the actuator pulley [mm]. Source: sections 5 and 6."""
-GRIP_FINGER_N = Fraction(6)
+FINGER_GRIP_FORCE_N = Fraction(6)
 """Force with which each finger presses [N]."""
-GRIP_THUMB_N = Fraction(10)
+THUMB_GRIP_FORCE_N = Fraction(10)
 """Force with which the thumb presses [N]."""
 FINGER_COUNT = 3
 """Number of fingers."""
@@ -22,9 +22,9 @@ FRICTION_COEFFICIENT = Fraction(1, 2)
 """Coefficient of friction between digits and object."""
 GRAVITY_M_PER_S2 = Fraction(981, 100)
 """Acceleration of gravity [m/s^2]."""
-STRESS_MPA = Fraction(190)
+ALLOWABLE_STRESS_MPA = Fraction(190)
 """Allowable stress of the wire [MPa]. Source: section 5."""
-KNEES_N = (Fraction(200), Fraction(250))
+KNEE_TENSIONS_N = (Fraction(200), Fraction(250))
 """Knees of the force-displacement curve in section 5 and in the abstract [N]."""
 PAYLOAD_KG = "0.915"
 """Payload, as it is printed in the paper [kg]."""
@@ -65,7 +65,7 @@ def levers_mm(digit: Digit) -> tuple[Fraction, ...]:
 
 def tension_per_newton(digit: Digit) -> Fraction:
     """Return the tension that balances joint 1 of the straight digit, per newton of force at the tip [N/N]."""
-    return levers_mm(digit)[0] / PULLEY_MM
+    return levers_mm(digit)[0] / PULLEY_RADIUS_MM
 
 
 def tension_of_payload_kg(mass: int) -> Fraction:
@@ -80,7 +80,7 @@ def tension_of_payload_kg(mass: int) -> Fraction:
 
 def wire_diameter_mm(tension_n: Fraction | float) -> float:
     """Return the smallest diameter at which a wire with a tension has the allowable stress [mm]."""
-    return math.sqrt(4.0 * float(tension_n) / (math.pi * float(STRESS_MPA)))
+    return math.sqrt(4.0 * float(tension_n) / (math.pi * float(ALLOWABLE_STRESS_MPA)))
 
 
 def wire_stress_mpa(tension_n: Fraction | float, diameter_mm: float) -> float:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from fractions import Fraction
 
-from handctl.paper.item import ErrataVerdict
+from handctl.paper.errata_item import ErrataVerdict
 
 ROUNDING_TOLERANCE = Fraction(1, 10**12)
 """Largest relative difference that counts as a rounding error of floating-point numbers."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from handctl.core.tick_types import TickIn, TickOut
 from handctl.log.read.reader import RunLog
 from handctl.output import save_figure
-from handctl.replay.compare import rms_and_peak
+from handctl.replay.run_comparison import rms_and_peak
 
 Array = NDArray[np.float64]
 LOGGED_COLOR = "#3b6fb6"
@@ -24,7 +24,7 @@ OTHER_COLOR = "#d9822b"
 class CommandCollector:
     """Collector for the commands of each executed tick.
 
-    Pass the method `add` to `execute_log` as `observer`.
+    Pass the method `add_tick` to `execute_log` as `observer`.
     """
 
     def __init__(self) -> None:
@@ -32,18 +32,18 @@ class CommandCollector:
         self._torque: list[Array] = []
         self._tension: list[Array] = []
 
-    def add(self, entry: TickIn, out: TickOut) -> None:
+    def add_tick(self, entry: TickIn, out: TickOut) -> None:
         """Add the commands of one tick."""
         self._torque.append(out.telemetry.motor_torque_goal)
         self._tension.append(out.telemetry.tension_goal)
 
     @property
-    def torque(self) -> Array:
+    def motor_torques(self) -> Array:
         """Return the commanded torque of each motor (ticks, M) [N m]."""
         return np.array(self._torque)
 
     @property
-    def tension(self) -> Array:
+    def tendon_tensions(self) -> Array:
         """Return the commanded tension of each tendon (ticks, N) [N]."""
         return np.array(self._tension)
 
@@ -52,8 +52,8 @@ def command_change(
     log: RunLog, commands: CommandCollector
 ) -> dict[str, dict[str, dict[str, float]]]:
     """Return RMS and peak of the change against the logged command, for each motor [N m] and each tendon [N]."""
-    torque = commands.torque - log.field("motor_torque_goal")
-    tension = commands.tension - log.field("tension_goal")
+    torque = commands.motor_torques - log.field("motor_torque_goal")
+    tension = commands.tendon_tensions - log.field("tension_goal")
     return {
         "motor_torque_N_m": {
             name: rms_and_peak(torque[:, i]) for i, name in enumerate(log.header.motors)
@@ -82,8 +82,13 @@ def draw_commands(path: Path, log: RunLog, commands: CommandCollector, title: st
     rows = figure.subplots(n, 2, sharex=True, squeeze=False)
     figure.suptitle(title)
     pairs = (
-        ("tension [N]", log.header.tendons, log.field("tension_goal"), commands.tension),
-        ("torque [N m]", log.header.motors, log.field("motor_torque_goal"), commands.torque),
+        ("tension [N]", log.header.tendons, log.field("tension_goal"), commands.tendon_tensions),
+        (
+            "torque [N m]",
+            log.header.motors,
+            log.field("motor_torque_goal"),
+            commands.motor_torques,
+        ),
     )
     for column, (unit, names, was, now) in enumerate(pairs):
         for i, name in enumerate(names):

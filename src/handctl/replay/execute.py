@@ -16,7 +16,7 @@ import numpy as np
 from handctl.core.gains.gains import Gains
 from handctl.log.read.reader import RunLog
 from handctl.replay.log_runner import LogRunner, ProgressCallback, TickObserver, relative_error
-from handctl.replay.parallel import run_parallel
+from handctl.replay.parallel_execution import run_parallel
 from handctl.replay.tick_difference import TickDifference
 
 
@@ -26,24 +26,24 @@ class LogExecution:
 
     Attributes:
         ticks: number of executed ticks.
-        differing: number of ticks in which at least one byte of the output differs.
+        differing_ticks: number of ticks in which at least one byte of the output differs.
         different_decisions: number of ticks in which a decision differs: mode, phase, action or
             events.
-        first: the first difference, or None if there is none.
-        state: first field that differs between the controller's state and the first differing
+        first_difference: the first difference, or None if there is none.
+        first_state_difference: first field that differs between the controller's state and the first differing
             snapshot, or None.
-        largest: the largest difference of a number, measured by `relative_error`, or None.
+        largest_difference: the largest difference of a number, measured by `relative_error`, or None.
         wall_s: time that the re-execution took, without the design of the gains [s].
         cpu_s: processor time of all processes together [s]. One idle core would need this time.
         logged_s: duration of the recorded run [s].
     """
 
     ticks: int
-    differing: int
+    differing_ticks: int
     different_decisions: int
-    first: TickDifference | None
-    state: TickDifference | None
-    largest: TickDifference | None
+    first_difference: TickDifference | None
+    first_state_difference: TickDifference | None
+    largest_difference: TickDifference | None
     wall_s: float
     cpu_s: float
     logged_s: float
@@ -54,13 +54,13 @@ class LogExecution:
         return self.logged_s / self.wall_s if self.wall_s else math.inf
 
 
-def is_within_tolerance(execution: LogExecution, within: float) -> bool:
-    """Return True if all decisions equal the logged ones, and no number differs from the log by more than `within`.
+def is_within_tolerance(execution: LogExecution, tolerance: float) -> bool:
+    """Return True if all decisions equal the logged ones, and no number differs from the log by more than `tolerance`.
 
     A tolerance is useful because a machine of another kind may round differently.
     """
-    largest = relative_error(execution.largest) if execution.largest else 0.0
-    return not execution.different_decisions and largest <= within
+    largest = relative_error(execution.largest_difference) if execution.largest_difference else 0.0
+    return not execution.different_decisions and largest <= tolerance
 
 
 def execute_log(
@@ -83,7 +83,7 @@ def execute_log(
     Raises:
         LogError: the controller cannot be rebuilt from the log, or the log is damaged.
     """
-    runner = LogRunner.of(log, gains)
+    runner = LogRunner.from_log(log, gains)
     start = time.perf_counter()
     cpu_start = _cpu_seconds()
     done = 0
@@ -98,7 +98,7 @@ def execute_log(
         if workers > 1 and not gains and not observer:
             tally = run_parallel(runner, workers, progress or _ignore_progress)
         else:
-            _, tally = runner.run(
+            _, tally = runner.execute_part(
                 0, len(log), runner.controller.initial_state(), observer, add_progress
             )
     wall = time.perf_counter() - start
@@ -106,11 +106,11 @@ def execute_log(
     length = float(log.times[-1]) if len(log) else 0.0
     parts = (
         tally.ticks,
-        tally.differing,
+        tally.differing_ticks,
         tally.different_decisions,
-        tally.first,
-        tally.state,
-        tally.largest,
+        tally.first_difference,
+        tally.first_state_difference,
+        tally.largest_difference,
     )
     return LogExecution(*parts, wall, cpu, length)
 

@@ -17,8 +17,8 @@ from handctl.core.gains.gains import Gains
 from handctl.core.tick_types import TickIn, TickOut
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
-from handctl.log.record import TickRecord
-from handctl.replay.rebuild import rebuild_controller
+from handctl.log.tick_record import TickRecord
+from handctl.replay.controller_rebuild import rebuild_controller
 from handctl.replay.tick_difference import (
     TelemetryColumns,
     TickDifference,
@@ -51,46 +51,49 @@ def relative_error(difference: TickDifference) -> float:
 
 @dataclass(slots=True)
 class DifferenceTally:
-    """Counts of the differences found so far. The class Execution explains the attributes."""
+    """Counts of the differences found so far. The class LogExecution explains the attributes."""
 
     ticks: int = 0
-    differing: int = 0
+    differing_ticks: int = 0
     different_decisions: int = 0
-    first: TickDifference | None = None
-    state: TickDifference | None = None
-    largest: TickDifference | None = None
+    first_difference: TickDifference | None = None
+    first_state_difference: TickDifference | None = None
+    largest_difference: TickDifference | None = None
 
     def merged_with(self, later: "DifferenceTally") -> "DifferenceTally":
         """Add the tally of a later part of the log to this tally, and return the sum."""
         both = DifferenceTally(
             self.ticks + later.ticks,
-            self.differing + later.differing,
+            self.differing_ticks + later.differing_ticks,
             self.different_decisions + later.different_decisions,
-            self.first or later.first,
-            self.state or later.state,
-            self.largest,
+            self.first_difference or later.first_difference,
+            self.first_state_difference or later.first_state_difference,
+            self.largest_difference,
         )
-        both._keep_larger(later.largest)
+        both._keep_larger(later.largest_difference)
         return both
 
-    def add(self, tick_differences: list[TickDifference], same_decisions: bool) -> None:
+    def add_tick(self, tick_differences: list[TickDifference], same_decisions: bool) -> None:
         """Add the differences of one tick.
 
         Args:
             tick_differences: the differences between the logged and the computed tick.
             same_decisions: True if the decisions of both are equal.
         """
-        self.differing += 1
+        self.differing_ticks += 1
         self.different_decisions += not same_decisions
-        self.first = self.first or tick_differences[0]
+        self.first_difference = self.first_difference or tick_differences[0]
         for difference in tick_differences:
             if difference.ulps is not None:
                 self._keep_larger(difference)
 
     def _keep_larger(self, other: TickDifference | None) -> None:
         """Replace the largest difference by another difference if the other is larger."""
-        if other and (self.largest is None or relative_error(other) > relative_error(self.largest)):
-            self.largest = other
+        if other and (
+            self.largest_difference is None
+            or relative_error(other) > relative_error(self.largest_difference)
+        ):
+            self.largest_difference = other
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,17 +103,17 @@ class LogRunner:
     Attributes:
         log: log of the run.
         controller: controller that was rebuilt from the log.
-        columns: names of the telemetry columns in the log.
+        telemetry_columns: names of the telemetry columns in the log.
         snapshots: snapshots of the controller's state in the log, by tick number.
     """
 
     log: RunLog
     controller: Controller
-    columns: TelemetryColumns
+    telemetry_columns: TelemetryColumns
     snapshots: Mapping[int, bytes]
 
     @staticmethod
-    def of(log: RunLog, gains: Gains | None = None) -> "LogRunner":
+    def from_log(log: RunLog, gains: Gains | None = None) -> "LogRunner":
         """Rebuild the controller of a log, with the gains in the log or with the given gains.
 
         The errors are those of `rebuild_controller`.
@@ -119,10 +122,10 @@ class LogRunner:
         # used.
         snapshots: Mapping[int, bytes] = {} if gains else log.snapshots
         return LogRunner(
-            log, rebuild_controller(log, gains), TelemetryColumns.of(log.header), snapshots
+            log, rebuild_controller(log, gains), TelemetryColumns.from_header(log.header), snapshots
         )
 
-    def run(
+    def execute_part(
         self,
         start: int,
         stop: int,
@@ -159,12 +162,12 @@ class LogRunner:
             if observer:
                 observer(logged.tick_in, out)
             if not are_outputs_equal(logged, numbers, out):
-                tally.add(
-                    list(differing_fields(self.columns, logged, numbers, out)),
+                tally.add_tick(
+                    list(differing_fields(self.telemetry_columns, logged, numbers, out)),
                     are_decisions_equal(logged, out),
                 )
-                if tally.state is None and logged.tick_in.k in self.snapshots:
-                    tally.state = self._state_difference(logged, state)
+                if tally.first_state_difference is None and logged.tick_in.k in self.snapshots:
+                    tally.first_state_difference = self._state_difference(logged, state)
         return state, tally
 
     def _logged_ticks(self, start: int, stop: int) -> Iterator[tuple[TickRecord, bytes]]:
@@ -173,7 +176,7 @@ class LogRunner:
         # Chunks are read as a whole. The ticks outside the part, at both ends, are cut off below.
         chunk, last = np.searchsorted(firsts, (start, stop), side="right") - 1
         chunks = slice(int(chunk), int(last) + 1)
-        both = zip(self.log.ticks(chunks), self.log.packed(chunks), strict=True)
+        both = zip(self.log.ticks(chunks), self.log.packed_telemetry(chunks), strict=True)
         return islice(both, start - int(firsts[chunk]), stop - int(firsts[chunk]))
 
     def _state_difference(

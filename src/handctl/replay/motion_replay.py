@@ -10,7 +10,7 @@ from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
 from handctl.log.read.timeline import check_order
 from handctl.programs.playback import PlaybackProgram, RecordedGoals
-from handctl.replay.compare import compare_runs
+from handctl.replay.run_comparison import compare_runs
 
 Array = NDArray[np.float64]
 
@@ -136,12 +136,16 @@ def compare_replay(before: RunLog, after: RunLog) -> dict[str, Any]:
         {}
         if replay_start is None
         else compare_runs(
-            before, active_interval(before)[0], after, replay_start, driven_duration(before, after)
+            before,
+            active_interval(before)[0],
+            after,
+            replay_start,
+            followed_duration_s(before, after),
         )
     )
 
 
-def driven_duration(before: RunLog, after: RunLog) -> float:
+def followed_duration_s(before: RunLog, after: RunLog) -> float:
     """Return for how long a replay followed the recording [s]."""
     start, end = active_interval(before)
     replay_start = _playback_start(after)

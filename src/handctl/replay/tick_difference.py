@@ -12,7 +12,7 @@ from handctl.core.tick_types import TELEMETRY_AXES, TELEMETRY_FIELDS, TickEvent,
 from handctl.drives.frame import Frame
 from handctl.drives.frame_records import frames_as_records
 from handctl.log.header import RunHeader
-from handctl.log.record import TickRecord
+from handctl.log.tick_record import TickRecord
 
 
 class TickDifference(NamedTuple):
@@ -40,16 +40,16 @@ class TickDifference(NamedTuple):
 class TelemetryColumns(NamedTuple):
     """Names for the columns of `Telemetry.packed`: the telemetry field, and the joint, tendon, motor or digit."""
 
-    field: tuple[str, ...]
-    name: tuple[str, ...]
+    field_names: tuple[str, ...]
+    element_names: tuple[str, ...]
 
     @staticmethod
-    def of(header: RunHeader) -> "TelemetryColumns":
+    def from_header(header: RunHeader) -> "TelemetryColumns":
         """Return the column names for a log with this header."""
         pairs = [
             (field, name)
             for field in TELEMETRY_FIELDS
-            for name in header.axis(TELEMETRY_AXES[field])
+            for name in header.axis_names(TELEMETRY_AXES[field])
         ]
         return TelemetryColumns(
             tuple(field for field, _ in pairs), tuple(name for _, name in pairs)
@@ -89,30 +89,30 @@ def differing_fields(
     k = logged.tick_in.k
     t_s = logged.tick_in.t_ns / 1e9
 
-    def text(field: str, was: object, now: object) -> Iterator[TickDifference]:
+    def text_difference(field: str, was: object, now: object) -> Iterator[TickDifference]:
         if was != now:
             yield TickDifference(k, t_s, field, "", str(was), str(now))
 
-    yield from text("mode", logged.mode.name, computed.mode.name)
-    yield from text("action", logged.action.name, computed.action.name)
-    yield from text("phase", logged.phase, computed.phase)
-    yield from text("events", _events_text(logged.events), _events_text(computed.events))
+    yield from text_difference("mode", logged.mode.name, computed.mode.name)
+    yield from text_difference("action", logged.action.name, computed.action.name)
+    yield from text_difference("phase", logged.phase, computed.phase)
+    yield from text_difference("events", _events_text(logged.events), _events_text(computed.events))
     packed = computed.telemetry.packed()[: len(numbers)]  # an earlier version lacks the last fields
     if packed != numbers:
         for column, was, now in _changed_numbers(numbers, packed):
             yield TickDifference(
                 k,
                 t_s,
-                columns.field[column],
-                columns.name[column],
+                columns.field_names[column],
+                columns.element_names[column],
                 was,
                 now,
                 distance_in_ulps(was, now),
             )
-    yield from text("number of frames", len(logged.frames), len(computed.frames))
+    yield from text_difference("number of frames", len(logged.frames), len(computed.frames))
     for i, (old, new) in enumerate(zip(logged.frames, computed.frames, strict=False)):
-        yield from text(f"frames[{i}]", _frame_text(old), _frame_text(new))
-    yield from text("state_hash", logged.state_hash.hex(), computed.state_hash.hex())
+        yield from text_difference(f"frames[{i}]", _frame_text(old), _frame_text(new))
+    yield from text_difference("state_hash", logged.state_hash.hex(), computed.state_hash.hex())
 
 
 def state_difference(
@@ -132,7 +132,7 @@ def state_difference(
     if first:
         field, element, old, new = first
         axis = was.layout.axis_of(field)
-        names = header.axis(axis) if axis in ("joint", "tendon", "digit") else ()
+        names = header.axis_names(axis) if axis in ("joint", "tendon", "digit") else ()
         name = names[element % len(names)] if names else f"[{element}]"
         return TickDifference(k, t_s, f"state {field}", name, old, new, distance_in_ulps(old, new))
     for field, old_part, new_part in zip(

@@ -11,16 +11,16 @@ class FrameCounts(NamedTuple):
     """Numbers of late frames, lost frames and silent ticks of a run. Silent ticks may explain late frames.
 
     Attributes:
-        late: number of load-cell frames that reply to an older SYNC than the last one.
-        lost: number of tension frames that never arrived, plus the number of frames that a bus
+        late_frames: number of load-cell frames that reply to an older SYNC than the last one.
+        lost_frames: number of tension frames that never arrived, plus the number of frames that a bus
             refused to send.
-        silent: number of ticks in which no frame of any node followed a SYNC. Either the nodes or
+        silent_ticks: number of ticks in which no frame of any node followed a SYNC. Either the nodes or
             the host had paused. The replies then arrive late, in the next tick.
     """
 
-    late: int
-    lost: int
-    silent: int
+    late_frames: int
+    lost_frames: int
+    silent_ticks: int
 
 
 def frame_counts(log: RunLog, hand: Hand) -> FrameCounts:

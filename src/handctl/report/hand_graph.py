@@ -20,15 +20,15 @@ BUS_COLOURS = ("#3b6fb6", "#d9822b", "#3c9d5d", "#b8436f", "#7a5fb5", "#8a8a2a")
 FLEXOR_COLOUR = "#333333"
 EXTENSOR_COLOUR = "#d01c1c"
 LINK_COLOUR = "#b9c3cf"
-CELL_COLOUR = "#d9822b"
+LOAD_CELL_COLOUR = "#d9822b"
 ENCODER_COLOUR = "#3c9d5d"
 """Colour of the joint encoders.
 
 The colours above are for flexors, extensors, links and load cells.
 """
-MOTOR_X = 0.0
-CELL_X = 1.5
-JOINTS_X = 3.0
+MOTOR_COLUMN_X = 0.0
+LOAD_CELL_COLUMN_X = 1.5
+FIRST_JOINT_COLUMN_X = 3.0
 JOINT_STEP = 1.7
 BUS_STEP = 0.35
 """Horizontal distance of two buses.
@@ -52,8 +52,8 @@ def draw_hand(path: Path, hand: Hand) -> None:
 
     rows = sum(1.6 + len(_digit_tendons(hand, digit)) for digit in hand.digit) + 1.0
     joints = max(len(digit.joints) for digit in hand.digit)
-    left = MOTOR_X - 1.6 - BUS_STEP * len(hand.bus)
-    right = JOINTS_X + JOINT_STEP * joints + 0.6
+    left = MOTOR_COLUMN_X - 1.6 - BUS_STEP * len(hand.bus)
+    right = FIRST_JOINT_COLUMN_X + JOINT_STEP * joints + 0.6
     figure = Figure(
         figsize=(1.05 * (right - left), ROW_HEIGHT_IN * rows + 0.5), layout="constrained"
     )
@@ -96,7 +96,7 @@ def text_graph(hand: Hand) -> str:
             motor = hand.motor_of(tendon.name)
             cell = " -[load cell]" if tendon.name in node.tendons else ""
             arms = "  ".join(
-                f"{joint.removeprefix(f'{digit.name}_')} {_arm_text(hand, tendon, joint, '+')}"
+                f"{joint.removeprefix(f'{digit.name}_')} {_moment_arm_text(hand, tendon, joint, '+')}"
                 for joint in tendon.moment_arm_m
             )
             drive = (
@@ -117,7 +117,7 @@ def _sensors_text(hand: Hand) -> str:
     return f"CiA 404 amplifiers {', '.join(f'0x{number:02X}' for number in node.node_ids)}"
 
 
-def _arm_text(hand: Hand, tendon: Tendon, joint: str, sign: str = "") -> str:
+def _moment_arm_text(hand: Hand, tendon: Tendon, joint: str, sign: str = "") -> str:
     """Return a moment arm in mm as text. If ``sign`` is "+", a positive arm has a plus sign.
 
     A varying arm is given at both joint limits.
@@ -147,17 +147,17 @@ def _tendon_label(tendon: Tendon) -> str:
 def _joint_xs(digit: Digit) -> Iterator[tuple[str, float]]:
     """Yield name and column in the picture of each joint of a digit."""
     for i, joint in enumerate(digit.joints):
-        yield joint, JOINTS_X + JOINT_STEP * i
+        yield joint, FIRST_JOINT_COLUMN_X + JOINT_STEP * i
 
 
 def _sensor_node(axes: Any, hand: Hand) -> float:
     """Draw the legend for load cells and joint encoders, and return the height of the legend in rows."""
     node = hand.sensor_node
     text = f"{_sensors_text(hand)} on {node.bus}, SYNC 0x{node.sync_id:X}: {len(node.tendons)} load cells"
-    axes.plot(JOINTS_X, -0.1, "s", color=CELL_COLOUR, markersize=7)
-    axes.text(JOINTS_X + 0.2, -0.1, text, va="center", fontsize=7.5)
+    axes.plot(FIRST_JOINT_COLUMN_X, -0.1, "s", color=LOAD_CELL_COLOUR, markersize=7)
+    axes.text(FIRST_JOINT_COLUMN_X + 0.2, -0.1, text, va="center", fontsize=7.5)
     axes.plot(
-        JOINTS_X,
+        FIRST_JOINT_COLUMN_X,
         -0.6,
         "o",
         color="white",
@@ -165,7 +165,13 @@ def _sensor_node(axes: Any, hand: Hand) -> float:
         markeredgewidth=2,
         markersize=8,
     )
-    axes.text(JOINTS_X + 0.2, -0.6, f"{len(node.joints)} joint encoders", va="center", fontsize=7.5)
+    axes.text(
+        FIRST_JOINT_COLUMN_X + 0.2,
+        -0.6,
+        f"{len(node.joints)} joint encoders",
+        va="center",
+        fontsize=7.5,
+    )
     return 1.5
 
 
@@ -174,7 +180,15 @@ def _draw_digit(
 ) -> float:
     """Draw a digit at row ``y`` and the tendons of the digit below, and return the row after the last tendon."""
     columns = dict(_joint_xs(digit))
-    axes.text(JOINTS_X - 0.35, y, digit.name, ha="right", va="center", fontsize=9, weight="bold")
+    axes.text(
+        FIRST_JOINT_COLUMN_X - 0.35,
+        y,
+        digit.name,
+        ha="right",
+        va="center",
+        fontsize=9,
+        weight="bold",
+    )
     for (joint, x), length in zip(columns.items(), digit.link_length_m, strict=True):
         axes.plot(
             [x, x + JOINT_STEP],
@@ -230,11 +244,11 @@ def _draw_tendon(
         joint: means[hand.joints.index(joint)] for joint in tendon.moment_arm_m if joint in columns
     }
     last = max(columns[joint] for joint in crossed)
-    axes.plot([_bus_x(bus), MOTOR_X], [y, y], color=colour, linewidth=1.2, zorder=1)
-    axes.plot([MOTOR_X, last + 0.45], [y, y], color=FLEXOR_COLOUR, linewidth=1.0, zorder=1)
+    axes.plot([_bus_x(bus), MOTOR_COLUMN_X], [y, y], color=colour, linewidth=1.2, zorder=1)
+    axes.plot([MOTOR_COLUMN_X, last + 0.45], [y, y], color=FLEXOR_COLOUR, linewidth=1.0, zorder=1)
     axes.plot(last + 0.45, y, "|", color=FLEXOR_COLOUR, markersize=8)
     axes.plot(
-        MOTOR_X,
+        MOTOR_COLUMN_X,
         y,
         "o",
         color="white",
@@ -243,26 +257,33 @@ def _draw_tendon(
         markersize=15,
         zorder=2,
     )
-    axes.text(MOTOR_X, y, f"{motor.node_id}", ha="center", va="center", fontsize=7, zorder=3)
+    axes.text(MOTOR_COLUMN_X, y, f"{motor.node_id}", ha="center", va="center", fontsize=7, zorder=3)
     spool = f"{motor.name}, {motor.protocol}, spool {1e3 * motor.spool_radius_m:g} mm"
-    axes.text(MOTOR_X + 0.2, y + 0.25, spool, ha="left", va="center", fontsize=6.5)
+    axes.text(MOTOR_COLUMN_X + 0.2, y + 0.25, spool, ha="left", va="center", fontsize=6.5)
     if tendon.name in hand.sensor_node.tendons:
-        axes.plot(CELL_X, y, "s", color=CELL_COLOUR, markersize=7, zorder=2)
-    axes.text(CELL_X + 0.15, y - 0.27, _tendon_label(tendon), ha="left", va="center", fontsize=6.5)
+        axes.plot(LOAD_CELL_COLUMN_X, y, "s", color=LOAD_CELL_COLOUR, markersize=7, zorder=2)
+    axes.text(
+        LOAD_CELL_COLUMN_X + 0.15,
+        y - 0.27,
+        _tendon_label(tendon),
+        ha="left",
+        va="center",
+        fontsize=6.5,
+    )
     for joint, arm in crossed.items():
         # The moment arm of a flexor is written below the joint, that of an extensor above it.
         side = -1.0 if arm > 0.0 else 1.0
         shade = FLEXOR_COLOUR if arm > 0.0 else EXTENSOR_COLOUR
         axes.plot(columns[joint], y, "o", color=shade, markersize=4.5, zorder=2)
         axes.text(
-            columns[joint], y + 0.3 * side, _arm_text(hand, tendon, joint), ha="center", va="center", fontsize=7,
+            columns[joint], y + 0.3 * side, _moment_arm_text(hand, tendon, joint), ha="center", va="center", fontsize=7,
             color=shade,
         )  # fmt: skip
 
 
 def _bus_x(bus: int) -> float:
     """Return the column of a bus in the picture."""
-    return MOTOR_X - 0.9 - BUS_STEP * bus
+    return MOTOR_COLUMN_X - 0.9 - BUS_STEP * bus
 
 
 def _draw_buses(axes: Any, hand: Hand, ends: dict[str, list[float]]) -> None:

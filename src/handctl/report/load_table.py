@@ -17,7 +17,7 @@ TABLE_RATES_HZ = (250.0, 500.0, 1000.0)
 """Control rates for which the table gives the bus load [Hz]."""
 
 
-class TableRow(NamedTuple):
+class BusLoadRow(NamedTuple):
     """Row of the table of bus loads.
 
     Attributes:
@@ -43,7 +43,7 @@ class TableRow(NamedTuple):
             [(size, self.fd, 1.0) for size in sizes], BITRATE_BIT_PER_S, DATA_BITRATE_BIT_PER_S
         )
 
-    def numbers(self) -> dict[str, Any]:
+    def as_json(self) -> dict[str, Any]:
         """Return the row as a mapping for JSON output."""
         loads = {f"{rate:g}": rate * self.tick_s for rate in TABLE_RATES_HZ}
         return self._asdict() | {
@@ -53,15 +53,15 @@ class TableRow(NamedTuple):
         }
 
 
-TABLE_ROWS = (
-    TableRow("MIT", False, 4, (8, 8), (8,)),
-    TableRow("MIT", False, 11, (8, 8), (8, 8, 8)),
-    TableRow("MIT", True, 4, (8, 8), (12,)),
-    TableRow("MIT", True, 11, (8, 8), (32,)),
-    TableRow("CiA 402", False, 4, (4, 8), (0, 8)),
-    TableRow("CiA 402", False, 11, (4, 8), (0, 8, 8, 8)),
-    TableRow("CiA 402, four torques in one RPDO", False, 4, (8,), (0, 8, 8)),
-    TableRow("ODrive, torque and encoder", False, 4, (4, 8), (8,)),
-    TableRow("ODrive, with torque feedback", False, 4, (8, 8, 8), (8,)),
+BUS_LOAD_ROWS = (
+    BusLoadRow("MIT", False, 4, (8, 8), (8,)),
+    BusLoadRow("MIT", False, 11, (8, 8), (8, 8, 8)),
+    BusLoadRow("MIT", True, 4, (8, 8), (12,)),
+    BusLoadRow("MIT", True, 11, (8, 8), (32,)),
+    BusLoadRow("CiA 402", False, 4, (4, 8), (0, 8)),
+    BusLoadRow("CiA 402", False, 11, (4, 8), (0, 8, 8, 8)),
+    BusLoadRow("CiA 402, four torques in one RPDO", False, 4, (8,), (0, 8, 8)),
+    BusLoadRow("ODrive, torque and encoder", False, 4, (4, 8), (8,)),
+    BusLoadRow("ODrive, with torque feedback", False, 4, (8, 8, 8), (8,)),
 )
 """Rows of the table: (protocol, CAN FD, motors, payloads of each motor, shared payloads)."""

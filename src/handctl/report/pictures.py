@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 LOAD_WINDOW_S = 0.1
 """Length of the time window over which the bus load is averaged [s]."""
-PER_ROW = 4
+POSES_PER_ROW = 4
 """Number of hand pictures in one row."""
 OBLIQUE_SHIFT = (0.55, 0.3)
 """Shift of the oblique projection to the right and upwards, for each unit of distance along the hinge axes.
@@ -47,7 +47,9 @@ def draw_poses(log: RunLog, hand: Hand) -> str:
     moments = _phase_middles(log)
     if not moments:
         return "<p>The hand acts in no phase of this run.</p>"
-    figure, grid = _new_figure(min(len(moments), PER_ROW), 2.6, 2.9, -(-len(moments) // PER_ROW))
+    figure, grid = _new_figure(
+        min(len(moments), POSES_PER_ROW), 2.6, 2.9, -(-len(moments) // POSES_PER_ROW)
+    )
     tree = HandTree.from_hand(hand)
     digits = tree.digits
     q = log.field("q")
@@ -77,12 +79,12 @@ def draw_poses(log: RunLog, hand: Hand) -> str:
                 if mesh:
                     _draw_mesh(axes, mesh.triangles @ rotation.T + position, colours[d])
             _draw_digit(axes, paths[d], push, colours[d], [mesh is not None for mesh in shown])
-        _write_forces(axes, force[index], colours)
+        _write_force_values(axes, force[index], colours)
         axes.set_title(f"{name}, {log.times[index]:.2f} s", fontsize=11)
         axes.set_aspect("equal")
         axes.set(xlim=limits[0], ylim=limits[1])
     _draw_scale_bar(grid[0], limits)
-    return _to_svg(figure)
+    return _figure_as_svg(figure)
 
 
 def _project_points(points_m: Array) -> Array:
@@ -170,7 +172,7 @@ def _draw_digit(
     axes.annotate("", xy=end, xytext=start, arrowprops=style, zorder=10)
 
 
-def _write_forces(axes: Any, force: Array, colours: list[str]) -> None:
+def _write_force_values(axes: Any, force: Array, colours: list[str]) -> None:
     """Write the values of the forces on the fingertips [N] in the corner of the picture.
 
     Next to the arrows, the texts would overlap.
@@ -205,7 +207,7 @@ def _phase_middles(log: RunLog) -> list[tuple[str, int]]:
     inside = [
         (name, i) for name, i in middles if name not in PASSIVE_PHASES and i < len(log)
     ]  # the ticks may be unordered
-    return [(name, i) for name, i in inside if log.mode[i] == int(HandMode.ACTIVE)][: 2 * PER_ROW]
+    return [(name, i) for name, i in inside if log.mode[i] == int(HandMode.ACTIVE)][: 2 * POSES_PER_ROW]
 
 
 def draw_lateness(log: RunLog) -> str:
@@ -234,7 +236,7 @@ def draw_lateness(log: RunLog) -> str:
     )
     axes.set_yscale("symlog", linthresh=1)
     axes.set(xlabel="lateness [us]", ylabel="ticks")
-    return _to_svg(figure)
+    return _figure_as_svg(figure)
 
 
 def draw_bus_loads(log: RunLog, hand: Hand) -> tuple[str, Array]:
@@ -271,7 +273,7 @@ def draw_bus_loads(log: RunLog, hand: Hand) -> tuple[str, Array]:
         )
     axes.set(xlabel="time [s]", ylabel="bus load [%]", ylim=(0, None))
     axes.legend(fontsize=7, loc="lower right")
-    return _to_svg(figure), load.max(axis=0, initial=0.0)
+    return _figure_as_svg(figure), load.max(axis=0, initial=0.0)
 
 
 def _new_figure(columns: int, width: float, height: float, rows: int = 1) -> tuple[Any, list[Any]]:
@@ -285,7 +287,7 @@ def _new_figure(columns: int, width: float, height: float, rows: int = 1) -> tup
     return figure, list(figure.subplots(rows, columns, squeeze=False, sharey=True).flat)
 
 
-def _to_svg(figure: Any) -> str:
+def _figure_as_svg(figure: Any) -> str:
     """Return a figure as an SVG element for an HTML page."""
     text = io.StringIO()
     figure.savefig(text, format="svg", dpi=MESH_DPI, metadata={"Date": None, "Creator": None})

@@ -14,7 +14,7 @@ from handctl.log.read.reader import RunLog
 from handctl.output import save_figure
 from handctl.printing import printable_text
 from handctl.report.summary import mean_angles
-from handctl.report.truth import TruthRecord
+from handctl.report.truth_record import TruthRecord
 
 DIGIT_COLOURS = ("#3b6fb6", "#d9822b", "#3c9d5d", "#b8436f", "#7a5fb5", "#8a8a2a")
 """Colours of the digits: index, middle, ring, thumb, and others."""
@@ -148,7 +148,7 @@ def _draw_angles(
     goal, estimate = (np.degrees(mean_angles(hand, log.field(name))) for name in ("q_goal", "q"))
     real = None
     if truth is not None:
-        table = truth.table([f"q/{joint}" for joint in hand.joints], log.t_ns + offset_ns)
+        table = truth.columns_at([f"q/{joint}" for joint in hand.joints], log.t_ns + offset_ns)
         real = np.degrees(mean_angles(hand, table))
     for d, (axes, colour) in enumerate(zip(row, digit_colours(hand), strict=True)):
         axes.plot(log.times, estimate[:, d], color=colour, linewidth=1.8)
@@ -185,7 +185,9 @@ def _draw_tensions(
             low = estimate[:, i] - sigma[:, i]
             high = estimate[:, i] + sigma[:, i]
             axes.fill_between(log.times, low, high, color=colour, alpha=0.25, linewidth=0)
-            real = None if truth is None else truth.at(f"tension/{name}", log.t_ns + offset_ns)
+            real = (
+                None if truth is None else truth.column_at(f"tension/{name}", log.t_ns + offset_ns)
+            )
             _draw_command_and_truth(axes, log, goal[:, i], real)
         if len(names) > 1:
             axes.legend(loc="upper left", fontsize=6, frameon=False)
@@ -209,7 +211,8 @@ def _draw_forces(
             # The truth file has the three components of the force. The estimate is the size of the
             # force.
             parts = [
-                truth.at(f"contact_force/{name}/{axis}", log.t_ns + offset_ns) for axis in "xyz"
+                truth.column_at(f"contact_force/{name}/{axis}", log.t_ns + offset_ns)
+                for axis in "xyz"
             ]
             _draw_command_and_truth(
                 axes, log, None, np.asarray(np.sqrt(sum(part**2 for part in parts)), np.float64)

@@ -20,11 +20,11 @@ from handctl.report.frame_counts import frame_counts
 from handctl.report.pictures import draw_bus_loads, draw_lateness, draw_poses
 from handctl.report.run_figure import draw_run
 from handctl.report.summary import angle_rows, summarise_run
-from handctl.report.truth import TruthRecord
+from handctl.report.truth_record import TruthRecord
 
 MAX_EVENTS = 500
 """Largest number of events on the page. If a run has more, only the first events are shown."""
-MAX_CONTACTS = 20
+MAX_LISTED_CONTACTS = 20
 """Largest number of contacts on the page. If a run has more, only the first contacts are shown."""
 
 PAGE_STYLE = """
@@ -123,9 +123,9 @@ def _number_table(
             "lateness p50 / p99.9 / max",
             " / ".join(f"{us:.0f}" for us in late.values()) + " us" if len(log) else "",
         ),
-        ("frames late", f"{frames.late}"),
-        ("frames lost", f"{frames.lost}"),
-        ("ticks with a silent bus", f"{frames.silent}"),
+        ("frames late", f"{frames.late_frames}"),
+        ("frames lost", f"{frames.lost_frames}"),
+        ("ticks with a silent bus", f"{frames.silent_ticks}"),
         ("gaps in the log", f"{len(log.gaps)}"),
         ("faults", _fault_counts(log)),
         ("contacts", _contact_times(log)),
@@ -200,7 +200,7 @@ def _contact_times(log: RunLog) -> str:
         f"{_escaped_text(event.event.text)} at {event.t_ns / 1e9:.3f} s"
         for event in _events_named(log, "contact")
     )
-    return "<br>".join(islice(lines, MAX_CONTACTS))
+    return "<br>".join(islice(lines, MAX_LISTED_CONTACTS))
 
 
 def _events_named(log: RunLog, name: str) -> Iterator[LoggedEvent]:

@@ -12,12 +12,12 @@ from handctl.drives.frame_time import frame_time_s
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.log.read.reader import RunLog
-from handctl.report.lift import TABLE_SUNK_COLUMN
-from handctl.report.truth import TruthRecord
+from handctl.report.lift_judgement import TABLE_SUNK_COLUMN
+from handctl.report.truth_record import TruthRecord
 
 Array = NDArray[np.float64]
 
-SETTLED_S = 0.5
+SETTLING_TIME_S = 0.5
 """Time for which the targets must have been constant in a hold before the hold is judged [s]."""
 MAX_TARGET_CHANGE_N = 1.0
 """Largest change of tension targets that still count as constant [N].
@@ -43,7 +43,7 @@ def summarise_run(
     Returns:
         the numbers and texts by name.
     """
-    truth = truth if truth and truth.covers(log.t_ns + offset_ns) else None
+    truth = truth if truth and truth.covers_times(log.t_ns + offset_ns) else None
     late = log.late_ns / 1e3
     active = np.isin(log.mode, (int(HandMode.ACTIVE),))
     result: dict[str, Any] = {
@@ -107,7 +107,7 @@ def _settled_mask(
     """Return a mask (ticks,), True from the time on at which the targets of a hold have been constant for SETTLED_S."""
     last = np.flatnonzero(moving)
     settled: NDArray[np.bool_] = (
-        log.times >= log.times[last[-1] if len(last) else np.argmax(inside)] + SETTLED_S
+        log.times >= log.times[last[-1] if len(last) else np.argmax(inside)] + SETTLING_TIME_S
     )
     return settled
 
@@ -148,7 +148,7 @@ def judge_tracking(
     }
     if truth is None:
         return unknown
-    joint_angles = truth.table([f"q/{joint}" for joint in hand.joints], log.t_ns + offset_ns)
+    joint_angles = truth.columns_at([f"q/{joint}" for joint in hand.joints], log.t_ns + offset_ns)
     real = mean_angles(hand, joint_angles)
     touched = _touch_mask(truth, hand, log, offset_ns)
     error = np.where(free & ~touched, goal - real, np.nan)
@@ -170,7 +170,7 @@ def _touch_mask(truth: TruthRecord, hand: Hand, log: RunLog, offset_ns: int) -> 
     """Return a mask (ticks, D), True where the digit has a contact in the simulated plant."""
     t_ns = log.t_ns + offset_ns
     force = [
-        np.sqrt(sum(truth.at(f"contact_force/{name}/{axis}", t_ns) ** 2 for axis in "xyz"))
+        np.sqrt(sum(truth.column_at(f"contact_force/{name}/{axis}", t_ns) ** 2 for axis in "xyz"))
         for name in hand.digit_names
     ]
     return np.column_stack(force) > 0.05
@@ -202,9 +202,9 @@ def judge_tension(
             ("tension_rmse_n", "tension_raw_rmse_n", "tension_hold_error_n"), float("nan")
         )
     names = [f"tension/{tendon}" for tendon in log.header.tendons]
-    real = truth.table(names, log.t_ns + offset_ns)
+    real = truth.columns_at(names, log.t_ns + offset_ns)
     # A reading of a load cell is one control period old when the tick reads it.
-    before = truth.table(names, log.t_ns - log.header.period_ns + offset_ns)
+    before = truth.columns_at(names, log.t_ns - log.header.period_ns + offset_ns)
     # One of the two tendons of a spool pair is always taut.
     taut = active[:, None] & ((real > 0.5) | hand.is_pair)
     error = np.where(_holding_mask(log, hand), log.field("tension_goal") - real, np.nan)
@@ -272,7 +272,7 @@ def judge_grasp(
             np.mean(
                 np.sqrt(
                     sum(
-                        truth.at(f"contact_force/{name}/{axis}", t_ns[settled]) ** 2
+                        truth.column_at(f"contact_force/{name}/{axis}", t_ns[settled]) ** 2
                         for axis in "xyz"
                     )
                 )
@@ -281,10 +281,13 @@ def judge_grasp(
         for name in hand.digit_names
     }
     motion = float("nan")
-    on_table = truth.has(TABLE_SUNK_COLUMN) and not truth.at(TABLE_SUNK_COLUMN, t_ns[settled]).any()
-    if truth.has("object/x") and not on_table:
+    on_table = (
+        truth.has_column(TABLE_SUNK_COLUMN)
+        and not truth.column_at(TABLE_SUNK_COLUMN, t_ns[settled]).any()
+    )
+    if truth.has_column("object/x") and not on_table:
         paths = [
-            truth.table(["object/x", "object/y", "object/z"], t_ns[hold])
+            truth.columns_at(["object/x", "object/y", "object/z"], t_ns[hold])
             for hold in holds
             if hold.any()
         ]
@@ -323,7 +326,7 @@ def judge_angles(
     sigma = log.field("q_sigma")[inside]
     error = np.full_like(q, np.nan)
     if truth is not None:
-        error = q - truth.table(
+        error = q - truth.columns_at(
             [f"q/{joint}" for joint in hand.joints], log.t_ns[inside] + offset_ns
         )
     angles = {}
@@ -371,7 +374,7 @@ def angle_rows(angles: dict[str, dict[str, Any]]) -> list[tuple[str, str]]:
     return rows
 
 
-def measured_load(
+def measured_bus_load(
     log: RunLog, bitrate: int, data_bitrate: int | None, sent: Sequence[tuple[int, bool]]
 ) -> float:
     """Return the fraction of a run's duration for which the frames occupy a bus in the worst case.

@@ -18,7 +18,7 @@ from handctl.runtime.buses.local import LocalBus
 from handctl.runtime.buses.pythoncan import frame_of_message, message_of_frame
 from handctl.runtime.paths import run_dir
 
-RETRY_S = 1e-3
+SEND_RETRY_PERIOD_S = 1e-3
 """Pause before a frame is sent again that a full queue has refused [s]."""
 
 
@@ -64,7 +64,7 @@ class LocalCanBus(can.BusABC):
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         """Return the next message, or None after the timeout [s], and False: python-can has to apply the filters."""
         if not self._waiting:
-            if not self._link.early:
+            if not self._link.early_frames:
                 select.select([self._link], [], [], timeout)
             self._read()
         if not self._waiting:
@@ -102,7 +102,7 @@ class LocalCanBus(can.BusABC):
             left = end - time.monotonic()
             if left <= 0:
                 raise can.CanOperationError("the local bus accepts no more frames")
-            select.select([self._link], [], [], min(left, RETRY_S))
+            select.select([self._link], [], [], min(left, SEND_RETRY_PERIOD_S))
         if self._receive_own:
             self._waiting.append(frame)
 

@@ -21,10 +21,10 @@ class HoldLimit:
     """Run observer that stops the run if a fault holds the hand for too long.
 
     Attributes:
-        reason: fault for which the run was stopped, empty if the run was not stopped.
+        stop_reason: fault for which the run was stopped, empty if the run was not stopped.
     """
 
-    reason: str = ""
+    stop_reason: str = ""
     _fault: str = ""
     _since_ns: int = -1
     _requests: list[str] = field(default_factory=list)
@@ -45,8 +45,8 @@ class HoldLimit:
             return
         if self._since_ns < 0:
             self._since_ns = entry.t_ns
-        if entry.t_ns - self._since_ns > MAX_HOLD_S * 1e9 and not self.reason:
-            self.reason = self._fault or "a fault"
+        if entry.t_ns - self._since_ns > MAX_HOLD_S * 1e9 and not self.stop_reason:
+            self.stop_reason = self._fault or "a fault"
             self._requests.append(STOP_REQUEST)
 
     def refuse_stopped(self, where: str) -> None:
@@ -55,6 +55,6 @@ class HoldLimit:
         Raises:
             DriveError: a fault held the hand for too long.
         """
-        if self.reason:
+        if self.stop_reason:
             right = "a hand without this fault; if it oscillates, try handctl tune design, then handctl gains apply"
-            raise DriveError(f"held for {MAX_HOLD_S:g} s by {self.reason}", where, right)
+            raise DriveError(f"held for {MAX_HOLD_S:g} s by {self.stop_reason}", where, right)

@@ -22,9 +22,9 @@ from handctl.core.tick_types import HandMode, IoEvent, TickIn, TickOut
 from handctl.drives.frame import Frame
 from handctl.drives.frame_records import Frames, frames_as_records, join_frames
 from handctl.errors import REMOVE_POWER, PowerError
-from handctl.handlers import installed_handler
 from handctl.runtime.clocks.real import TickClock
 from handctl.runtime.mailbox import CUT_REQUEST, STOP_REQUEST
+from handctl.signal_handlers import installed_handler
 
 S = TypeVar("S")
 T = TypeVar("T", covariant=True)
@@ -42,9 +42,9 @@ class TickInProgress(Protocol[T]):
         ...
 
 
-CUT_TRIES = 20
+CUT_SEND_TRIES = 20
 """Number of attempts to send the cut after an error, on an interface that refuses frames."""
-CUT_PAUSE_S = 1e-3
+CUT_RETRY_PAUSE_S = 1e-3
 """Pause between two of these attempts [s]. A frame takes 0.1 ms on the wire."""
 
 CUT_CONFIRMATION_NS = 500_000_000
@@ -79,21 +79,21 @@ class LoopStats:
 
     Attributes:
         ticks: number of executed ticks.
-        missed: number of skipped deadlines.
-        late_ns: lateness of the last ``LATENESS_RING_TICKS`` ticks [ns]. The values are in order only if
+        missed_ticks: number of skipped deadlines.
+        tick_lateness_ns: lateness of the last ``LATENESS_RING_TICKS`` ticks [ns]. The values are in order only if
             the run had no more ticks. The log has the lateness of all ticks.
         frames_tx: number of sent frames.
         frames_rx: number of received frames.
-        refused: number of frames refused by the bus.
+        refused_frames: number of frames refused by the bus.
         cpu_s: CPU time of this process during the loop [s].
     """
 
     ticks: int = 0
-    missed: int = 0
-    late_ns: "array[int]" = field(default_factory=lambda: array("q"))
+    missed_ticks: int = 0
+    tick_lateness_ns: "array[int]" = field(default_factory=lambda: array("q"))
     frames_tx: int = 0
     frames_rx: int = 0
-    refused: int = 0
+    refused_frames: int = 0
     cpu_s: float = 0.0
 
 
@@ -106,28 +106,28 @@ class StopSignals:
     ``nohup``, SIGHUP stays ignored.
 
     Attributes:
-        count: number of received signals.
-        seen: number of signals that ``take`` has already converted to requests.
+        received_count: number of received signals.
+        converted_count: number of signals that ``take_request`` has already converted to requests.
     """
 
     def __init__(self) -> None:
         """Start without a signal."""
-        self.count = 0
-        self.seen = 0
+        self.received_count = 0
+        self.converted_count = 0
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         """Count a signal. This method is the signal handler."""
-        self.count += 1
+        self.received_count += 1
 
-    def take(self) -> tuple[str, ...]:
+    def take_request(self) -> tuple[str, ...]:
         """Return the request for the next unread signal, if there is one.
 
         Each tick gets at most one.
         """
-        if self.seen == self.count:
+        if self.converted_count == self.received_count:
             return ()
-        self.seen += 1
-        return (STOP_REQUEST,) if self.seen == 1 else (CUT_REQUEST,)
+        self.converted_count += 1
+        return (STOP_REQUEST,) if self.converted_count == 1 else (CUT_REQUEST,)
 
     @contextmanager
     def handlers_installed(self) -> Iterator[None]:
@@ -155,22 +155,22 @@ class ControlLoop(Generic[S]):
         clock: clock in real time or in lockstep.
         period_ns: control period [ns].
         buses: buses in the order of the hand file. A list with one object may serve all buses.
-        begin: function that begins a tick, from the last state of the controller and the received
+        begin_tick: function that begins a tick, from the last state of the controller and the received
             frames. The loop reads requests after it, so that a streamed target waits as briefly as
             possible.
-        cut: frames that remove the torque, built before the run.
-        requests: function returning the requests of operators and programs since the last call.
-        host_events: function returning the events of the recorder and the host since the last call.
-        record: function that passes each tick to the recorder.
-        keep: function that passes the state after a tick to the recorder. Most ticks are skipped.
-        show: function that shows a tick to the operator and to watching programs. Most ticks are
+        cut_frames: frames that remove the torque, built before the run.
+        take_requests: function returning the requests of operators and programs since the last call.
+        take_host_events: function returning the events of the recorder and the host since the last call.
+        record_tick: function that passes each tick to the recorder.
+        keep_snapshot: function that passes the state after a tick to the recorder. Most ticks are skipped.
+        show_tick: function that shows a tick to the operator and to watching programs. Most ticks are
             skipped.
-        observe: function that passes the state after a tick to programs that observe the run, with
+        publish_tick: function that passes the state after a tick to programs that observe the run, with
             the time at which the commands were sent [ns of CLOCK_MONOTONIC].
-        let_go: function that disables all drives. Its arguments are the last state, the time [ns],
+        disable_drives: function that disables all drives. Its arguments are the last state, the time [ns],
             and the frames received since then. It returns the next state, the frames to send, and
             the names of the drives that have not reported off.
-        urgent: function returning a context manager for the ticks alone, such as real-time
+        tick_priority: function returning a context manager for the ticks alone, such as real-time
             priority.
         stats: statistics of the run.
     """
@@ -178,18 +178,18 @@ class ControlLoop(Generic[S]):
     clock: TickClock
     period_ns: int
     buses: Sequence[LoopBus]
-    begin: Callable[[S, TickIn], TickInProgress[S]]
-    cut: Sequence[Frame]
-    requests: Callable[[], tuple[str, ...]]
-    host_events: Callable[[], list[IoEvent]]
-    record: Callable[[TickIn, TickOut], None]
-    show: Callable[[TickIn, TickOut], None]
-    keep: Callable[[TickIn, S], None] = _no_snapshot
-    observe: Callable[[TickIn, TickOut, S, int], None] = _no_observer
-    let_go: Callable[[S, int, list[Frame]], tuple[S, tuple[Frame, ...], tuple[str, ...]]] | None = (
-        None
-    )
-    urgent: Callable[[], AbstractContextManager[object]] = nullcontext
+    begin_tick: Callable[[S, TickIn], TickInProgress[S]]
+    cut_frames: Sequence[Frame]
+    take_requests: Callable[[], tuple[str, ...]]
+    take_host_events: Callable[[], list[IoEvent]]
+    record_tick: Callable[[TickIn, TickOut], None]
+    show_tick: Callable[[TickIn, TickOut], None]
+    keep_snapshot: Callable[[TickIn, S], None] = _no_snapshot
+    publish_tick: Callable[[TickIn, TickOut, S, int], None] = _no_observer
+    disable_drives: (
+        Callable[[S, int, list[Frame]], tuple[S, tuple[Frame, ...], tuple[str, ...]]] | None
+    ) = None
+    tick_priority: Callable[[], AbstractContextManager[object]] = nullcontext
     stats: LoopStats = field(default_factory=LoopStats)
     _k: int = 0
 
@@ -204,7 +204,7 @@ class ControlLoop(Generic[S]):
         gc.disable()
         cpu_s = time.process_time()
         try:
-            with self.urgent():
+            with self.tick_priority():
                 self.clock.start()
                 for bus in self.buses:  # frames that were received before the run belong to no tick
                     bus.drain()
@@ -241,13 +241,13 @@ class ControlLoop(Generic[S]):
 
         Returns the names of the drives that have not reported off.
         """
-        if self.let_go is None:
+        if self.disable_drives is None:
             return ()
         left: tuple[str, ...] = ()
         for k in range(self._k + 1, self._k + 2 + CUT_CONFIRMATION_NS // self.period_ns):
             self.clock.wait(k)
             received = [frame for bus in self.buses for frame in bus.drain()]
-            state, frames, left = self.let_go(state, k * self.period_ns, received)
+            state, frames, left = self.disable_drives(state, k * self.period_ns, received)
             if not left:
                 break
             self._send(frames)
@@ -260,14 +260,14 @@ class ControlLoop(Generic[S]):
         """
         alone = len(self.buses) == 1
         left = [
-            (bus, [f for f in self.cut if f.bus == index or alone])
+            (bus, [f for f in self.cut_frames if f.bus == index or alone])
             for index, bus in enumerate(self.buses)
         ]
-        for _ in range(CUT_TRIES):
+        for _ in range(CUT_SEND_TRIES):
             self._send_cut_once(left)
             if not any(frames for _, frames in left):
                 return
-            time.sleep(CUT_PAUSE_S)
+            time.sleep(CUT_RETRY_PAUSE_S)
 
     def _send_cut_once(self, left: list[tuple[LoopBus, list[Frame]]]) -> None:
         """Send the frames in ``left`` on their buses, and remove the accepted frames from ``left``.
@@ -288,7 +288,7 @@ class ControlLoop(Generic[S]):
 
         Imports and objects that the first use creates then do not delay the first tick of the run.
         """
-        tick = self.begin(state, TickIn(0, 0))
+        tick = self.begin_tick(state, TickIn(0, 0))
         tick.command(())
         tick.conclude()
 
@@ -305,17 +305,17 @@ class ControlLoop(Generic[S]):
             skipped = late // self.period_ns  # missed ticks are skipped, and not executed later
             k += skipped
             entry = self._collect(k, late - skipped * self.period_ns)
-            tick = self.begin(last[0], entry)
-            if requests := self.requests():
+            tick = self.begin_tick(last[0], entry)
+            if requests := self.take_requests():
                 entry = entry._replace(requests=requests)
             self._send(tick.command(requests))
             sent_ns = time.monotonic_ns()
             last[0], out = tick.conclude()
-            self.observe(entry, out, last[0], sent_ns)
-            self.record(entry, out)
-            self.keep(entry, last[0])
+            self.publish_tick(entry, out, last[0], sent_ns)
+            self.record_tick(entry, out)
+            self.keep_snapshot(entry, last[0])
             self._count_tick(entry, skipped, late)
-            self.show(entry, out)
+            self.show_tick(entry, out)
             mode = out.mode
             k += 1
         return last[0]
@@ -323,7 +323,7 @@ class ControlLoop(Generic[S]):
     def _collect(self, k: int, late_ns: int) -> TickIn:
         """Collect the received frames and the events since the last tick."""
         parts: list[Frames] = []
-        events = self.host_events()
+        events = self.take_host_events()
         for bus in self.buses:
             parts.append(bus.drain())
             events += [IoEvent(*event) for event in bus.take_events()]
@@ -340,15 +340,15 @@ class ControlLoop(Generic[S]):
             parts = [Frames(records[wires == index]) for index in range(len(self.buses))]
             accepted = sum(bus.send(part) for bus, part in zip(self.buses, parts, strict=True))
         self.stats.frames_tx += accepted
-        self.stats.refused += len(frames) - accepted
+        self.stats.refused_frames += len(frames) - accepted
 
     def _count_tick(self, entry: TickIn, skipped: int, late: int) -> None:
         """Count a tick in the statistics, and record its lateness."""
         stats = self.stats
         if stats.ticks < LATENESS_RING_TICKS:
-            stats.late_ns.append(late)
+            stats.tick_lateness_ns.append(late)
         else:
-            stats.late_ns[stats.ticks % LATENESS_RING_TICKS] = late
+            stats.tick_lateness_ns[stats.ticks % LATENESS_RING_TICKS] = late
         stats.ticks += 1
-        stats.missed += skipped
+        stats.missed_ticks += skipped
         stats.frames_rx += len(entry.frames)

@@ -19,7 +19,7 @@ from typing import Any
 
 from handctl.errors import BusError
 from handctl.runtime.paths import is_socket_served, mailbox_path, watcher_path
-from handctl.runtime.peers import receive_datagram, request_sender_credentials
+from handctl.runtime.socket_peers import receive_datagram, request_sender_credentials
 
 MAX_REQUEST_BYTES = 4096
 """Longest request [bytes]. A longer request is truncated, and then refused as invalid JSON."""
@@ -35,7 +35,7 @@ Any further program gets one status line for each ``watch`` that it sends.
 """
 MAX_STATUS_BYTES = 65536
 """Longest status line [bytes]."""
-RETRY_S = 0.05
+SEND_RETRY_PERIOD_S = 0.05
 """Pause before a request is sent again, to a controller that has not started yet or has a full mailbox [s]."""
 MAX_REQUESTS_PER_TICK = 16
 """Largest number of requests read by the controller per tick.
@@ -52,7 +52,7 @@ class Mailbox:
         path: path of the socket.
         socket: Unix datagram socket.
         watchers: socket paths of the programs that subscribe to status lines.
-        askers: socket paths of the programs whose requests the last ``read`` returned.
+        askers: socket paths of the programs whose requests the last ``read_requests`` returned.
     """
 
     def __init__(self, name: str) -> None:
@@ -74,7 +74,7 @@ class Mailbox:
         self.watchers: list[str] = []
         self.askers: list[str] = []
 
-    def read(self) -> tuple[str, ...]:
+    def read_requests(self) -> tuple[str, ...]:
         """Return the waiting requests, oldest first, at most ``MAX_REQUESTS_PER_TICK``."""
         texts: list[str] = []
         if self.askers:
@@ -99,7 +99,7 @@ class Mailbox:
                 self.askers.append(sender)
         return tuple(texts)
 
-    def publish(self, status: dict[str, Any]) -> None:
+    def publish_status(self, status: dict[str, Any]) -> None:
         """Send a status line to all watchers and askers.
 
         A watcher whose socket has been removed is removed too.
@@ -230,16 +230,16 @@ class StatusWatcher:
                 f"cannot receive replies: {error}", str(self.path.parent), SHORT_RUN_FOLDER_TEXT
             ) from None
 
-    def fresh_line(self, timeout_s: float) -> dict[str, Any] | None:
+    def request_line(self, timeout_s: float) -> dict[str, Any] | None:
         """Request a new status line and return it.
 
         Return None if none arrives within the timeout [s].
         """
-        self.discard()
+        self.discard_lines()
         try:
             self.send(WATCH_REQUEST, timeout_s)
         except OSError:
-            time.sleep(min(timeout_s, RETRY_S))
+            time.sleep(min(timeout_s, SEND_RETRY_PERIOD_S))
             return None
         return self.next_line(timeout_s)
 
@@ -268,7 +268,7 @@ class StatusWatcher:
         line: dict[str, Any] = json.loads(data)
         return line
 
-    def lines(self, timeout_s: float) -> Iterator[dict[str, Any]]:
+    def status_lines(self, timeout_s: float) -> Iterator[dict[str, Any]]:
         """Yield the status lines that arrive until the timeout [s] has passed."""
         end = time.monotonic() + timeout_s
         while (left := end - time.monotonic()) > 0.0:
@@ -276,7 +276,7 @@ class StatusWatcher:
             if line is not None:
                 yield line
 
-    def discard(self) -> None:
+    def discard_lines(self) -> None:
         """Discard the unread status lines."""
         self.socket.setblocking(False)
         try:

@@ -34,7 +34,7 @@ from handctl.programs.stream_plans import StreamStatus
 from handctl.runtime.mailbox import SHORT_RUN_FOLDER_TEXT
 from handctl.runtime.paths import observations_path
 
-MAGIC = b"HCOBS001"
+OBSERVATION_FILE_MAGIC = b"HCOBS001"
 HEADER_STRUCT = struct.Struct("<8sQQQQQ")
 """Start of the file, see the module: magic text, and five numbers that describe the ring."""
 WRITTEN_COUNT_OFFSET = 32
@@ -69,7 +69,7 @@ LEADING_FIELDS: tuple[tuple[str, str], ...] = (
 _LEADING_STRUCT = struct.Struct("<qqqqii24sqdqqqqq")
 
 
-def record_type(axes: Mapping[str, int]) -> np.dtype[np.void]:
+def observation_dtype(axes: Mapping[str, int]) -> np.dtype[np.void]:
     """Return the numpy type of the record of a tick.
 
     Args:
@@ -90,14 +90,14 @@ class ObservationWriter:
 
         Args:
             bus: bus of the controller. The controller holds the lock of this bus.
-            axes: see ``record_type``.
+            axes: see ``observation_dtype``.
             description: names and constants of the hand, for the readers of the file.
 
         Raises:
             BusError: the file cannot be created.
         """
         self.path = observations_path(bus)
-        kind = record_type(axes)
+        kind = observation_dtype(axes)
         self._size = 8 + kind.itemsize
         self._written = 0
         text = json.dumps({"axes": dict(axes), **description}).encode()
@@ -127,11 +127,13 @@ class ObservationWriter:
             for start in starts
         ]
         self._map[HEADER_STRUCT.size : HEADER_STRUCT.size + len(text)] = text
-        HEADER_STRUCT.pack_into(self._map, 0, MAGIC, len(text), self._size, RING_RECORDS, 0, 0)
+        HEADER_STRUCT.pack_into(
+            self._map, 0, OBSERVATION_FILE_MAGIC, len(text), self._size, RING_RECORDS, 0, 0
+        )
         self._total = np.frombuffer(self._map, COUNTER_DTYPE, 1, WRITTEN_COUNT_OFFSET)
         self._ended = np.frombuffer(self._map, COUNTER_DTYPE, 1, END_MARK_OFFSET)
 
-    def publish(self, entry: TickIn, out: TickOut, stream: StreamStatus, sent_ns: int) -> None:
+    def write_record(self, entry: TickIn, out: TickOut, stream: StreamStatus, sent_ns: int) -> None:
         """Write the record of a tick.
 
         Args:
@@ -184,7 +186,7 @@ class ObservationReader:
                 self._map = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         except (OSError, ValueError):
             raise BusError("no observations", f"bus {bus}", "a running handctl run") from None
-        if len(self._map) < HEADER_STRUCT.size or self._map[:8] != MAGIC:
+        if len(self._map) < HEADER_STRUCT.size or self._map[:8] != OBSERVATION_FILE_MAGIC:
             self._map.close()
             raise BusError(
                 "no observations of this version", f"bus {bus}", "a controller of the same version"
@@ -194,50 +196,50 @@ class ObservationReader:
         self.description: dict[str, Any] = json.loads(
             self._map[HEADER_STRUCT.size : HEADER_STRUCT.size + length]
         )
-        self.kind = record_type(self.description["axes"])
-        self.seen = 0
+        self.kind = observation_dtype(self.description["axes"])
+        self.last_read_number = 0
 
     @property
-    def written(self) -> int:
+    def written_count(self) -> int:
         """Return the number of records written so far."""
         return int.from_bytes(self._map[WRITTEN_COUNT_OFFSET : WRITTEN_COUNT_OFFSET + 8], "little")
 
     @property
-    def ended(self) -> bool:
+    def run_ended(self) -> bool:
         """Return True if the run has ended."""
         return self._map[END_MARK_OFFSET] != 0
 
-    def latest(self) -> NDArray[np.void] | None:
+    def latest_record(self) -> NDArray[np.void] | None:
         """Return the latest record as an array of shape (), or None before the first record."""
         for _ in range(COPY_ATTEMPTS):
-            written = self.written
+            written = self.written_count
             if written == 0:
                 return None
-            record = self.read(written - 1)
+            record = self.read_record(written - 1)
             if record is not None:
-                self.seen = written
+                self.last_read_number = written
                 return record
         return None
 
-    def next(self) -> NDArray[np.void] | None:
+    def next_record(self) -> NDArray[np.void] | None:
         """Return the record that follows the last returned record, or None if it has not been written yet.
 
         If that record has already been overwritten, the oldest usable record in the ring is
         returned.
         """
         for _ in range(COPY_ATTEMPTS):
-            written = self.written
+            written = self.written_count
             # The controller overwrites the oldest record next, so the reader does not use it.
-            at = max(self.seen, written - self._records + 2)
+            at = max(self.last_read_number, written - self._records + 2)
             if at >= written:
                 return None
-            record = self.read(at)
+            record = self.read_record(at)
             if record is not None:
-                self.seen = at + 1
+                self.last_read_number = at + 1
                 return record
         return None
 
-    def read(self, index: int) -> NDArray[np.void] | None:
+    def read_record(self, index: int) -> NDArray[np.void] | None:
         """Return the record with the number ``index``, or None if it is not in the ring."""
         start = self._ring_at + self._size * (index % self._records)
         data = self._map[start : start + self._size]

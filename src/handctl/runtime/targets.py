@@ -19,9 +19,9 @@ from handctl.errors import BusError
 from handctl.programs.requests import MAX_TARGET_VALUES, target_request_text
 from handctl.runtime.mailbox import SHORT_RUN_FOLDER_TEXT
 from handctl.runtime.paths import targets_path
-from handctl.runtime.peers import receive_datagram, request_sender_credentials
+from handctl.runtime.socket_peers import receive_datagram, request_sender_credentials
 
-MAGIC = b"HCT1"
+TARGET_MAGIC = b"HCT1"
 """First bytes of every target datagram. They include the version of the format."""
 HEADER_STRUCT = struct.Struct("<4sIIIqq")
 MAX_DATAGRAM_BYTES = HEADER_STRUCT.size + 8 * MAX_TARGET_VALUES
@@ -75,7 +75,7 @@ class TargetBox:
             ) from None
         self.socket.setblocking(False)
 
-    def read(self) -> tuple[str, ...]:
+    def read_targets(self) -> tuple[str, ...]:
         """Return the newest waiting targets as requests, oldest first.
 
         Malformed datagrams are dropped.
@@ -95,7 +95,7 @@ class TargetBox:
         if len(data) < HEADER_STRUCT.size:
             return ""
         magic, process, number, count, index, sent_ns = HEADER_STRUCT.unpack_from(data)
-        if magic != MAGIC or len(data) != HEADER_STRUCT.size + 8 * count:
+        if magic != TARGET_MAGIC or len(data) != HEADER_STRUCT.size + 8 * count:
             return ""
         values = struct.unpack_from(f"<{count}d", data, HEADER_STRUCT.size)
         return target_request_text(
@@ -141,7 +141,7 @@ class TargetSender:
         """
         process, number = self._head
         data = (
-            HEADER_STRUCT.pack(MAGIC, process, number, len(values), index, sent_ns)
+            HEADER_STRUCT.pack(TARGET_MAGIC, process, number, len(values), index, sent_ns)
             + values.astype("<f8").tobytes()
         )
         try:

@@ -16,16 +16,16 @@ from handctl.output import write_text_atomically
 from handctl.programs.calibration import Calibration, TendonCalibration, load_calibration
 from handctl.programs.commission import CommissionProgram, calibration_of_result
 from handctl.session.notices import NoticeCallback, ignore_notice
-from handctl.session.pace import pace_advice
 from handctl.session.plan import RunPlan
 from handctl.session.run import RunFunction, RunOutcome, make_controller
+from handctl.session.time_scale_advice import pace_advice
 
-MAX_UNANNOUNCED_AGE_S = 24 * 3600.0
+MAX_UNANNOUNCED_CALIBRATION_AGE_S = 24 * 3600.0
 """Largest age of a calibration with which a hand may be armed [s].
 
 Load cells drift, and tendons creep.
 """
-VIRTUAL_DATE = datetime.datetime.fromtimestamp(0, datetime.UTC)
+LOCKSTEP_CALIBRATION_DATE = datetime.datetime.fromtimestamp(0, datetime.UTC)
 IdentifiedByTendon = dict[str, IdentifiedParameters]
 """Identified parameters of each tendon, by its name."""
 
@@ -53,7 +53,7 @@ def find_calibration(path: Path, hand: Hand, named: bool) -> tuple[Calibration |
             raise
         return None, str(error)
     made = datetime.datetime.fromisoformat(calibration.made).timestamp()
-    if time.time() - made > MAX_UNANNOUNCED_AGE_S:
+    if time.time() - made > MAX_UNANNOUNCED_CALIBRATION_AGE_S:
         return None, f"{path} is older than a day"
     return calibration, ""
 
@@ -71,13 +71,13 @@ def run_commissioning(
     Raises:
         PowerError: a drive did not confirm that it is disabled.
         DriveError: a tendon, sensor or drive did not pass the commissioning. See
-            ``RunOutcome.refuse_unfinished``.
+            ``RunOutcome.check_finished``.
     """
     controller = make_controller(plan, CommissionProgram(), None, arm_at_once=True)
     outcome = runner(plan, controller, log)
-    outcome.refuse_unfinished(f"commissioning {plan.hand.name}", pace_advice(plan, outcome))
+    outcome.check_finished(f"commissioning {plan.hand.name}", pace_advice(plan, outcome))
     virtual = outcome.priority is None  # a fixed date makes two lockstep runs equal
-    now = VIRTUAL_DATE if virtual else datetime.datetime.now(datetime.UTC)
+    now = LOCKSTEP_CALIBRATION_DATE if virtual else datetime.datetime.now(datetime.UTC)
     calibration = calibration_of_result(
         controller.model, outcome.state.progress, now.isoformat(timespec="seconds")
     )
@@ -128,7 +128,7 @@ def previous_identified(
     return before.identified
 
 
-def identified_in(path: Path | None, hand: Hand) -> IdentifiedByTendon:
+def identified_in_file(path: Path | None, hand: Hand) -> IdentifiedByTendon:
     """Return the identified parameters in a calibration file, by tendon.
 
     If no file is given, the result is empty.
@@ -153,7 +153,7 @@ def homed_calibration(hand: Hand, identified: IdentifiedByTendon) -> Calibration
     """Return the calibration of a simulated hand that starts with taut tendons and its encoders at zero."""
     zero = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=0.0, crosstalk_N=0.0)
     rows = dict.fromkeys(hand.tendon_names, zero)
-    made = VIRTUAL_DATE.isoformat(timespec="seconds")
+    made = LOCKSTEP_CALIBRATION_DATE.isoformat(timespec="seconds")
     return Calibration(
         hand=hand.name, identity=hand.identity, made=made, tendon=rows, identified=identified
     )
@@ -176,9 +176,9 @@ def ensure_calibration(
     Raises:
         DriveError: see ``run_commissioning``.
     """
-    plan.tell(f"commissioning {plan.hand.name} first: {reason}")
+    plan.show_notice(f"commissioning {plan.hand.name} first: {reason}")
     calibration, _ = run_commissioning(plan, log, runner)
-    previous = previous_identified(path, plan.hand, calibration.drive, plan.tell)
+    previous = previous_identified(path, plan.hand, calibration.drive, plan.show_notice)
     calibration = calibration.model_copy(update={"identified": previous})
     write_calibration(path, calibration)
     return calibration

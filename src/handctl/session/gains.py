@@ -57,7 +57,7 @@ def layered_gains(
     """
     default = Path(f"{hand.name}.gains.toml")
     file = file or (default if default.exists() else None)
-    loaded = gains_for(hand, file, tell) if file else None
+    loaded = read_gains_for_hand(hand, file, tell) if file else None
     base = loaded.gains if loaded else packaged_gains(hand.name)
     values = gain_assignments(words, "--gain")
     gains = with_values(base, values, "--gain") if values else base
@@ -67,7 +67,7 @@ def layered_gains(
     return LayeredGains(gains, file, loaded.provenance if loaded else GainsProvenance(), origins)
 
 
-def gains_for(hand: Hand, path: Path, tell: NoticeCallback = ignore_notice) -> GainsFile:
+def read_gains_for_hand(hand: Hand, path: Path, tell: NoticeCallback = ignore_notice) -> GainsFile:
     """Read a gains file, and check that the gains are for this hand.
 
     If the gains were made for an earlier version of the hand file, they are accepted, with a notice

@@ -14,7 +14,7 @@ from handctl.log.header import RunHeader
 from handctl.runtime.clocks.priority import GrantedPriority
 from handctl.session.plan import RunPlan
 
-VIRTUAL_START_S = 0.0
+LOCKSTEP_START_S = 0.0
 """UNIX time that the log gives as the start of every lockstep run [s].
 
 With a constant time, equal runs have equal logs.
@@ -42,7 +42,7 @@ def run_header(
         "python": sys.version.split()[0],
         "priority": str(priority),
         "started": time.strftime(
-            "%Y-%m-%dT%H:%M:%SZ", time.gmtime(VIRTUAL_START_S if lockstep else None)
+            "%Y-%m-%dT%H:%M:%SZ", time.gmtime(LOCKSTEP_START_S if lockstep else None)
         ),
     }
     metadata = {
@@ -56,7 +56,7 @@ def run_header(
     }
     if caveats := run_setup.unverified_protections(controller.drives):
         metadata["caveats"] = "; ".join(caveats)
-    return RunHeader.of_hand(
+    return RunHeader.from_hand(
         hand.to_toml(),
         plan.period_ns,
         offset_ns=0 if lockstep else time.time_ns(),

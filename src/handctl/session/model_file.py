@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from handctl.errors import ConfigError
-from handctl.runtime.clocks.lockstep import load_entry
+from handctl.runtime.clocks.lockstep import load_simulator_object
 
 MODEL_FILE_READER = "firmware_sim.model_file:read_model_file"
 """Module and name of the function that reads a description.
@@ -28,7 +28,7 @@ def read_model_file(path: Path, kind: str) -> Mapping[str, Any]:
         ConfigError: the file is unreadable, it does not describe a tree of hinges and links with
             inertia, or MuJoCo is not installed.
     """
-    read: Callable[[str, str], Mapping[str, Any]] = load_entry(
+    read: Callable[[str, str], Mapping[str, Any]] = load_simulator_object(
         MODEL_FILE_READER, "reading a robot description"
     )
     try:

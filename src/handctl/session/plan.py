@@ -33,7 +33,7 @@ With two ticks, one lost frame does not disable a drive.
 class OperatorDisplay(Protocol):
     """Display that shows the operator the state of a running hand."""
 
-    def show(self, entry: TickIn, out: TickOut) -> None:
+    def show_tick(self, entry: TickIn, out: TickOut) -> None:
         """Show the state of the hand after a tick."""
         ...
 
@@ -50,27 +50,27 @@ class RunPlan:
         hand: description of the hand.
         gains: gains of the controller.
         rate_hz: control rate [Hz].
-        load: worst-case load of each bus of the hand, as a fraction.
+        bus_loads: worst-case load of each bus of the hand, as a fraction.
         buses: specification of each bus, empty in lockstep.
         attachments: files to store in the log.
         time_scale: time of the run divided by wall time.
-        clear: True if the operator requested to clear the latched errors of the drives.
-        display: function that starts the display of a run, or None for no display.
-        tell: function that shows a notice to the operator.
-        progress: function that shows the progress of a step before the run.
+        clear_faults: True if the operator requested to clear the latched errors of the drives.
+        start_display: function that starts the display of a run, or None for no display.
+        show_notice: function that shows a notice to the operator.
+        show_progress: function that shows the progress of a step before the run.
     """
 
     hand: Hand
     gains: Gains
     rate_hz: float
-    load: tuple[float, ...]
+    bus_loads: tuple[float, ...]
     buses: tuple[str, ...] = ()
     attachments: dict[str, bytes] = field(default_factory=dict)
     time_scale: float = 1.0
-    clear: bool = False
-    display: "Callable[[RunPlan], OperatorDisplay] | None" = None
-    tell: NoticeCallback = ignore_notice
-    progress: ProgressFunction = ignore_progress
+    clear_faults: bool = False
+    start_display: "Callable[[RunPlan], OperatorDisplay] | None" = None
+    show_notice: NoticeCallback = ignore_notice
+    show_progress: ProgressFunction = ignore_progress
 
     @property
     def period_ns(self) -> int:
@@ -82,7 +82,7 @@ class RunPlan:
         """Return True if the plan has buses, but no bus that can have real motors."""
         return bool(self.buses) and not real_buses(self.buses)
 
-    def on(self, buses: tuple[str, ...]) -> "RunPlan":
+    def with_buses(self, buses: tuple[str, ...]) -> "RunPlan":
         """Return the plan with other bus specifications."""
         return replace(self, buses=buses)
 
@@ -94,25 +94,25 @@ class RunChoice:
     Attributes:
         hand: name of a packaged hand, or path of a hand file.
         hand_named: True if the operator named the hand.
-        bus: ``SPEC`` for a hand with one bus, ``NAME=SPEC`` for each bus, or None in lockstep.
-        gains: gains file, or None for the gains of the hand.
-        gain: KEY=VALUE words for single gains, which override every file.
-        rate: control rate [Hz], or None for the highest usual rate.
+        bus_words: ``SPEC`` for a hand with one bus, ``NAME=SPEC`` for each bus, or None in lockstep.
+        gains_file: gains file, or None for the gains of the hand.
+        gain_words: KEY=VALUE words for single gains, which override every file.
+        rate_hz: control rate [Hz], or None for the highest usual rate.
         time_scale: time of the run divided by wall time, or None for the time scale of the
             simulator on the bus.
-        log: log file to write, or None if the command names it later.
-        clear: True to clear the latched errors of the drives.
+        log_path: log file to write, or None if the command names it later.
+        clear_faults: True to clear the latched errors of the drives.
     """
 
     hand: str | Path
     hand_named: bool = False
-    bus: Sequence[str] | None = None
-    gains: Path | None = None
-    gain: Sequence[str] = ()
-    rate: float | None = None
+    bus_words: Sequence[str] | None = None
+    gains_file: Path | None = None
+    gain_words: Sequence[str] = ()
+    rate_hz: float | None = None
     time_scale: float | None = None
-    log: Path | None = None
-    clear: bool = False
+    log_path: Path | None = None
+    clear_faults: bool = False
 
 
 def make_plan(
@@ -132,22 +132,31 @@ def make_plan(
     """
     hand = load_hand(choice.hand)
     check_hand_ready(hand, str(choice.hand))
-    layers = layered_gains(hand, choice.gains, choice.gain, tell)
-    buses = () if choice.bus is None else bus_specs(hand, choice.bus)
+    layers = layered_gains(hand, choice.gains_file, choice.gain_words, tell)
+    buses = () if choice.bus_words is None else bus_specs(hand, choice.bus_words)
     if not choice.hand_named:
         refuse_default_hand(buses, "--hand")
     loads = bus_loads(hand)
-    rate = control_rate(choice.rate, hand, loads)
+    rate = control_rate(choice.rate_hz, hand, loads)
     load = tuple(one.load_at(rate) for one in loads)
     time_scale = chosen_time_scale(choice.time_scale, buses)
-    _check_log(choice.log)
+    _check_log(choice.log_path)
     attachments = {"gains.toml": layers.file.read_bytes()} if layers.file else {}
     meshes, left_out = mesh_attachments(hand, hand_path(choice.hand).parent)
     for line in left_out:
         tell(f"handctl: caution: {line}")
     attachments |= meshes
     return RunPlan(
-        hand, layers.gains, rate, load, buses, attachments, time_scale, choice.clear, display, tell
+        hand,
+        layers.gains,
+        rate,
+        load,
+        buses,
+        attachments,
+        time_scale,
+        choice.clear_faults,
+        display,
+        tell,
     )
 
 

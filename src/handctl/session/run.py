@@ -19,7 +19,7 @@ from handctl.core.tick_types import IoEvent, TickIn, TickOut
 from handctl.errors import BusError, DriveError, PowerError
 from handctl.hand.description import Hand
 from handctl.log.header import TRUTH_OFFSET_KEY
-from handctl.log.record import pack_snapshot, pack_tick_record
+from handctl.log.tick_record import pack_snapshot, pack_tick_record
 from handctl.log.topics.snapshots import SNAPSHOT_PERIOD_NS
 from handctl.log.write.recorder import Recorder
 from handctl.programs.calibration import Calibration
@@ -57,8 +57,8 @@ class RunOutcome:
 
     Attributes:
         state: last state of the controller.
-        stats: statistics of the control loop.
-        log: summary of the recorder.
+        loop_stats: statistics of the control loop.
+        log_summary: summary of the recorder.
         priority: real-time priority that the operating system granted, or None in lockstep.
         offset_ns: time on the simulator's clock when the time of the run was 0 [ns].
         pauses: number of pauses of the clock, if the run and the simulator share a clock.
@@ -66,8 +66,8 @@ class RunOutcome:
     """
 
     state: ControllerState
-    stats: LoopStats
-    log: dict[str, object]
+    loop_stats: LoopStats
+    log_summary: dict[str, object]
     priority: GrantedPriority | None
     offset_ns: int
     pauses: int = 0
@@ -85,7 +85,7 @@ class RunOutcome:
             return ExitCode.REMOVE_POWER
         return ExitCode.FAILED if self.state.failure else ExitCode.DONE
 
-    def refuse_unfinished(self, where: str, right: str = "") -> None:
+    def check_finished(self, where: str, right: str = "") -> None:
         """Raise an error if the run did not finish.
 
         Args:
@@ -113,7 +113,7 @@ def make_controller(
 
     If the code must be compiled first, a progress bar is shown.
     """
-    with plan.progress("compiling the controller, once") as report_progress:
+    with plan.show_progress("compiling the controller, once") as report_progress:
         compile_kernels(report_progress)
     if isinstance(program, LiveProgram):
         preload_spline()
@@ -155,12 +155,12 @@ def run_live(
         LogError: the log cannot be written.
     """
     for text in run_setup.unverified_protections(controller.drives):
-        plan.tell(f"handctl: caution: {text}")
+        plan.show_notice(f"handctl: caution: {text}")
     with ExitStack() as stack:
         clock = _open_clock(plan, stack)
         mailbox = Mailbox(plan.buses[0])
         stack.callback(mailbox.close)
-        targets = TargetBox(plan.buses[0], clock.of)
+        targets = TargetBox(plan.buses[0], clock.run_time_of)
         stack.callback(targets.close)
         observations = ObservationWriter(
             plan.buses[0], _axis_lengths(plan.hand), _describe_run(plan)
@@ -170,14 +170,14 @@ def run_live(
             stack.enter_context(bus_lock(spec))
         buses: list[LoopBus] = []
         for index, (spec, bus) in enumerate(zip(plan.buses, plan.hand.bus, strict=True)):
-            opened = open_bus(spec, index, bus.bitrate, bus.data_bitrate, clock.of)
+            opened = open_bus(spec, index, bus.bitrate, bus.data_bitrate, clock.run_time_of)
             stack.callback(opened.close)
             buses.append(opened)
         priority = prepare_priority()
         stack.callback(restore_priority)
-        clock.spin = priority.realtime
+        clock.busy_wait = priority.realtime
         recorder = Recorder.start(log, run_header(plan, controller, priority, lockstep=False))
-        display = plan.display(plan) if plan.display else None
+        display = plan.start_display(plan) if plan.start_display else None
         if live_view:
             stack.callback(_start_view(log))
         signals = StopSignals()
@@ -185,11 +185,16 @@ def run_live(
         show = _merge_observers(observer, _status_callback(display, mailbox, plan.rate_hz))
         request_source = _merge_requests(observer, _request_source(plan, signals, mailbox, targets))
         loop = _build_loop(plan, controller, clock, buses, recorder, request_source, show)
-        loop.observe = lambda entry, out, state, sent_ns: observations.publish(
+        loop.publish_tick = lambda entry, out, state, sent_ns: observations.write_record(
             entry, out, stream_status(state), sent_ns
         )
         outcome = _run_to_end(
-            loop, controller, recorder, display, priority, lambda: int(clock.start_ns * clock.scale)
+            loop,
+            controller,
+            recorder,
+            display,
+            priority,
+            lambda: int(clock.start_ns * clock.time_scale),
         )
         return replace(outcome, pauses=clock.pauses, paused_ns=clock.paused_ns)
 
@@ -213,11 +218,11 @@ def run_lockstep(
     header = run_header(plan, controller, None, lockstep=True)
     start_offset = {TRUTH_OFFSET_KEY: str(clock.offset_ns)}
     recorder = Recorder.start(log, replace(header, metadata=header.metadata | start_offset))
-    display = plan.display(plan) if plan.display else None
+    display = plan.start_display(plan) if plan.start_display else None
     limit = HoldLimit()
     request_source = _merge_requests(observer, limit.poll_requests)
     show = _merge_observers(
-        limit, _merge_observers(observer, display.show if display else _ignore_tick)
+        limit, _merge_observers(observer, display.show_tick if display else _ignore_tick)
     )
     loop = _build_loop(
         plan, controller, clock, [LockstepBus(clock)], recorder, request_source, show
@@ -271,9 +276,9 @@ def _start_view(log: Path) -> Callable[[], None]:
     The result is a function that stops the process which feeds the viewer. The viewer itself stays
     open.
     """
-    from handctl.view.live_view import start_live
+    from handctl.view.live_view import start_live_view
 
-    child: subprocess.Popen[bytes] = start_live(log)
+    child: subprocess.Popen[bytes] = start_live_view(log)
     return child.terminate
 
 
@@ -285,7 +290,7 @@ def snapshot_recorder(recorder: Recorder) -> Callable[[TickIn, ControllerState],
         nonlocal due_ns
         if entry.t_ns >= due_ns:
             due_ns = entry.t_ns + SNAPSHOT_PERIOD_NS
-            recorder.record(pack_snapshot(entry, snapshot_bytes(state)))
+            recorder.send_record(pack_snapshot(entry, snapshot_bytes(state)))
 
     return keep_snapshot
 
@@ -300,22 +305,22 @@ def _build_loop(
     show: Callable[[TickIn, TickOut], None],
 ) -> ControlLoop[ControllerState]:
     def record_tick(entry: TickIn, out: TickOut) -> None:
-        recorder.record(pack_tick_record(entry, out))
+        recorder.send_record(pack_tick_record(entry, out))
 
-    slept = SuspendWatch().events if isinstance(clock, RealClock) else list[IoEvent]
+    slept = SuspendWatch().take_events if isinstance(clock, RealClock) else list[IoEvent]
     return ControlLoop(
         clock=clock,
         period_ns=plan.period_ns,
         buses=buses,
-        begin=controller.begin_tick,
-        cut=controller.cut_frames(),
-        requests=requests,
-        host_events=lambda: [*recorder.events(), *slept()],
-        record=record_tick,
-        show=show,
-        keep=snapshot_recorder(recorder),
-        let_go=partial(shutdown_step, controller),
-        urgent=realtime_priority if isinstance(clock, RealClock) else nullcontext,
+        begin_tick=controller.begin_tick,
+        cut_frames=controller.cut_frames(),
+        take_requests=requests,
+        take_host_events=lambda: [*recorder.take_events(), *slept()],
+        record_tick=record_tick,
+        show_tick=show,
+        keep_snapshot=snapshot_recorder(recorder),
+        disable_drives=partial(shutdown_step, controller),
+        tick_priority=realtime_priority if isinstance(clock, RealClock) else nullcontext,
     )
 
 
@@ -345,11 +350,11 @@ def _request_source(
 
     The first is the request of the command line to clear errors, if the plan has it.
     """
-    orders = [CLEAR_REQUEST] if plan.clear else []
+    orders = [CLEAR_REQUEST] if plan.clear_faults else []
 
     def take_requests() -> tuple[str, ...]:
         first = (orders.pop(),) if orders else ()
-        return first + signals.take() + mailbox.read() + targets.read()
+        return first + signals.take_request() + mailbox.read_requests() + targets.read_targets()
 
     return take_requests
 
@@ -387,9 +392,9 @@ def _status_callback(
 
     def show_tick(entry: TickIn, out: TickOut) -> None:
         if display:
-            display.show(entry, out)
+            display.show_tick(entry, out)
         if (mailbox.watchers and (entry.k % every == 0 or out.events)) or mailbox.askers:
-            mailbox.publish(status_of_tick(entry, out))
+            mailbox.publish_status(status_of_tick(entry, out))
 
     return show_tick
 

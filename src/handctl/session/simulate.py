@@ -2,8 +2,8 @@
 
 All lockstep runs are set up in this module.
 
-``simulate`` executes a whole run, ``SimulatedRun`` executes single ticks, and ``SimulatorSettings.clock`` is
-for runs with a log.
+``simulate_controller`` executes a whole run, ``SimulatedRun`` executes single ticks, and
+``SimulatorSettings.lockstep_clock`` is for runs with a log.
 """
 
 import math
@@ -29,15 +29,15 @@ from handctl.runtime.clocks.lockstep import (
     SIMULATED_HAND_ENTRY,
     LockstepBus,
     LockstepClock,
-    LockstepPeer,
-    load_peer,
+    LockstepSimulator,
+    load_simulator,
 )
 
-CHECK_PERIOD_NS = 2_000_000
+CHECKED_CONTROL_PERIOD_NS = 2_000_000
 """Control period of a simulated hand that is only constructed to check its settings [ns]."""
 
 
-class SimulatedHand(LockstepPeer, Protocol):
+class SimulatedHand(LockstepSimulator, Protocol):
     """Simulated hand on the other side of the bus, into which faults can be injected.
 
     Attributes:
@@ -86,7 +86,7 @@ class SimulatorSettings:
     serials: Sequence[str] = ()
 
     @contextmanager
-    def peer(self, period_ns: int) -> Iterator[SimulatedHand]:
+    def simulated_hand(self, period_ns: int) -> Iterator[SimulatedHand]:
         """Construct the simulated hand.
 
         At its end, the context closes the hand and its truth file.
@@ -98,7 +98,7 @@ class SimulatorSettings:
             ConfigError: the simulated hand cannot be constructed.
         """
         with tempfile.TemporaryDirectory(prefix="handctl-simulated-") as folder:
-            peer = load_peer(
+            peer = load_simulator(
                 SIMULATED_HAND_ENTRY,
                 hand_path=self._hand_file(Path(folder)),
                 scene=self._scene_file(Path(folder)),
@@ -115,25 +115,25 @@ class SimulatorSettings:
         finally:
             peer.close()
 
-    def check(self) -> None:
-        """Check that the simulated hand can be constructed. See ``peer``."""
-        with self.peer(CHECK_PERIOD_NS):
+    def check_constructible(self) -> None:
+        """Check that the simulated hand can be constructed. See ``simulated_hand``."""
+        with self.simulated_hand(CHECKED_CONTROL_PERIOD_NS):
             pass
 
     @contextmanager
-    def clock(self, period_ns: int) -> Iterator[LockstepClock]:
+    def lockstep_clock(self, period_ns: int) -> Iterator[LockstepClock]:
         """Construct the simulated hand and its lockstep clock, for one or more consecutive runs.
 
-        See ``peer``.
+        See ``simulated_hand``.
         """
-        with self.peer(period_ns) as peer:
+        with self.simulated_hand(period_ns) as peer:
             yield LockstepClock(peer, period_ns)
 
     @contextmanager
-    def against(self, controller: Controller) -> Iterator["SimulatedRun"]:
-        """Begin a run of a controller with this simulated hand. See ``peer``."""
-        with self.peer(round(1e9 * controller.model.period)) as peer:
-            yield SimulatedRun.of(controller, peer)
+    def begin_run(self, controller: Controller) -> Iterator["SimulatedRun"]:
+        """Begin a run of a controller with this simulated hand. See ``simulated_hand``."""
+        with self.simulated_hand(round(1e9 * controller.model.period)) as peer:
+            yield SimulatedRun.begin(controller, peer)
 
     def _hand_file(self, folder: Path) -> str:
         if not isinstance(self.hand, Hand):
@@ -155,36 +155,36 @@ class SimulatedRun:
     """Run of a controller with a simulated hand, which the caller advances tick by tick.
 
     Attributes:
-        controller, peer: controller and simulated hand, the two sides of the bus.
+        controller, simulated_hand: controller and simulated hand, the two sides of the bus.
         period_ns: control period [ns].
         state: state of the controller.
         k: number of the next tick.
-        out: output of the last tick, or None before the first tick.
-        recorded: input and output of every tick, if ``record`` is True.
-        record: True to store the input and output of every tick.
+        last_output: output of the last tick, or None before the first tick.
+        recorded_ticks: input and output of every tick, if ``record_ticks`` is True.
+        record_ticks: True to store the input and output of every tick.
     """
 
     controller: Controller
-    peer: SimulatedHand
+    simulated_hand: SimulatedHand
     period_ns: int
     state: ControllerState
     k: int = 0
-    out: TickOut | None = None
-    recorded: list[tuple[TickIn, TickOut]] = field(default_factory=list)
-    record: bool = True
+    last_output: TickOut | None = None
+    recorded_ticks: list[tuple[TickIn, TickOut]] = field(default_factory=list)
+    record_ticks: bool = True
 
     @staticmethod
-    def of(controller: Controller, peer: SimulatedHand) -> "SimulatedRun":
+    def begin(controller: Controller, simulated_hand: SimulatedHand) -> "SimulatedRun":
         """Begin a run of a controller with a simulated hand."""
         return SimulatedRun(
-            controller, peer, round(1e9 * controller.model.period), controller.initial_state()
+            controller, simulated_hand, round(1e9 * controller.model.period), controller.initial_state()
         )
 
     def __post_init__(self) -> None:
-        self._clock = LockstepClock(self.peer, self.period_ns)
+        self._clock = LockstepClock(self.simulated_hand, self.period_ns)
         self._bus = LockstepBus(self._clock)
 
-    def tick(
+    def run_tick(
         self,
         io: tuple[IoEvent, ...] = (),
         requests: tuple[str, ...] = (),
@@ -206,7 +206,7 @@ class SimulatedRun:
         self._step()
         return out
 
-    def ticks(self, limit_s: float = math.inf) -> Iterator[tuple[TickIn, TickOut]]:
+    def run_ticks(self, limit_s: float = math.inf) -> Iterator[tuple[TickIn, TickOut]]:
         """Run ticks until the controller is done, and yield input and output of each.
 
         While a tick is yielded, the simulated hand is at the time of this tick.
@@ -221,13 +221,13 @@ class SimulatedRun:
                 return
             self._step()
 
-    def until(self, reached: Callable[[TickOut], bool], timeout_s: float) -> bool:
+    def run_until(self, reached: Callable[[TickOut], bool], timeout_s: float) -> bool:
         """Run until a condition on the output of a tick is true, for at most ``timeout_s`` [s].
 
         The result is True if the condition became true.
         """
         for _ in range(round(timeout_s * 1e9 / self.period_ns)):
-            out = self.tick()
+            out = self.run_tick()
             if reached(out):
                 return True
             if out.mode == HandMode.DONE:
@@ -240,11 +240,11 @@ class SimulatedRun:
         frames = self._bus.drain()
         wires = tuple(IoEvent(*event) for event in self._bus.take_events())
         entry = TickIn(self.k, self.k * self.period_ns, late_ns, frames, wires + io, requests)
-        self.state, self.out = self.controller.tick(self.state, entry)
-        if self.record:
-            self.recorded.append((entry, self.out))
-        self._bus.send(self.out.frames)
-        return entry, self.out
+        self.state, self.last_output = self.controller.tick(self.state, entry)
+        if self.record_ticks:
+            self.recorded_ticks.append((entry, self.last_output))
+        self._bus.send(self.last_output.frames)
+        return entry, self.last_output
 
     def _step(self) -> None:
         self.k += 1
@@ -266,7 +266,7 @@ def homed_controller(model: HandModel, program: Program, hand: Hand | None = Non
     )
 
 
-def simulate(
+def simulate_controller(
     controller: Controller,
     simulator: SimulatorSettings,
     on_tick: Callable[[TickIn, TickOut], None] = lambda entry, out: None,
@@ -283,8 +283,8 @@ def simulate(
     Returns:
         The last state of the controller.
     """
-    with simulator.against(controller) as run:
-        run.record = False
-        for entry, out in run.ticks(limit_s):
+    with simulator.begin_run(controller) as run:
+        run.record_ticks = False
+        for entry, out in run.run_ticks(limit_s):
             on_tick(entry, out)
         return run.state

@@ -19,7 +19,7 @@ PACKAGED_GRASP_FILE = Path("grasp.toml")
 """Name of the packaged grasp, for hands with the digits that this task moves."""
 
 
-def find_task(name: Path | None, hand: Hand) -> tuple[Task, bytes]:
+def load_task_for_hand(name: Path | None, hand: Hand) -> tuple[Task, bytes]:
     """Load a task, given by path or packaged name, and check that the task suits the hand.
 
     Without a name, the packaged grasp is loaded. If the hand has other digits, the default task is
@@ -30,7 +30,7 @@ def find_task(name: Path | None, hand: Hand) -> tuple[Task, bytes]:
     """
     if name is None:
         with suppress(ConfigError):
-            return find_task(PACKAGED_GRASP_FILE, hand)
+            return load_task_for_hand(PACKAGED_GRASP_FILE, hand)
         task, text = default_task(hand)
         check_task_for_hand(task, hand, "default task")
         return task, text.encode()
@@ -40,7 +40,7 @@ def find_task(name: Path | None, hand: Hand) -> tuple[Task, bytes]:
     return task, path.read_bytes()
 
 
-def find_scene(name: str | None, hand: Hand) -> str:
+def scene_for_hand(name: str | None, hand: Hand) -> str:
     """Return the scene of a simulated hand.
 
     Without a name, the result is the scene of the packaged grasp, or a cylinder whose size suits
@@ -49,7 +49,7 @@ def find_scene(name: str | None, hand: Hand) -> str:
     if name is not None:
         return name
     with suppress(ConfigError):
-        find_task(PACKAGED_GRASP_FILE, hand)
+        load_task_for_hand(PACKAGED_GRASP_FILE, hand)
         return CYLINDER_SCENE
     return default_scene(hand)
 
@@ -67,7 +67,7 @@ def task_path(name: Path) -> Path:
     return path
 
 
-def find_trajectory(path: Path, hand: Hand) -> Task:
+def load_trajectory_for_hand(path: Path, hand: Hand) -> Task:
     """Load a trajectory file as a task, and check that the task suits the hand.
 
     Raises:

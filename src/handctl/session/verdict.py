@@ -10,10 +10,10 @@ from handctl.core.state_block import STALE_FRAMES
 from handctl.log.read.reader import RunLog
 from handctl.programs.task import HoldPhase, Task
 from handctl.report.frame_counts import frame_counts
-from handctl.report.lift import judge_lift, lift_failure
+from handctl.report.lift_judgement import judge_lift, lift_failure
 from handctl.report.run_figure import draw_run
 from handctl.report.summary import summarise_run
-from handctl.report.truth import TruthRecord, read_truth
+from handctl.report.truth_record import TruthRecord, read_truth
 from handctl.session.notices import NoticeCallback
 from handctl.session.plan import RunPlan
 from handctl.session.run import RunOutcome
@@ -41,16 +41,16 @@ def judge_run(
         task: executed task, if its grasp is to be judged. The run failed if the grasp did not hold
             the object.
     """
-    truth_file = _copy_truth(log, truth_file, plan.tell) if truth_file else None
+    truth_file = _copy_truth(log, truth_file, plan.show_notice) if truth_file else None
     truth = read_truth(truth_file) if truth_file else None
     with RunLog(log) as record:
         result = summarise_run(record, plan.hand, truth, outcome.offset_ns)
         result |= judge_lift(record, truth, outcome.offset_ns, _hold_phases(task))
-        silent = frame_counts(record, plan.hand).silent
+        silent = frame_counts(record, plan.hand).silent_ticks
         drawn = _draw_picture(plan, outcome, record, truth, log) if picture else None
-    stats = outcome.stats
+    stats = outcome.loop_stats
     result |= {
-        "missed": stats.missed,
+        "missed": stats.missed_ticks,
         "clock_pauses": outcome.pauses,
         "clock_paused_s": outcome.paused_ns / 1e9,
         "time_scale": plan.time_scale,
@@ -59,10 +59,10 @@ def judge_run(
         "frames_late": outcome.state.run_integer(STALE_FRAMES),
         "frames_lost": lost_frames(plan, outcome),
         "silent_ticks": silent,
-        "bus_load": max(plan.load),
+        "bus_load": max(plan.bus_loads),
         "log": str(log),
-        "log_bytes": int(str(outcome.log["bytes"])),
-        "log_complete": bool(outcome.log["complete"]),
+        "log_bytes": int(str(outcome.log_summary["bytes"])),
+        "log_complete": bool(outcome.log_summary["complete"]),
         "picture": str(drawn) if drawn else None,
         "truth": str(truth_file) if truth_file else None,
         "priority": str(outcome.priority) if outcome.priority else "lockstep",
@@ -100,7 +100,7 @@ def _draw_picture(
     try:
         draw_run(path, record, plan.hand, truth, outcome.offset_ns, f"{plan.hand.name}: {log.name}")
     except OSError as error:
-        _report_omitted(path, error, plan.tell)
+        _report_omitted(path, error, plan.show_notice)
         return None
     return path
 
@@ -117,6 +117,6 @@ def lost_frames(plan: RunPlan, outcome: RunOutcome) -> int:
 
     A reply that came after the next SYNC is late, and does not count as lost.
     """
-    return outcome.stats.refused + make_sensors(plan.hand).lost_frame_count(
+    return outcome.loop_stats.refused_frames + make_sensors(plan.hand).lost_frame_count(
         *outcome.state.sensor_counts
     )

@@ -49,7 +49,7 @@ class GainsStore:
 
     Attributes:
         path: path of the file with the present gains.
-        history: folder with the files of the history.
+        history_folder: folder with the files of the history.
     """
 
     def __init__(self, hand: str, identity: str = "", folder: Path = Path()) -> None:
@@ -61,11 +61,11 @@ class GainsStore:
             folder: folder for the files.
         """
         self.hand = hand
-        self.identity = identity
+        self.hand_identity = identity
         self.path = folder / f"{hand}.gains.toml"
-        self.history = folder / f"{hand}.gains"
+        self.history_folder = folder / f"{hand}.gains"
 
-    def present(self) -> GainsFile | None:
+    def present_gains(self) -> GainsFile | None:
         """Return the present gains, or None if there is no gains file and runs use the packaged gains.
 
         Raises:
@@ -73,13 +73,13 @@ class GainsStore:
         """
         return load_gains_file(self.path) if self.path.exists() else None
 
-    def entries(self) -> list[StoredGains]:
+    def history_entries(self) -> list[StoredGains]:
         """Return the entries of the history, oldest first.
 
         Raises:
             ConfigError: A file of the history cannot be used.
         """
-        paths = sorted(self.history.glob("[0-9][0-9][0-9][0-9].toml"))
+        paths = sorted(self.history_folder.glob("[0-9][0-9][0-9][0-9].toml"))
         return [StoredGains(path, load_gains_file(path)) for path in paths]
 
     def set_aside(self) -> Path | None:
@@ -92,7 +92,7 @@ class GainsStore:
             ConfigError: The file cannot be renamed.
         """
         try:
-            self.present()
+            self.present_gains()
         except ConfigError:
             # The new name is the first unused one of NAME.damaged.toml, NAME.damaged1.toml, and so
             # on.
@@ -109,7 +109,7 @@ class GainsStore:
                 ) from None
         return None
 
-    def apply(self, gains: Gains, provenance: GainsProvenance) -> GainsFile:
+    def apply_gains(self, gains: Gains, provenance: GainsProvenance) -> GainsFile:
         """Make the given gains the present gains.
 
         If a user edited the present gains, they are added to the history before.
@@ -121,7 +121,7 @@ class GainsStore:
         self._keep_edited()
         return self._write_gains(gains, provenance)
 
-    def rollback(self, to: int | None = None) -> GainsFile:
+    def roll_back(self, to: int | None = None) -> GainsFile:
         """Restore the gains that the present gains replaced, or the gains with a given number.
 
         Number 0 restores the packaged gains.
@@ -130,18 +130,20 @@ class GainsStore:
             ConfigError: There are no earlier gains, or the number does not exist.
         """
         self._keep_edited()
-        entries = {entry.number: entry for entry in self.entries()}
-        present = self.present()
+        entries = {entry.number: entry for entry in self.history_entries()}
+        present = self.present_gains()
         if to is None and (present is None or present.provenance.number not in entries):
             raise ConfigError(
-                "nothing was applied before", str(self.history), "handctl gains apply first"
+                "nothing was applied before", str(self.history_folder), "handctl gains apply first"
             )
         number = (
             _previous_number(entries, present) if to is None and present is not None else to or 0
         )
         if number and number not in entries:
             numbers = ", ".join(map(str, [0, *entries]))
-            raise ConfigError(f"no gains number {number}", str(self.history), f"one of {numbers}")
+            raise ConfigError(
+                f"no gains number {number}", str(self.history_folder), f"one of {numbers}"
+            )
         note = f"rollback to {number}" if number else "rollback to the packaged gains"
         old = entries[number].file.gains if number else packaged_gains(self.hand)
         provenance = entries[number].file.provenance if number else GainsProvenance()
@@ -149,10 +151,10 @@ class GainsStore:
 
     def _keep_edited(self) -> None:
         """Add the present gains to the history, if they are not yet there."""
-        present = self.present()
+        present = self.present_gains()
         if present is None:
             return
-        gains_by_number = {entry.number: entry.file.gains for entry in self.entries()}
+        gains_by_number = {entry.number: entry.file.gains for entry in self.history_entries()}
         if gains_by_number.get(present.provenance.number) != present.gains:
             self._write_gains(
                 present.gains, present.provenance.model_copy(update={"note": EDITED_BY_HAND_NOTE})
@@ -166,8 +168,8 @@ class GainsStore:
         If the present file is not in the history, for example a copy, the new gains are recorded as
         the successor of the newest entry.
         """
-        present = self.present()
-        entries = self.entries()
+        present = self.present_gains()
+        entries = self.history_entries()
         numbers = [0, *(entry.number for entry in entries)]
         replaced = present.provenance.number if present else 0
         if present and (replaced not in numbers[1:]):
@@ -177,7 +179,7 @@ class GainsStore:
                 "made": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
                 "version": version("handctl"),
                 "hand": self.hand,
-                "identity": provenance.identity or self.identity,
+                "identity": provenance.identity or self.hand_identity,
                 "number": entries[-1].number + 1 if entries else 1,
                 "replaces": replaced,
                 "restores": restores,
@@ -185,10 +187,12 @@ class GainsStore:
         )
         text = gains_text(gains, written)
         try:
-            self.history.mkdir(parents=True, exist_ok=True)
+            self.history_folder.mkdir(parents=True, exist_ok=True)
             # The history is written first. After a crash between the two writes, the present gains
             # are unchanged.
-            write_text_atomically(self.history / f"{written.number:04d}.toml", text, new=True)
+            write_text_atomically(
+                self.history_folder / f"{written.number:04d}.toml", text, new=True
+            )
             write_text_atomically(self.path, text)
         except OSError as error:
             raise ConfigError(

@@ -10,7 +10,8 @@ from handctl.hand.description import Hand
 from handctl.log.read.reader import RunLog
 from handctl.output import save_figure
 from handctl.report.summary import mean_angles
-from handctl.report.truth import TruthRecord
+from handctl.report.truth_record import TruthRecord
+from handctl.tune.gains_verification import OLD_GAINS_ROUNDS, GainsRollback
 from handctl.tune.loops.linear import LoopKind, open_loop
 from handctl.tune.loops.margins import (
     MIN_GAIN_MARGIN_DB,
@@ -19,7 +20,6 @@ from handctl.tune.loops.margins import (
     step_response,
 )
 from handctl.tune.search.search import SearchResult
-from handctl.tune.verify import OLD_GAINS_ROUNDS, GainsRollback
 
 BEFORE_COLOR = "#d9822b"
 AFTER_COLOR = "#3b6fb6"
@@ -68,7 +68,7 @@ def draw_loops(path: Path, before: HandModel, after: HandModel, title: str) -> N
 def _draw_loop(row: Any, model: HandModel, kind: LoopKind, colour: str, name: str) -> None:
     system = open_loop(model, 0, kind)
     omega = frequency_grid(system.period)
-    L = system.response(omega)[:, 0, 0]
+    L = system.frequency_response(omega)[:, 0, 0]
     gain, phase, plane, step = row
     gain.loglog(omega / (2 * np.pi), np.abs(L), color=colour, label=name)
     phase.semilogx(omega / (2 * np.pi), np.degrees(np.unwrap(np.angle(L))), color=colour)
@@ -129,7 +129,7 @@ def draw_search(path: Path, result: SearchResult, title: str) -> None:
     )
     if feasible:
         figure.colorbar(dots, ax=left, label="effort [N m/s]")
-    front = [trial for trial in feasible if trial.number in result.front]
+    front = [trial for trial in feasible if trial.number in result.pareto_front]
     left.plot(
         [trial.score.tracking_deg for trial in front],
         [trial.score.tension_N for trial in front],
@@ -160,7 +160,9 @@ def draw_search(path: Path, result: SearchResult, title: str) -> None:
         xlabel="tracking error [deg rms]", ylabel="tension error [N rms]", title="feasible trials"
     )
     left.legend()
-    costs = [result.cost(trial) if trial.is_feasible else np.nan for trial in result.trials]
+    costs = [
+        result.relative_cost(trial) if trial.is_feasible else np.nan for trial in result.trials
+    ]
     right.plot(costs, ".", color=GREY_COLOR)
     if feasible:
         right.step(range(len(costs)), np.fmin.accumulate(costs), where="post", color=AFTER_COLOR)
@@ -201,9 +203,9 @@ def draw_verify(
     tension.plot(log.times, log.field("tension")[:, 0], color=AFTER_COLOR, linewidth=0.9)
     if truth is not None:
         t_ns = log.t_ns + offset_ns
-        true_angle = mean_angles(hand, truth.table([f"q/{joint}" for joint in hand.joints], t_ns))[
-            :, 0
-        ]
+        true_angle = mean_angles(
+            hand, truth.columns_at([f"q/{joint}" for joint in hand.joints], t_ns)
+        )[:, 0]
         angle.plot(
             log.times,
             np.degrees(true_angle),
@@ -213,7 +215,7 @@ def draw_verify(
         )
         tension.plot(
             log.times,
-            truth.at(f"tension/{hand.tendon_names[0]}", t_ns),
+            truth.column_at(f"tension/{hand.tendon_names[0]}", t_ns),
             color=TRUTH_COLOR,
             linewidth=0.7,
         )

@@ -22,8 +22,8 @@ from handctl.hand.hand_loading import hand_from_content
 from handctl.programs.exercise import ExerciseProgram
 from handctl.programs.program import Program
 from handctl.report.summary import mean_angles, root_mean_square
-from handctl.report.truth import TruthRecord, read_truth
-from handctl.session.simulate import SimulatorSettings, homed_controller, simulate
+from handctl.report.truth_record import TruthRecord, read_truth
+from handctl.session.simulate import SimulatorSettings, homed_controller, simulate_controller
 from handctl.tune.loops.design import linear_factors, worst_margins
 
 Array = NDArray[np.float64]
@@ -59,7 +59,7 @@ class GainScore:
         """Return the objectives that a search minimises."""
         return self.tracking_deg, self.tension_N, self.effort_Nm_per_s
 
-    def cost(self, scale: "GainScore") -> float:
+    def relative_cost(self, scale: "GainScore") -> float:
         """Return the cost of the score as one number, relative to a reference score.
 
         Tracking and tension have most of the weight. The effort decides between gains with similar
@@ -162,7 +162,7 @@ def simulate_program(
     with tempfile.TemporaryDirectory(prefix="handctl-") as folder:
         file = Path(folder) / "truth"
         simulator = SimulatorSettings(hand, seed=seed, perturb=factors, homed=True, truth=file)
-        state = simulate(
+        state = simulate_controller(
             homed_controller(model, program, hand),
             simulator,
             lambda entry, out: ticks.append((entry, out)),
@@ -200,7 +200,7 @@ def score_run(
         np.array([getattr(out.telemetry, name) for _, out in active])
         for name in ("q_goal", "tension_goal", "motor_torque_goal")
     )
-    real = GroundTruth.of(truth, hand, t_ns)
+    real = GroundTruth.from_record(truth, hand, t_ns)
     phase = np.array([out.phase for _, out in active])
     return score_ticks(t_ns, phase, mean_angles(hand, goal), tension_goal, torque, real)
 
@@ -217,11 +217,11 @@ class GroundTruth(NamedTuple):
     tension: Array
 
     @staticmethod
-    def of(truth: TruthRecord, hand: Hand, t_ns: NDArray[np.int64]) -> "GroundTruth":
+    def from_record(truth: TruthRecord, hand: Hand, t_ns: NDArray[np.int64]) -> "GroundTruth":
         """Return the ground truth at times on the simulator's clock [ns]."""
         return GroundTruth(
-            mean_angles(hand, truth.table([f"q/{joint}" for joint in hand.joints], t_ns)),
-            truth.table([f"tension/{name}" for name in hand.tendon_names], t_ns),
+            mean_angles(hand, truth.columns_at([f"q/{joint}" for joint in hand.joints], t_ns)),
+            truth.columns_at([f"tension/{name}" for name in hand.tendon_names], t_ns),
         )
 
 

@@ -16,12 +16,12 @@ from handctl.view.viewer import Viewer, launched_viewer
 if TYPE_CHECKING:
     from rerun.chunk import Chunk
 
-FIRST_PART_NS = 2_000_000_000
+FIRST_SLICE_NS = 2_000_000_000
 """Length of the part of the run that is sent first [ns].
 
 The first part is short, so that the hand appears at once.
 """
-FLUSH_S = 5.0
+FLUSH_TIMEOUT_S = 5.0
 """Longest wait until the viewer has received the last data [s]."""
 
 
@@ -54,13 +54,13 @@ def browse_log(
     # The viewer starts on another core while this process imports Rerun and converts the first
     # part.
     with launched_viewer(["--expect-data-soon", *arguments], environment) as launch:
-        from handctl.view.feed import (
-            run_parts,
+        from handctl.view.rerun_conversion import (
+            run_chunks_in_parts,
         )  # the import of Rerun overlaps the start of the viewer
 
-        parts = run_parts(path, run, FIRST_PART_NS, scan)
+        parts = run_chunks_in_parts(path, run, FIRST_SLICE_NS, scan)
         first = list(islice(parts, 2))
-        running = launch.ready()
+        running = launch.wait_until_ready()
         _send_chunks(running, run, chain.from_iterable(chain(first, parts)))
         yield running
 
@@ -69,16 +69,16 @@ def _send_chunks(running: Viewer, run: RunInfo, chunks: "Iterator[Chunk]") -> No
     """Send chunks to a viewer, until all are sent or the viewer is closed."""
     import rerun as rr
 
-    from handctl.view.feed import new_recording
-    from handctl.view.scene.blueprint import dashboard
+    from handctl.view.rerun_conversion import new_recording
+    from handctl.view.scene.blueprint import dashboard_layout
 
     stream = new_recording(run)
-    stream.connect_grpc(running.url, default_blueprint=dashboard(run))
+    stream.connect_grpc(running.url, default_blueprint=dashboard_layout(run))
     try:
         rr.send_chunks(
             takewhile(lambda _: running.process.poll() is None, chunks), recording=stream
         )
     finally:
         with suppress(RuntimeError):  # the viewer was closed meanwhile
-            stream.flush(timeout_sec=FLUSH_S)
+            stream.flush(timeout_sec=FLUSH_TIMEOUT_S)
         stream.disconnect()

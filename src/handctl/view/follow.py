@@ -10,20 +10,20 @@ from pathlib import Path
 import rerun as rr
 
 from handctl.errors import LogError
-from handctl.handlers import TerminationFlag
 from handctl.log.read.reader import RunLog
-from handctl.view.feed import log_chunks, new_recording
-from handctl.view.scene.blueprint import dashboard
+from handctl.signal_handlers import TerminationFlag
+from handctl.view.log_tail import LogTail
+from handctl.view.rerun_conversion import log_chunks, new_recording
+from handctl.view.scene.blueprint import dashboard_layout
+from handctl.view.scene.entity_styles import style_chunks
 from handctl.view.scene.geometry import mesh_chunks
 from handctl.view.scene.run_info import RunInfo
-from handctl.view.scene.styles import style_chunks
 from handctl.view.scene.topic_converters import TopicConverters
-from handctl.view.tail import LogTail
 from handctl.view.viewer import Viewer, check_screen, software_vulkan, start_viewer
 
 CHECK_PERIOD_S = 0.2
 """Interval between checks for new data in the log [s]."""
-FLUSH_S = 5.0
+FLUSH_TIMEOUT_S = 5.0
 """Longest wait until the viewer has received all sent data [s]."""
 LOG_FILE_TIMEOUT_S = 30.0
 """Longest wait until the log file exists and has a header [s]."""
@@ -47,17 +47,17 @@ class LogFollower:
         self._tail = LogTail(log)
         self._folder = tempfile.TemporaryDirectory(prefix="handctl-follow-")
         self._stream = new_recording(run)
-        self._stream.connect_grpc(url, default_blueprint=dashboard(run, live=True))
+        self._stream.connect_grpc(url, default_blueprint=dashboard_layout(run, live=True))
         rr.send_chunks(chain(style_chunks(run), mesh_chunks(run)), recording=self._stream)
 
-    def step(self) -> bool:
+    def send_new_chunks(self) -> bool:
         """Send the new chunks of the log to the viewer. Return False if the log has not grown.
 
         Raises:
             LogError: the log is damaged.
         """
         part = Path(self._folder.name) / "part.mcap"
-        since = self._tail.write_new(part)
+        since = self._tail.write_new_chunks(part)
         if since is None:
             return False
         chunks = log_chunks(part, self._converters, self._run.name, since)
@@ -68,12 +68,12 @@ class LogFollower:
     def _flush(self) -> None:
         """Wait until the viewer has received all data. If the viewer was closed, do not wait."""
         with suppress(RuntimeError):
-            self._stream.flush(timeout_sec=FLUSH_S)
+            self._stream.flush(timeout_sec=FLUSH_TIMEOUT_S)
 
     @property
-    def ended(self) -> bool:
+    def log_ended(self) -> bool:
         """Return True if the log is complete and has been sent to the end."""
-        return self._tail.ended
+        return self._tail.log_ended
 
     def close(self) -> None:
         """Disconnect from the viewer, which remains open."""
@@ -109,20 +109,20 @@ def follow_log(
     )
     follower = LogFollower(log, run, running.url)
     try:
-        _until_end(follower, running, stop)
-        follower.step()
+        _follow_until_end(follower, running, stop)
+        follower.send_new_chunks()
     except KeyboardInterrupt:
         return
     finally:
         follower.close()
 
 
-def _until_end(follower: LogFollower, running: Viewer, stop: TerminationFlag) -> None:
+def _follow_until_end(follower: LogFollower, running: Viewer, stop: TerminationFlag) -> None:
     """Send new chunks until the log ends or stops growing, the viewer is closed, or a stop is requested."""
     news = time.monotonic()
-    while not (follower.ended or stop.asked) and running.process.poll() is None:
+    while not (follower.log_ended or stop.requested) and running.process.poll() is None:
         start = time.monotonic()
-        if follower.step():
+        if follower.send_new_chunks():
             news = start
         elif start - news > NO_GROWTH_TIMEOUT_S:
             return
@@ -134,10 +134,10 @@ def _until_end(follower: LogFollower, running: Viewer, stop: TerminationFlag) ->
 def _wait_for_header(log: Path, stop: TerminationFlag) -> RunInfo | None:
     """Wait for the header of a log, and return the data about the run, or None after a stop request."""
     end = time.monotonic() + LOG_FILE_TIMEOUT_S
-    while not stop.asked:
+    while not stop.requested:
         try:
             with RunLog(log) as opened:
-                return RunInfo.of(opened.header, log.stem)
+                return RunInfo.from_header(opened.header, log.stem)
         except LogError:
             if time.monotonic() > end:
                 raise

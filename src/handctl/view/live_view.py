@@ -15,13 +15,13 @@ from contextlib import suppress
 from pathlib import Path
 
 from handctl.errors import HandctlError
-from handctl.handlers import TerminationFlag
+from handctl.signal_handlers import TerminationFlag
 
 NICE_INCREMENT = 10
 """Increment of the nice value, for a lower priority than the controller."""
 
 
-def start_live(log_path: Path, *arguments: str) -> "subprocess.Popen[bytes]":
+def start_live_view(log_path: Path, *arguments: str) -> "subprocess.Popen[bytes]":
     """Start a process that shows a log in a viewer while the log is being written.
 
     A failure of this process or of the viewer has no effect on the controller. The controller's

@@ -42,20 +42,24 @@ def time_slices(
         rest = scan.chunks[1:]
         starts = [chunk.offset for chunk in rest] + [scan.end]
         part = folder / "part.mcap"
-        for group in _group_chunks(head.first, rest, first_ns) or [[]]:
+        for group in _group_chunks(head.first_ns, rest, first_ns) or [[]]:
             first = rest.index(group[0]) if group else 0
             for chunk in group:
-                file.content(chunk)  # checks the checksum: Rerun would show damaged data
+                file.chunk_content(chunk)  # checks the checksum: Rerun would show damaged data
             # Every part begins with the head of the file and the first chunk: the definitions of
             # all
             # topics.
             with part.open("wb") as out:
-                out.write(file.read(0, starts[0]))
+                out.write(file.read_range(0, starts[0]))
                 if group:
-                    out.write(file.read(starts[first], starts[first + len(group)] - starts[first]))
+                    out.write(
+                        file.read_range(starts[first], starts[first + len(group)] - starts[first])
+                    )
             yield (
                 part,
-                min((chunk.first for chunk in group), default=head.first) if first else head.first,
+                min((chunk.first_ns for chunk in group), default=head.first_ns)
+                if first
+                else head.first_ns,
             )
     finally:
         file.close()
@@ -67,7 +71,7 @@ def _group_chunks(
     """Divide chunks into groups, one for each part of the run, according to the part in which a chunk begins."""
     groups: dict[int, list[ChunkLocation]] = {}
     for chunk in chunks:
-        groups.setdefault(max(-1, (chunk.first - start_ns - first_ns) // SLICE_NS), []).append(
+        groups.setdefault(max(-1, (chunk.first_ns - start_ns - first_ns) // SLICE_NS), []).append(
             chunk
         )
     return list(groups.values())

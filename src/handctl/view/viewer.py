@@ -117,7 +117,7 @@ class Viewer:
     process: "subprocess.Popen[bytes]"
     url: str
 
-    def end(self) -> None:
+    def close_viewer(self) -> None:
         """Close the viewer, and wait until the process has ended."""
         self.process.terminate()
         try:
@@ -133,13 +133,13 @@ class StartingViewer:
 
     Attributes:
         process: process of the viewer.
-        notes: file with the text output of the viewer.
+        output_pipe: file with the text output of the viewer.
     """
 
     process: "subprocess.Popen[bytes]"
-    notes: IO[bytes]
+    output_pipe: IO[bytes]
 
-    def ready(self) -> Viewer:
+    def wait_until_ready(self) -> Viewer:
         """Wait until the viewer listens, and return the viewer. Kill a viewer that does not listen in time.
 
         Raises:
@@ -147,9 +147,9 @@ class StartingViewer:
         """
         url = ""
         try:
-            url = _wait_for_url(self.process, self.notes)
+            url = _wait_for_url(self.process, self.output_pipe)
         finally:
-            self.notes.close()
+            self.output_pipe.close()
             if not url:
                 self.process.kill()
                 self.process.wait()
@@ -179,7 +179,7 @@ def launch_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Star
         | environment
     )
     subprocess.run([exe, "analytics", "disable"], env=environ, check=False, capture_output=True)
-    notes = tempfile.TemporaryFile()  # noqa: SIM115 (`StartingViewer.ready` closes it)
+    notes = tempfile.TemporaryFile()  # noqa: SIM115 (`StartingViewer.wait_until_ready` closes it)
     command = [exe, "--bind", LOOPBACK_ADDRESS, "--port", "0", *arguments]
     # The viewer gets a session of its own, so that Ctrl-C in the terminal does not interrupt it.
     process = subprocess.Popen(
@@ -199,7 +199,7 @@ def start_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Viewe
     Raises:
         HandctlError: the viewer does not start.
     """
-    return launch_viewer(arguments, environment).ready()
+    return launch_viewer(arguments, environment).wait_until_ready()
 
 
 @contextmanager
@@ -218,14 +218,14 @@ def launched_viewer(
         try:
             yield launch
         finally:
-            Viewer(launch.process, "").end()
+            Viewer(launch.process, "").close_viewer()
 
 
 @contextmanager
 def running_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Iterator[Viewer]:
     """Start a viewer with `start_viewer`, for the duration of a context."""
     with launched_viewer(arguments, environment) as launch:
-        yield launch.ready()
+        yield launch.wait_until_ready()
 
 
 def _wait_for_url(process: "subprocess.Popen[bytes]", notes: IO[bytes]) -> str:

@@ -13,8 +13,14 @@ from tests.drives.bench_process import run_simulated_drives
 def test_the_kernel_s_interfaces_are_read() -> None:
     link = read_link("vcan0")
     assert link is not None
-    assert (link.up, link.kind, link.fd, link.bitrate, link.state) == (True, "vcan", True, None, "")
-    assert link.queue >= 32
+    assert (link.is_up, link.kind, link.is_fd, link.bitrate, link.controller_state) == (
+        True,
+        "vcan",
+        True,
+        None,
+        "",
+    )
+    assert link.tx_queue_frames >= 32
     assert read_link("vcan7") is None
 
 
@@ -60,7 +66,12 @@ def test_bus_up_makes_an_interface_and_sets_it_up(capsys: pytest.CaptureFixture[
         )
         link = read_link("vcan7")
         assert link is not None
-        assert (link.up, link.kind, link.fd, link.queue) == (True, "vcan", True, 128)
+        assert (link.is_up, link.kind, link.is_fd, link.tx_queue_frames) == (
+            True,
+            "vcan",
+            True,
+            128,
+        )
         assert main(["bus", "up", "--bus", "socketcan:vcan7", "--yes"]) == 0, (
             "a second call succeeds"
         )

@@ -103,7 +103,7 @@ class HandDrives:
         self.clock = RealClock(PERIOD_NS, time_scale)
         hand = load_hand(str(path))
         self.buses = [
-            open_bus(spec, i, bus.bitrate, bus.data_bitrate, self.clock.of)
+            open_bus(spec, i, bus.bitrate, bus.data_bitrate, self.clock.run_time_of)
             for i, (spec, bus) in enumerate(zip(specs, hand.bus, strict=True))
         ]
         self.drives, self.sensors = make_drives(hand), make_sensors(hand)
@@ -171,7 +171,7 @@ def test_one_hand_over_two_buses_with_two_protocols(tmp_path: Path) -> None:
     assert outcome.state.failure == ""
     assert outcome.state.unconfirmed == ()
     assert outcome.exit_code == ExitCode.DONE
-    assert outcome.stats.refused == truth.header["lost_frames"] == 0
+    assert outcome.loop_stats.refused_frames == truth.header["lost_frames"] == 0
     for digit in DIGIT_NAMES:
         assert truth.column(f"tension/{digit}_tendon").max() > 0.25 * PULL_N, (
             digit

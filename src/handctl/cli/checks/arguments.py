@@ -58,7 +58,7 @@ def config(parser: VerbParser) -> None:
         dest="what", required=True, metavar="init|show|check|list|schema|convert|export"
     )
 
-    def kind(name: str, text: str) -> VerbParser:
+    def add_kind(name: str, text: str) -> VerbParser:
         one = add_sub_verb(kinds, name, text, EXAMPLES[f"config {name}"])
         add_json_option(one)
         if name not in ("init", "list", "schema", "convert"):
@@ -66,26 +66,26 @@ def config(parser: VerbParser) -> None:
         return one
 
     _declare_init(
-        kind("init", "write a new hand file from a few answers, or from a robot description")
+        add_kind("init", "write a new hand file from a few answers, or from a robot description")
     )
-    show = kind("show", "show a hand, and the source of each value")
+    show = add_kind("show", "show a hand, and the source of each value")
     text = "draw digits, tendons, spools, sensors and buses instead: as text, or as a picture with --output"
     show.add_argument("--graph", action="store_true", help=text)
     add_output_option(show, "picture of --graph: a new .svg, .png or .pdf")
     _declare_files(show)
-    check = kind("check", "check a hand with its files")
+    check = add_kind("check", "check a hand with its files")
     _declare_files(check)
     text = "scene to check with the simulated hand, as in demo: cylinder:40, or a scene file"
     check.add_argument("--scene", metavar="NAME|FILE", help=text)
-    kind("list", "list the packaged hands and tasks")
-    schema = kind("schema", "print the JSON Schema of hand files, for completion in an editor")
+    add_kind("list", "list the packaged hands and tasks")
+    schema = add_kind("schema", "print the JSON Schema of hand files, for completion in an editor")
     add_output_option(schema, "a new file (default: standard output)")
-    convert = kind(
+    convert = add_kind(
         "convert", "write a hand file of schema 1 as schema 2: repeated values once, comments kept"
     )
     convert.add_argument("old", type=Path, metavar="OLD", help="hand file of schema 1")
     add_output_option(convert, "a new file", required=True)
-    export = kind("export", "write the buses or the links of a hand for other tools")
+    export = add_kind("export", "write the buses or the links of a hand for other tools")
     form = export.add_mutually_exclusive_group()
     form.add_argument(
         "--dbc", action="store_true", help="the frames of each bus, as a CAN database"

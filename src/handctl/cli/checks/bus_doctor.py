@@ -30,7 +30,7 @@ from handctl.runtime.diagnostics.scan import BusScan, scan_bus
 from handctl.session.buses import named_buses
 from handctl.session.exit_codes import ExitCode
 
-NO_USB = UsbAdapter()
+NO_USB_ADAPTER = UsbAdapter()
 """Adapter of an interface that is not a USB adapter."""
 BUSY_HINT = "check the load of the computer and the latency timer of the adapter; handctl doctor checks the priorities"
 SLOW_ROUND_TRIP_S = 0.005
@@ -111,7 +111,7 @@ def _check_interface(channel: str, expected: BusSection) -> list[LinkFinding]:
         return [missing_interface_finding(channel, expected.bitrate, expected.data_bitrate)]
     adapter = read_adapter(channel)
     other_names = [name for name in interface_names() if name != channel]
-    others = [name for name in other_names if (read_adapter(name) or NO_USB).serial]
+    others = [name for name in other_names if (read_adapter(name) or NO_USB_ADAPTER).serial]
     rows = interface_findings(channel, link, expected.bitrate, expected.data_bitrate)
     return rows + adapter_findings(channel, adapter, link.kind, others)
 
@@ -129,7 +129,7 @@ def _check_nodes(
         return [LinkFinding(f"cannot be opened: {error}", False, error.right or WIRING_ADVICE)], []
     try:
         result = scan_bus(bus)
-        trips = [] if result.foreign else _measure_round_trips(bus, result)
+        trips = [] if result.foreign_frames else _measure_round_trips(bus, result)
     finally:
         bus.close()
     rows = [
@@ -141,12 +141,12 @@ def _check_nodes(
         LinkFinding(f"{node.protocol} {node.node_id}: two drives answer", False, TWO_DRIVES_WARNING)
         for node in _duplicate_nodes(result, trips)
     ]
-    if result.foreign:
+    if result.foreign_frames:
         what = "another host controls this bus: nodes were not queried"
         rows.append(LinkFinding(what, False, "stop it, and run the command again"))
     elif hand is not None:
         rows += _missing_motors(hand, expected.name, result)
-    elif not result.found:
+    elif not result.found_nodes:
         rows.append(
             LinkFinding(
                 "no drive answers", False, f"{WIRING_ADVICE}; {undiscoverable_protocols_text()}"
@@ -161,14 +161,14 @@ def _duplicate_nodes(
     result: BusScan, trips: list[tuple[DiscoveredNode, RoundTrip]]
 ) -> list[DiscoveredNode]:
     """Return the nodes whose number more than one drive uses."""
-    twice = [node for node, trip in trips if trip.twins]
-    return [node for node in result.found if node.twins or node in twice]
+    twice = [node for node, trip in trips if trip.is_number_shared]
+    return [node for node in result.found_nodes if node.twins or node in twice]
 
 
 def _measure_round_trips(bus: Bus, result: BusScan) -> list[tuple[DiscoveredNode, RoundTrip]]:
     return [
         (node, measure_round_trips(bus, node))
-        for node in result.found
+        for node in result.found_nodes
         if node.protocol in DISCOVERY_BY_PROTOCOL
     ]
 
@@ -177,7 +177,7 @@ def _event_findings(result: BusScan) -> list[LinkFinding]:
     """Return one finding for each kind of bus event during the scan."""
     return [
         LinkFinding(f"during the scan: {kind}, {number} times", False, WIRING_ADVICE)
-        for kind, _, number in result.events
+        for kind, _, number in result.bus_events
     ]
 
 
@@ -188,15 +188,17 @@ def _answers_text(timed: tuple[DiscoveredNode, RoundTrip]) -> LinkFinding:
         return LinkFinding(
             f"{name} answered the scan, but no further request", False, WIRING_ADVICE
         )
-    times = f"{trip.shortest * 1e3:.2f} / {trip.median * 1e3:.2f} / {trip.longest * 1e3:.2f} ms"
-    what = f"{name} answers {trip.answers} of {trip.asked}, shortest / median / longest {times}"
-    good = trip.answers == trip.asked and trip.median < SLOW_ROUND_TRIP_S
+    times = (
+        f"{trip.shortest_s * 1e3:.2f} / {trip.median_s * 1e3:.2f} / {trip.longest_s * 1e3:.2f} ms"
+    )
+    what = f"{name} answers {trip.answers} of {trip.requests}, shortest / median / longest {times}"
+    good = trip.answers == trip.requests and trip.median_s < SLOW_ROUND_TRIP_S
     return LinkFinding(what, good, BUSY_HINT)
 
 
 def _missing_motors(hand: Hand, bus: str, result: BusScan) -> list[LinkFinding]:
     """Return one finding for each motor of the hand file that did not answer on a bus."""
-    there = {(node.protocol, node.node_id) for node in result.found}
+    there = {(node.protocol, node.node_id) for node in result.found_nodes}
     motors = [
         motor
         for motor in hand.motor

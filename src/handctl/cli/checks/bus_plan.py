@@ -14,7 +14,7 @@ from handctl.drives.frame_time import MAX_BUS_LOAD
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import load_hand
-from handctl.report.load_table import TABLE_RATES_HZ, TABLE_ROWS
+from handctl.report.load_table import BUS_LOAD_ROWS, TABLE_RATES_HZ
 from handctl.session.exit_codes import ExitCode
 from handctl.session.plan import bus_specs, highest_rate_of_buses
 
@@ -26,7 +26,7 @@ def run(args: argparse.Namespace) -> int:
     """
     if args.table:
         _print_table() if not args.json else print_json(
-            {"rows": [row.numbers() for row in TABLE_ROWS]}
+            {"rows": [row.as_json() for row in BUS_LOAD_ROWS]}
         )
         return ExitCode.DONE
     hand = load_hand("jamia" if args.hand is None else args.hand)
@@ -129,7 +129,7 @@ def _print_table() -> None:
     print(
         f"{'protocol':<34}{'bus':<11}motors  us a tick   % at {rates} Hz   Hz at {MAX_BUS_LOAD:.0%}"
     )
-    for row in TABLE_ROWS:
+    for row in BUS_LOAD_ROWS:
         loads = " / ".join(f"{100 * rate * row.tick_s:.0f}" for rate in TABLE_RATES_HZ)
         kind = "FD 1/5" if row.fd else "classical"
         print(f"{row.protocol:<34}{kind:<11}{row.motors:>6}{row.tick_s * 1e6:>11.0f}   {loads:<22}"

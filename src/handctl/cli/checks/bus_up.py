@@ -13,7 +13,7 @@ from handctl.runtime.buses.interface import CommandWords, interface_names, set_u
 from handctl.session.buses import named_buses
 from handctl.session.exit_codes import ExitCode
 
-TIMEOUT_S = 10.0
+COMMAND_TIMEOUT_S = 10.0
 """Longest time that one of the commands may take [s]."""
 
 
@@ -91,7 +91,7 @@ def _run_command(command: CommandWords) -> None:
     """
     text = shlex.join(command)
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=COMMAND_TIMEOUT_S)
     except (FileNotFoundError, subprocess.TimeoutExpired) as error:
         raise BusError(f"does not run: {error}", text, "sudo apt-get install iproute2") from None
     if done.returncode:

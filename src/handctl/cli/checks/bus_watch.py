@@ -16,21 +16,21 @@ from handctl.drives.contract import Drive, DriveState
 from handctl.errors import BusError, ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import load_hand
-from handctl.handlers import TerminationFlag, installed_handler
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.clocks.real import RealClock
-from handctl.runtime.diagnostics.watch import STALE_AFTER_S, BusWatch, is_saturated
+from handctl.runtime.diagnostics.bus_watch import STALE_AFTER_S, BusWatch, is_saturated
 from handctl.runtime.mailbox import bus_lock, is_running
 from handctl.session.buses import refuse_default_hand
 from handctl.session.defaults import DEFAULT_HAND
 from handctl.session.exit_codes import ExitCode
 from handctl.session.plan import bus_specs, chosen_time_scale, default_rate
+from handctl.signal_handlers import TerminationFlag, installed_handler
 
-HIGHEST_HZ = 100.0
+MAX_POLL_RATE_HZ = 100.0
 """Largest rate of the requests to the drives [Hz]. The bus load may allow only a lower rate."""
-EVERY_S = 0.1
+REFRESH_PERIOD_S = 0.1
 """Time between two lines of JSON, or between two tables in a terminal [s]."""
-EVERY_LINE_S = 1.0
+LINE_PERIOD_S = 1.0
 """Time between two tables that go to a pipe or file [s]."""
 MAX_WATCH_S = 86400.0
 
@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
     """
     specs, hand, time_scale = _checked_arguments(args)
     drives = make_drives(hand)
-    clock = RealClock(round(1e9 / min(HIGHEST_HZ, default_rate(hand))), time_scale)
+    clock = RealClock(round(1e9 / min(MAX_POLL_RATE_HZ, default_rate(hand))), time_scale)
     for spec in specs:
         if is_running(spec):
             right = (
@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
         for spec in specs:
             stack.enter_context(bus_lock(spec))
         opened = [
-            open_bus(spec, index, section.bitrate, section.data_bitrate, clock.of)
+            open_bus(spec, index, section.bitrate, section.data_bitrate, clock.run_time_of)
             for index, (spec, section) in enumerate(zip(specs, hand.bus, strict=True))
         ]
         for bus in opened:
@@ -62,15 +62,15 @@ def run(args: argparse.Namespace) -> int:
         print_note(
             f"handctl: {hand.name} on {', '.join(specs)}: no drive is enabled. Ctrl-C ends the command."
         )
-        if foreign := watch.other_host():
+        if foreign := watch.find_other_host():
             problem = f"another host controls this bus (received: {foreign})"
             raise BusError(problem, f"bus {', '.join(specs)}", "no other host")
         ended = TerminationFlag()
         stack.enter_context(installed_handler(ended, signal.SIGINT, signal.SIGTERM))
-        stack.callback(watch.release)
+        stack.callback(watch.send_release)
         clock.start()
         _show_readings(args, hand, watch, ended)
-    if silent := watch.silent():
+    if silent := watch.silent_motors():
         print(f"handctl: without a reply at the end: {', '.join(silent)}", file=sys.stderr)
     return ExitCode.FAILED if silent else ExitCode.DONE
 
@@ -100,7 +100,7 @@ def _show_readings(
     begin = time.monotonic()
     end = begin + (math.inf if args.duration is None else args.duration)
     in_place = sys.stdout.isatty() and not args.json
-    every = EVERY_S if args.json or in_place else EVERY_LINE_S
+    every = REFRESH_PERIOD_S if args.json or in_place else LINE_PERIOD_S
     due = begin + every
     with ExitStack() as stack:
         live = None
@@ -108,8 +108,8 @@ def _show_readings(
             from rich.live import Live
 
             live = stack.enter_context(Live(console=rich_console(), auto_refresh=False))
-        while not ended.asked and (now := time.monotonic()) < end:
-            watch.tick()
+        while not ended.requested and (now := time.monotonic()) < end:
+            watch.run_tick()
             if now < due:
                 continue
             due = max(due + every, now)
@@ -131,7 +131,7 @@ def readings_of(hand: Hand, watch: BusWatch) -> dict[str, Any]:
     now = watch.clock.now_ns()
     rows = zip(hand.tendon_names, watch.drives, watch.states, watch.ages_s(now), strict=True)
     tensions = {
-        hand.tendon_names[index]: reading.at(now) for index, reading in watch.tensions.items()
+        hand.tendon_names[index]: reading.value_at(now) for index, reading in watch.tensions.items()
     }
     return {
         "t_s": now * 1e-9,
@@ -147,7 +147,7 @@ def readings_of(hand: Hand, watch: BusWatch) -> dict[str, Any]:
             for name, value in tensions.items()
         ],
         "joint_encoders": [
-            {"joint": hand.joints[index], "angle_rad": reading.at(now)}
+            {"joint": hand.joints[index], "angle_rad": reading.value_at(now)}
             for index, reading in watch.angles.items()
         ],
     }

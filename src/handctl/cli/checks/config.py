@@ -46,7 +46,7 @@ from handctl.safety.missing_sensors import sensing_warnings
 from handctl.session.exit_codes import ExitCode
 from handctl.session.gains import LayeredGains
 from handctl.session.plan import check_gain_margins, control_rate, highest_rate_of_buses
-from handctl.session.tasks import PACKAGED_TASKS_FOLDER, find_task, task_path
+from handctl.session.tasks import PACKAGED_TASKS_FOLDER, load_task_for_hand, task_path
 
 
 def run(args: argparse.Namespace) -> int:
@@ -105,39 +105,39 @@ def _checks_of_files(args: argparse.Namespace, hand: Hand) -> list[Callable[[], 
     """
     buses = hand.bus_names
 
-    def task() -> None:
+    def check_task() -> None:
         """Check the given task, or the default task of the demo."""
-        find_task(args.task, hand)
+        load_task_for_hand(args.task, hand)
 
-    def calibration() -> None:
+    def check_calibration() -> None:
         """Check the calibration file that the user has named."""
         if args.calibration and not args.calibration.exists():
             raise ConfigError("no such file", str(args.calibration), "a calibration to check")
         find_calibration(args, hand)
 
-    def design() -> None:
+    def check_design() -> None:
         """Check that the gains lead to a valid design of the controller at the control rate."""
         check_gain_margins(
             hand, layered_gains(args, hand).gains, control_rate(None, hand, bus_loads(hand))
         )
 
-    def scene() -> None:
+    def check_scene() -> None:
         """Check that the hand can be simulated in the given scene, if a scene is given."""
         if args.scene:
             # No other check needs this import of the simulated hand.
             from handctl.session.simulate import SimulatorSettings
 
-            SimulatorSettings(hand, args.scene).check()
+            SimulatorSettings(hand, args.scene).check_constructible()
 
     drives = [partial(make_drive, motor, buses.index(motor.bus)) for motor in hand.motor]
     return [
         *drives,
         lambda: make_drives(hand),
         lambda: layered_gains(args, hand),
-        design,
-        task,
-        calibration,
-        scene,
+        check_design,
+        check_task,
+        check_calibration,
+        check_scene,
     ]
 
 
@@ -178,7 +178,7 @@ def _show_or_check(args: argparse.Namespace, hand: Hand) -> int:
     """Show a hand with derived values and files, or check the hand."""
     layers = layered_gains(args, hand)
     if args.task:
-        find_task(args.task, hand)
+        load_task_for_hand(args.task, hand)
     if args.calibration and not args.calibration.exists():
         raise ConfigError("no such file", str(args.calibration), "a calibration to check")
     calibration = _calibration_fields(args, hand)

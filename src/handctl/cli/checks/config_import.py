@@ -12,10 +12,10 @@ import numpy as np
 from handctl.cli.console.options import print_escaped, print_json
 from handctl.cli.console.questions import (
     TENDON_QUESTIONS,
-    Question,
+    HandQuestion,
     ask_question,
     check_terminal,
-    one_of,
+    reader_of_choice,
     write_with_schema,
 )
 from handctl.drives.motor_description import GUARDED_PROTOCOLS, PROTOCOL_TRAITS
@@ -39,22 +39,22 @@ OPTIONS_WITHOUT_DESCRIPTION = ("fingers", "opposed", "links_mm", "width_mm", "pa
 """Options that cannot be combined with a robot description, because the description contains these values."""
 NODE_NUMBERS = range(1, 128)
 """Valid node numbers."""
-READ_ALL_OR_NONE = one_of(("all", "none"))
+READ_ALL_OR_NONE = reader_of_choice(("all", "none"))
 """Function that reads the answer ``all`` or ``none`` to a question about all tendons or joints."""
 IMPORT_QUESTIONS = (
     *TENDON_QUESTIONS,
-    Question("cells", "Load cells at the tendons (all, none)", READ_ALL_OR_NONE, "all or none"),
-    Question("encoders", "Encoders at the joints (all, none)", READ_ALL_OR_NONE, "all or none"),
-    Question(
+    HandQuestion("cells", "Load cells at the tendons (all, none)", READ_ALL_OR_NONE, "all or none"),
+    HandQuestion("encoders", "Encoders at the joints (all, none)", READ_ALL_OR_NONE, "all or none"),
+    HandQuestion(
         "springs", "Return springs at the joints (all, none)", READ_ALL_OR_NONE, "all or none"
     ),
-    Question(
+    HandQuestion(
         "protocol",
         f"Protocol of the drives ({', '.join(GUARDED_PROTOCOLS)})",
-        one_of(GUARDED_PROTOCOLS),
+        reader_of_choice(GUARDED_PROTOCOLS),
         ", ".join(GUARDED_PROTOCOLS),
     ),
-    Question("first_node", "Node number of the first drive of a bus", int, "a whole number"),
+    HandQuestion("first_node", "Node number of the first drive of a bus", int, "a whole number"),
 )
 """All questions about what a robot description lacks, in order.
 
@@ -168,9 +168,10 @@ def _ask_questions(answers: TendonAnswers, known: set[str]) -> TendonAnswers:
     """Ask the questions that neither the options nor the description answer."""
     check_terminal()
     for question in IMPORT_QUESTIONS:
-        if getattr(answers, question.field) is None and question.field not in known:
+        if getattr(answers, question.answer_field) is None and question.answer_field not in known:
             answers = replace(
-                answers, **{question.field: ask_question(question, UNMEASURED_PLACEHOLDER, None)}
+                answers,
+                **{question.answer_field: ask_question(question, UNMEASURED_PLACEHOLDER, None)},
             )
     return answers
 

@@ -7,7 +7,7 @@ from handctl.cli.console.options import print_escaped, print_json
 from handctl.cli.console.questions import (
     SCHEMA_FILE,
     TENDON_QUESTIONS,
-    Question,
+    HandQuestion,
     ask_question,
     check_terminal,
     write_with_schema,
@@ -25,17 +25,19 @@ def lengths_from_text(text: str) -> tuple[float, ...]:
 
 
 HAND_QUESTIONS = (
-    Question("name", "Name of the hand", str, "a word"),
-    Question("fingers", "Digits on one side", int, "a whole number"),
-    Question("opposed", "Digits that close against them, as a thumb does", int, "a whole number"),
-    Question(
+    HandQuestion("name", "Name of the hand", str, "a word"),
+    HandQuestion("fingers", "Digits on one side", int, "a whole number"),
+    HandQuestion(
+        "opposed", "Digits that close against them, as a thumb does", int, "a whole number"
+    ),
+    HandQuestion(
         "links_mm",
         "Length of each link, from the palm outwards [mm]",
         lengths_from_text,
         "numbers, e.g. 40,30",
     ),
-    Question("width_mm", "Width of the links [mm]", float, "a number"),
-    Question("palm_mm", "Distance between the two sides of the palm [mm]", float, "a number"),
+    HandQuestion("width_mm", "Width of the links [mm]", float, "a number"),
+    HandQuestion("palm_mm", "Distance between the two sides of the palm [mm]", float, "a number"),
     *TENDON_QUESTIONS,
 )
 """All questions about a new hand, in order. A question that an option answers is skipped."""
@@ -105,12 +107,16 @@ def _ask_questions(args: argparse.Namespace, answers: HandAnswers) -> HandAnswer
     """
     check_terminal()
     for question in HAND_QUESTIONS:
-        if getattr(args, question.field) is not None:
+        if getattr(args, question.answer_field) is not None:
             continue
-        default = getattr(answers, PROPORTIONAL_DEFAULT.get(question.field, question.field))
+        default = getattr(
+            answers, PROPORTIONAL_DEFAULT.get(question.answer_field, question.answer_field)
+        )
         shown = (
             ",".join(f"{one:g}" for one in default) if isinstance(default, tuple) else str(default)
         )
         shown = f"{default:.3g}" if isinstance(default, float) else shown
-        answers = replace(answers, **{question.field: ask_question(question, shown, default)})
+        answers = replace(
+            answers, **{question.answer_field: ask_question(question, shown, default)}
+        )
     return answers

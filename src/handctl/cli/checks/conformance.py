@@ -8,7 +8,7 @@ import math
 import sys
 from typing import Any
 
-from handctl.cli.console.bench import (
+from handctl.cli.console.bench_drive import (
     MAX_TORQUE_N_M,
     NOT_OFF_WARNING,
     WATCHDOG_MS,

@@ -17,17 +17,17 @@ from handctl.extras import extras_installed
 from handctl.runtime.clocks.priority import (
     GrantedPriority,
     realtime_priority,
+    request_priority,
     restore_priority,
-    take_priority,
 )
 from handctl.runtime.paths import run_dir
 from handctl.session.exit_codes import ExitCode
 
-WATCH_S = 1.0
+WAKEUP_TEST_S = 1.0
 """Time for which the lateness of wake-ups is measured [s]."""
-SLEEP_S = 0.001
+WAKEUP_SLEEP_S = 0.001
 """Time that the measuring process sleeps before each wake-up [s]."""
-MAX_LATE_S = 0.002
+MAX_WAKEUP_LATENESS_S = 0.002
 """Lateness of a wake-up above which the machine is not good enough [s].
 
 The limit is one tick at 500 Hz.
@@ -94,7 +94,7 @@ def _extras_finding() -> DoctorFinding:
 
 def _granted_priority() -> GrantedPriority:
     """Request and release real-time priority, and return the priority that the system granted."""
-    granted = take_priority()
+    granted = request_priority()
     restore_priority()
     return granted
 
@@ -109,7 +109,7 @@ def _check_priority() -> DoctorFinding:
 
 
 def _check_memory() -> DoctorFinding:
-    granted = _granted_priority().locked
+    granted = _granted_priority().memory_locked
     return (
         "locked memory",
         granted,
@@ -122,16 +122,16 @@ def _check_wakeups() -> DoctorFinding:
     begin, ticks = time.monotonic(), _processor_ticks()
     latest = 0.0
     with realtime_priority():
-        while (sleep := time.monotonic()) < begin + WATCH_S:
-            time.sleep(SLEEP_S)
-            latest = max(latest, time.monotonic() - sleep - SLEEP_S)
+        while (sleep := time.monotonic()) < begin + WAKEUP_TEST_S:
+            time.sleep(WAKEUP_SLEEP_S)
+            latest = max(latest, time.monotonic() - sleep - WAKEUP_SLEEP_S)
     total, stolen = (
         after - before for before, after in zip(ticks, _processor_ticks(), strict=True)
     )
     taken = f", a hypervisor took {100 * stolen / total:.1f} % of the processor" if stolen else ""
     return (
-        f"wake-ups at most {1e3 * latest:.1f} ms late in {WATCH_S:g} s{taken}",
-        latest < MAX_LATE_S,
+        f"wake-ups at most {1e3 * latest:.1f} ms late in {WAKEUP_TEST_S:g} s{taken}",
+        latest < MAX_WAKEUP_LATENESS_S,
         "end other programs, or use a computer that is no virtual machine; slow a simulated hand: "
         "handctl sim --time-scale 0.3",
     )

@@ -5,7 +5,7 @@ from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
 from handctl.hand.description import Hand
 
-SAFE_HZ = 250.0
+LOWEST_UNCHECKED_RATE_HZ = 250.0
 """Control rate from which on a hand is not checked [Hz].
 
 All packaged hands and the hands of ``config init`` run at this rate.
@@ -23,7 +23,7 @@ def rate_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
         gains: gains of a run.
         rate_hz: control rate of a run [Hz].
     """
-    if rate_hz >= SAFE_HZ:
+    if rate_hz >= LOWEST_UNCHECKED_RATE_HZ:
         return []
     # The loops are computed by the compiled core. No other check of a hand needs this import.
     from handctl.tune.loops.linear import LoopKind, open_loop
@@ -37,9 +37,9 @@ def rate_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
     name, worst = min(found.items(), key=lambda item: item[1].gain_db)
     if worst.gain_db >= MIN_GAIN_MARGIN_DB:
         return []
-    buses = split_motors_over_buses(hand, SAFE_HZ)
+    buses = split_motors_over_buses(hand, LOWEST_UNCHECKED_RATE_HZ)
     remedy = (
-        f"{len(buses)} buses allow {SAFE_HZ:g} Hz (bus plan --rate {SAFE_HZ:g})"
+        f"{len(buses)} buses allow {LOWEST_UNCHECKED_RATE_HZ:g} Hz (bus plan --rate {LOWEST_UNCHECKED_RATE_HZ:g})"
         if buses
         else "a faster bus"
     )

@@ -5,7 +5,7 @@ import dataclasses
 from functools import partial
 from typing import Any
 
-from handctl.cli.checks.fragment import hand_file_snippet
+from handctl.cli.checks.hand_file_snippet import hand_file_snippet
 from handctl.cli.console.options import print_json
 from handctl.cli.console.verbosity import print_note
 from handctl.drives.cia402 import codec as cia402_codec
@@ -35,12 +35,14 @@ def run(args: argparse.Namespace) -> int:
             scans[name] = scan_bus(opened, args.force, partial(_print_note_of_bus, spec))
         finally:
             opened.close()
-        if not scans[name].foreign:
+        if not scans[name].foreign_frames:
             scans[name] = scans[name]._replace(
-                found=add_identities(scans[name].found, spec, args.bitrate)
+                found_nodes=add_identities(scans[name].found_nodes, spec, args.bitrate)
             )
     piece = hand_file_snippet(
-        {name: result.found for name, result in scans.items()}, args.bitrate, args.data_bitrate
+        {name: result.found_nodes for name, result in scans.items()},
+        args.bitrate,
+        args.data_bitrate,
     )
     if args.json:
         listed = [_scan_fields(name, buses[name], result) for name, result in scans.items()]
@@ -53,7 +55,9 @@ def run(args: argparse.Namespace) -> int:
         )
     else:
         _print_scans(buses, scans, piece)
-    return ExitCode.DONE if any(result.found for result in scans.values()) else ExitCode.FAILED
+    return (
+        ExitCode.DONE if any(result.found_nodes for result in scans.values()) else ExitCode.FAILED
+    )
 
 
 def _print_note_of_bus(spec: str, text: str) -> None:
@@ -116,11 +120,11 @@ def _scan_fields(name: str, spec: str, result: BusScan) -> dict[str, Any]:
     return {
         "name": name,
         "bus": spec,
-        "frames_heard": result.frames,
-        "another_host": [_frame_text(frame) for frame in result.foreign],
-        "not_asked": sorted({_frame_text(frame) for frame in result.omitted}),
-        "events": [list(event) for event in result.events],
-        "nodes": [dataclasses.asdict(drive) for drive in result.found],
+        "frames_heard": result.frame_count,
+        "another_host": [_frame_text(frame) for frame in result.foreign_frames],
+        "not_asked": sorted({_frame_text(frame) for frame in result.omitted_requests}),
+        "events": [list(event) for event in result.bus_events],
+        "nodes": [dataclasses.asdict(drive) for drive in result.found_nodes],
     }
 
 
@@ -133,24 +137,26 @@ def _frame_text(frame: Frame) -> str:
 
 def _print_scans(buses: dict[str, str], scans: dict[str, BusScan], piece: str) -> None:
     for name, result in scans.items():
-        print(f"{name} ({buses[name]}): {len(result.found)} nodes, {result.frames} frames received")
-        if result.foreign:
+        print(
+            f"{name} ({buses[name]}): {len(result.found_nodes)} nodes, {result.frame_count} frames received"
+        )
+        if result.foreign_frames:
             frames_text = ", ".join(
-                _frame_text(frame) for frame in result.foreign[:MAX_FOREIGN_FRAMES]
+                _frame_text(frame) for frame in result.foreign_frames[:MAX_FOREIGN_FRAMES]
             )
             print(
                 f"  another host controls this bus ({frames_text}): no request was sent; stop it or use --force"
             )
-        if result.omitted:
-            kinds = sorted({f"{frame.can_id:#05x}" for frame in result.omitted})
+        if result.omitted_requests:
+            kinds = sorted({f"{frame.can_id:#05x}" for frame in result.omitted_requests})
             print(
                 f"  no request with identifier {', '.join(kinds)}: a drive on this bus would take it as a command;"
             )
             print("  to find nodes that answer to it, switch that drive off and scan again")
-        for drive in result.found:
+        for drive in result.found_nodes:
             _print_drive(drive)
     print(undiscoverable_protocols_text())
-    if any(result.found for result in scans.values()):
+    if any(result.found_nodes for result in scans.values()):
         print(f"\n{piece}", end="")
 
 

@@ -34,7 +34,7 @@ class DisplayProcess:
     """Controller's end of the pipe to the display process.
 
     Attributes:
-        every: number of ticks between two lines of JSON.
+        ticks_per_line: number of ticks between two lines of JSON.
         child: display process.
         pipe: file descriptor of the pipe to the display process.
         worst_late_ns: largest lateness of a tick since the last line [ns].
@@ -53,7 +53,7 @@ class DisplayProcess:
             rate_hz: control rate [Hz].
             load: worst-case bus load, from 0 to 1.
         """
-        self.every = max(1, round(REFRESH_PERIOD_S * rate_hz))
+        self.ticks_per_line = max(1, round(REFRESH_PERIOD_S * rate_hz))
         head = {"names": names, "ceiling": ceiling, "rate_hz": rate_hz, "load": load}
         self.child = subprocess.Popen(
             [sys.executable, "-m", "handctl.cli.console.display"],
@@ -70,16 +70,16 @@ class DisplayProcess:
         os.set_blocking(self.pipe, False)
 
     @staticmethod
-    def start(hand: Hand, rate_hz: float, load: float) -> "DisplayProcess":
+    def start_display(hand: Hand, rate_hz: float, load: float) -> "DisplayProcess":
         """Start the display of a run, and return the controller's end of the pipe to the display."""
         return DisplayProcess(
             hand.tendon_names, tuple(tendon.tension_max_N for tendon in hand.tendon), rate_hz, load
         )
 
-    def show(self, entry: TickIn, out: TickOut) -> None:
+    def show_tick(self, entry: TickIn, out: TickOut) -> None:
         """Send a line about the tick to the display, if ``REFRESH_PERIOD_S`` has passed or if the tick has an event."""
         self.worst_late_ns = max(self.worst_late_ns, entry.late_ns)
-        if entry.k % self.every and not out.events:
+        if entry.k % self.ticks_per_line and not out.events:
             return
         line = {
             "k": entry.k,

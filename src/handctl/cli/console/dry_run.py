@@ -22,7 +22,7 @@ def report_dry_run(args: argparse.Namespace, plan: RunPlan, *lines: str, **field
     """
     check_gain_margins(plan.hand, plan.gains, plan.rate_hz)
     if args.json:
-        run = {"rate_hz": plan.rate_hz, "bus_load": max(plan.load), "buses": list(plan.buses)}
+        run = {"rate_hz": plan.rate_hz, "bus_load": max(plan.bus_loads), "buses": list(plan.buses)}
         print_json({"hand": plan.hand.name, **run, **fields})
     else:
         for line in lines:

@@ -164,7 +164,7 @@ def add_perturb_option(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def perturb_words(args: argparse.Namespace) -> list[str]:
+def perturb_option_words(args: argparse.Namespace) -> list[str]:
     """Return the words that pass --perturb on to the command line of the simulator."""
     return ["--perturb", *args.perturb] if args.perturb else []
 
@@ -228,7 +228,7 @@ def add_wire_option(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--wire", nargs="*", metavar="KEY=VALUE", help=text)
 
 
-def wire_words(args: argparse.Namespace) -> list[str]:
+def wire_option_words(args: argparse.Namespace) -> list[str]:
     """Return the words that pass --wire on to the command line of the simulator."""
     return [] if args.wire is None else ["--wire", *args.wire]
 

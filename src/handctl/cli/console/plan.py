@@ -24,16 +24,16 @@ def make_plan(args: argparse.Namespace, lockstep: bool = False) -> plan.RunPlan:
     choice = plan.RunChoice(
         hand=args.hand,
         hand_named=args.hand_named,
-        bus=None if lockstep else args.bus,
-        gains=args.gains,
-        gain=getattr(args, "gain", None) or (),
-        rate=args.rate,
+        bus_words=None if lockstep else args.bus,
+        gains_file=args.gains,
+        gain_words=getattr(args, "gain", None) or (),
+        rate_hz=args.rate,
         time_scale=args.time_scale,
-        log=args.log,
-        clear=args.clear,
+        log_path=args.log,
+        clear_faults=args.clear,
     )
     display = None if args.json or is_quiet() else _display_starter
-    run_plan = replace(plan.make_plan(choice, display, print_notice), progress=progress_bar)
+    run_plan = replace(plan.make_plan(choice, display, print_notice), show_progress=progress_bar)
     if is_verbose():
         _print_plan(args, run_plan)
     return run_plan
@@ -47,7 +47,7 @@ def _print_plan(args: argparse.Namespace, run_plan: plan.RunPlan) -> None:
     )
     loads = ", ".join(
         f"{name} {100 * load:.0f} %"
-        for name, load in zip(hand.bus_names, run_plan.load, strict=False)
+        for name, load in zip(hand.bus_names, run_plan.bus_loads, strict=False)
     )
     print_detail(
         f"rate: {run_plan.rate_hz:g} Hz, bus load: {loads}; buses: {', '.join(run_plan.buses) or 'in lockstep'}"
@@ -72,7 +72,7 @@ def _display_starter(of: plan.RunPlan) -> plan.OperatorDisplay:
     """Return a function that starts the display of a run."""
     from handctl.cli.console.display import DisplayProcess
 
-    return DisplayProcess.start(of.hand, of.rate_hz, max(of.load, default=0.0))
+    return DisplayProcess.start_display(of.hand, of.rate_hz, max(of.bus_loads, default=0.0))
 
 
 def layered_gains(args: argparse.Namespace, hand: Hand) -> gains.LayeredGains:
@@ -139,7 +139,7 @@ def check_perturb(args: argparse.Namespace, simulated: bool) -> dict[str, float]
             "a simulator with it: python -m firmware_sim --perturb",
         )
     if factors:
-        SimulatorSettings(args.hand, perturb=factors).check()
+        SimulatorSettings(args.hand, perturb=factors).check_constructible()
     return factors
 
 

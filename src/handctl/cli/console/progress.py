@@ -42,7 +42,7 @@ def progress_bar(
     with Progress(*columns, console=rich_console(error=True), transient=True) as bar:
         task = bar.add_task(label, total=total)
 
-        def update(done: int, total: int | None = None, label: str | None = None) -> None:
+        def update_progress(done: int, total: int | None = None, label: str | None = None) -> None:
             bar.update(task, completed=done, total=total, description=label)
 
-        yield update
+        yield update_progress

@@ -14,43 +14,43 @@ SCHEMA_FILE = "hand.schema.json"
 """Name of the JSON Schema file, next to a new hand file."""
 
 
-class Question(NamedTuple):
+class HandQuestion(NamedTuple):
     """Question about a new hand.
 
     Attributes:
-        field: name of the field in the answers.
-        text: text of the question, without the default.
-        read: function that converts the text of an answer to a value, or raises ValueError.
-        right: description of a valid answer, for error messages.
+        answer_field: name of the field in the answers.
+        question_text: text of the question, without the default.
+        read_answer: function that converts the text of an answer to a value, or raises ValueError.
+        expected_text: description of a valid answer, for error messages.
     """
 
-    field: str
-    text: str
-    read: Callable[[str], Any]
-    right: str
+    answer_field: str
+    question_text: str
+    read_answer: Callable[[str], Any]
+    expected_text: str
 
 
-def one_of(words: Collection[str]) -> Callable[[str], str]:
+def reader_of_choice(words: Collection[str]) -> Callable[[str], str]:
     """Return a function that accepts only the given words.
 
     For other texts, the function raises ValueError.
     """
 
-    def read(text: str) -> str:
+    def read_choice(text: str) -> str:
         if text not in words:
             raise ValueError(text)
         return text
 
-    return read
+    return read_choice
 
 
 TENDON_QUESTIONS = (
-    Question("tendons", "Tendons of a digit: one, or one for each joint (one, each)", one_of(("one", "each")),
-             "one or each"),
-    Question("pulley_mm", "Moment arm of the tendons at the joints [mm]", float, "a number"),
-    Question("spool_mm", "Radius of the spools, to the middle of the tendon [mm]", float, "a number"),
-    Question("tension_N", "Largest tension that a tendon may be commanded [N]", float, "a number"),
-    Question("strength_N", "Rated breaking force of the tendons [N]", float, "a number"),
+    HandQuestion("tendons", "Tendons of a digit: one, or one for each joint (one, each)",
+                 reader_of_choice(("one", "each")), "one or each"),
+    HandQuestion("pulley_mm", "Moment arm of the tendons at the joints [mm]", float, "a number"),
+    HandQuestion("spool_mm", "Radius of the spools, to the middle of the tendon [mm]", float, "a number"),
+    HandQuestion("tension_N", "Largest tension that a tendon may be commanded [N]", float, "a number"),
+    HandQuestion("strength_N", "Rated breaking force of the tendons [N]", float, "a number"),
 )  # fmt: skip
 """Questions about the tendons of every new hand, in order."""
 
@@ -80,13 +80,13 @@ def check_terminal() -> None:
         )
 
 
-def ask_question(question: Question, shown: str, default: Any) -> Any:
+def ask_question(question: HandQuestion, shown: str, default: Any) -> Any:
     """Ask a question until the answer is valid, and return the answer."""
     while True:
-        text = input(f"{question.text} [{shown}]: ").strip()
+        text = input(f"{question.question_text} [{shown}]: ").strip()
         if not text:
             return default
         try:
-            return question.read(text)
+            return question.read_answer(text)
         except ValueError:
-            print_escaped(f"{text!r}; expected {question.right}")
+            print_escaped(f"{text!r}; expected {question.expected_text}")

@@ -13,9 +13,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType, TracebackType
 
-from handctl.handlers import installed_handler
 from handctl.printing import escaped_streams
 from handctl.session.exit_codes import ExitCode
+from handctl.signal_handlers import installed_handler
 
 
 class TerminationRequested(KeyboardInterrupt):
@@ -49,7 +49,7 @@ def install_excepthook() -> None:
     """
     bugs: list[BaseException] = []
 
-    def show(
+    def print_traceback(
         error_type: type[BaseException], bug: BaseException, trace: TracebackType | None
     ) -> None:
         with escaped_streams():
@@ -60,12 +60,12 @@ def install_excepthook() -> None:
             )
         bugs.append(bug)
 
-    def end() -> None:
+    def end_process() -> None:
         if bugs:
             for stream in (sys.stdout, sys.stderr):
                 with suppress(OSError):
                     stream.flush()
             os._exit(ExitCode.INTERNAL)
 
-    atexit.register(end)
-    sys.excepthook = show
+    atexit.register(end_process)
+    sys.excepthook = print_traceback

@@ -135,22 +135,22 @@ def log(parser: VerbParser) -> None:
     """Declare the arguments of ``log``."""
     kinds = parser.add_subparsers(dest="what", required=True, metavar="WHAT")
 
-    def kind(name: str, text: str) -> VerbParser:
+    def add_kind(name: str, text: str) -> VerbParser:
         one = add_sub_verb(kinds, name, text, EXAMPLES[f"log {name}"])
         add_json_option(one)
         one.add_argument("log", type=Path, help="the log")
         return one
 
-    kind(
+    add_kind(
         "info",
         "print events with times, the end of the run, phases, hand, gains, versions and gaps",
     )
-    kind("check", "check counters, gaps, clock, hashes, and every byte")
-    other = kind("diff", "compare the log with another run of the same hand, phase by phase")
+    add_kind("check", "check counters, gaps, clock, hashes, and every byte")
+    other = add_kind("diff", "compare the log with another run of the same hand, phase by phase")
     other.add_argument("other", type=Path, help="the other log")
-    rescue = kind("recover", "write a complete log from a damaged log")
+    rescue = add_kind("recover", "write a complete log from a damaged log")
     add_output_option(rescue, "the complete log (default: LOG.recovered.mcap)")
-    out = kind("export", "write the log in a format that other tools read")
+    out = add_kind("export", "write the log in a format that other tools read")
     out.add_argument(
         "more", type=Path, nargs="*", metavar="LOG", help="further logs of the hand, with --lerobot"
     )

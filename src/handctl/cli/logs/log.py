@@ -45,8 +45,8 @@ def _print_info(args: argparse.Namespace) -> int:
             "seconds": float(log.times[-1]) if len(log) else 0.0,
             "late_us": _lateness_us(log),
             "clock_steps": [step._asdict() for step in clock_steps(log.clock_pairs)],
-            "missing": sum(gap.after - gap.before - 1 for gap in log.gaps),
-            "gaps": [[gap.before, gap.after] for gap in log.gaps],
+            "missing": sum(gap.first_after - gap.last_before - 1 for gap in log.gaps),
+            "gaps": [[gap.last_before, gap.first_after] for gap in log.gaps],
             "phases": [change.name for change in log.phases],
             "events": [
                 f"{event.t_ns / 1e9:.3f} s {event.event.level}: {event.event.text}"
@@ -96,8 +96,8 @@ def _lateness_us(log: RunLog) -> dict[str, float]:
 
 
 def _check_log(args: argparse.Namespace) -> int:
-    from handctl.replay.check import check_log
-    from handctl.replay.damage import first_damage
+    from handctl.replay.log_check import check_log
+    from handctl.replay.log_damage import first_damage
 
     try:
         with RunLog(args.log) as log, progress_bar("checking", quiet=args.json):
@@ -119,8 +119,8 @@ def _check_log(args: argparse.Namespace) -> int:
 
 
 def _compare_logs(args: argparse.Namespace) -> int:
-    from handctl.replay.compare import difference_lines
-    from handctl.replay.diff import compare_logs
+    from handctl.replay.phase_comparison import compare_logs
+    from handctl.replay.run_comparison import difference_lines
 
     with RunLog(args.log) as a, RunLog(args.other) as b, progress_bar("comparing", quiet=args.json):
         result = compare_logs(a, b, str(args.other))
@@ -173,10 +173,10 @@ def _write_export(args: argparse.Namespace, logs: list[RunLog], out: Path) -> in
     form = args.format
     log = logs[0]
     if form == "rrd":
-        from handctl.view.feed import write_rrd
+        from handctl.view.rerun_conversion import write_rrd
         from handctl.view.scene.run_info import RunInfo
 
-        return write_rrd(args.log, RunInfo.of(log.header, args.log.stem), out)
+        return write_rrd(args.log, RunInfo.from_header(log.header, args.log.stem), out)
     if form == "parquet":
         from handctl.log.export.parquet import export_parquet
 
@@ -203,7 +203,7 @@ def _recover_log(args: argparse.Namespace) -> int:
         recovery = recover_log(args.log, output)
     status = recovery.status.name.lower()
     if args.json:
-        lost = [list(part) for part in recovery.lost]
+        lost = [list(part) for part in recovery.lost_ranges]
         result = {
             "status": status,
             "messages": recovery.messages,

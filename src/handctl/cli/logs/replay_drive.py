@@ -8,15 +8,15 @@ from handctl.cli.console.motion_confirmation import announce_motion
 from handctl.cli.console.options import print_escaped, print_json, warn_if_lossy
 from handctl.cli.console.plan import find_calibration, make_plan
 from handctl.log.read.reader import RunLog
-from handctl.replay.compare import check_same_hand, difference_lines
+from handctl.replay.controller_rebuild import logged_hand
 from handctl.replay.motion_replay import (
     active_interval,
     compare_replay,
     count_missing_ticks,
-    driven_duration,
+    followed_duration_s,
     playback_program,
 )
-from handctl.replay.rebuild import logged_hand
+from handctl.replay.run_comparison import check_same_hand, difference_lines
 from handctl.session.calibration import ensure_calibration
 from handctl.session.exit_codes import ExitCode
 from handctl.session.plan import commission_log, default_log
@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
         outcome = run_live(plan, make_controller(plan, program, calibration, arm_at_once=True), log)
         with RunLog(log) as after:
             result = compare_replay(before, after)
-            seconds = driven_duration(before, after)
+            seconds = followed_duration_s(before, after)
     complete = outcome.state.progress.finished
     fields = {
         "seconds": end_s - start_s,

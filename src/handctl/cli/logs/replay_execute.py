@@ -49,7 +49,7 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
     with progress_bar("executing", len(log), args.json) as update_progress:
         execution = execute_log(log, progress=update_progress, workers=workers)
     passed = (
-        not execution.differing
+        not execution.differing_ticks
         if args.within is None
         else is_within_tolerance(execution, args.within)
     )
@@ -58,13 +58,15 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
     result = {
         "log": str(args.recorded),
         "ticks": execution.ticks,
-        "differing": execution.differing,
+        "differing": execution.differing_ticks,
         "undecided": execution.different_decisions,
-        "missing": [[gap.before + 1, gap.after - 1] for gap in log.gaps],
+        "missing": [[gap.last_before + 1, gap.first_after - 1] for gap in log.gaps],
         "warning": log.warning,
-        "first": execution.first._asdict() if execution.first else None,
-        "state": execution.state._asdict() if execution.state else None,
-        "largest": execution.largest._asdict() if execution.largest else None,
+        "first": execution.first_difference._asdict() if execution.first_difference else None,
+        "state": execution.first_state_difference._asdict()
+        if execution.first_state_difference
+        else None,
+        "largest": execution.largest_difference._asdict() if execution.largest_difference else None,
         "same": passed,
         "version": here[0],
         "version_logged": logged_by[0],
@@ -78,21 +80,22 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
         print_json(result)
     else:
         other = f"{execution.different_decisions} with other decisions"
-        print_escaped(f"{execution.ticks} ticks, {execution.differing} differ, {other}")
+        print_escaped(f"{execution.ticks} ticks, {execution.differing_ticks} differ, {other}")
         for word, one in (
-            ("first", execution.first),
-            ("state", execution.state),
-            ("largest", execution.largest),
+            ("first", execution.first_difference),
+            ("state", execution.first_state_difference),
+            ("largest", execution.largest_difference),
         ):
             if one:
                 print_escaped(f"{word}: {_difference_line(one)}")
         print_escaped(f"{execution.wall_s:.2f} s, {execution.times_real_time:.1f} times real time")
-        if execution.differing and log.gaps:
+        if execution.differing_ticks and log.gaps:
             gap = log.gaps[0]
             print_escaped(
-                f"ticks {gap.before + 1} to {gap.after - 1} are missing in the log, so the ticks after them differ"
+                f"ticks {gap.last_before + 1} to {gap.first_after - 1} are missing in the log, "
+                "so the ticks after them differ"
             )
-        if execution.differing and logged_by != here:
+        if execution.differing_ticks and logged_by != here:
             print_escaped(
                 "the log was written by handctl {}, code {}; this is handctl {}, code {}".format(
                     *logged_by, *here
@@ -133,7 +136,7 @@ def _compare_with_other_gains(args: argparse.Namespace, log: Any) -> bool:
     check_output(picture, "--picture", args.recorded, args.gains)
     gains = load_gains(args.gains)
     with progress_bar("executing", len(log), args.json) as update_progress:
-        execution = execute_log(log, gains, commands.add, update_progress)
+        execution = execute_log(log, gains, commands.add_tick, update_progress)
     if not execution.ticks:
         raise LogError("contains no tick", str(args.recorded), "a run with motor commands")
     draw_commands(
@@ -144,15 +147,15 @@ def _compare_with_other_gains(args: argparse.Namespace, log: Any) -> bool:
     )
     change = command_change(log, commands)
     if args.json:
-        first = execution.first._asdict() if execution.first else None
-        counts = {"ticks": execution.ticks, "differing": execution.differing, "first": first}
+        first = execution.first_difference._asdict() if execution.first_difference else None
+        counts = {"ticks": execution.ticks, "differing": execution.differing_ticks, "first": first}
         print_json(counts | {"gains": str(args.gains), "picture": str(picture), "change": change})
         return True
     print_escaped(
-        f"{execution.ticks} ticks, {execution.differing} with other commands or estimates"
+        f"{execution.ticks} ticks, {execution.differing_ticks} with other commands or estimates"
     )
-    if execution.first:
-        print_escaped(f"first: {_difference_line(execution.first)}")
+    if execution.first_difference:
+        print_escaped(f"first: {_difference_line(execution.first_difference)}")
     for unit, rows in change.items():
         for name, size in rows.items():
             print_escaped(f"{name:<18} {unit:<18} rms {size['rms']:.4g}, peak {size['peak']:.4g}")

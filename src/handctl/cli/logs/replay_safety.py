@@ -8,7 +8,7 @@ import argparse
 from handctl.cli.console.options import print_escaped, print_json, warn_if_lossy
 from handctl.cli.console.progress import progress_bar
 from handctl.log.read.reader import RunLog
-from handctl.replay.other_limits import judge_by_limits
+from handctl.replay.limits_judgement import judge_by_limits
 
 
 def run(args: argparse.Namespace) -> int:
@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
         f"the limits of the run in {judgement.stopped_logged}"
     )
     for stop in judgement.stops:
-        also = "as in the run" if stop.logged else "new"
+        also = "as in the run" if stop.in_logged_run else "new"
         place = f"tick {stop.k} ({stop.t_s:.3f} s)"
         print_escaped(
             f"{place}: {stop.fault} {stop.title}: {stop.instance} {stop.value:g}: {stop.action}, {also}"

@@ -11,16 +11,16 @@ from handctl.output import check_output, path_with_suffix
 def run(args: argparse.Namespace) -> int:
     """Write the HTML page about a run, and return the exit code."""
     from handctl.log.read.reader import RunLog
-    from handctl.replay.rebuild import logged_hand
+    from handctl.replay.controller_rebuild import logged_hand
     from handctl.report.run_page import write_page
-    from handctl.report.truth import read_truth
+    from handctl.report.truth_record import read_truth
 
     out = args.output or path_with_suffix(args.log, ".html")
     check_output(out, "--output", args.log, args.truth)
     truth = read_truth(args.truth) if args.truth else None
     with RunLog(args.log) as log:
         offset = log.header.truth_offset_ns
-        if truth and not truth.covers(log.t_ns + offset):
+        if truth and not truth.covers_times(log.t_ns + offset):
             raise LogError(
                 "was recorded at another time than the log",
                 str(args.truth),

@@ -29,13 +29,15 @@ def run(args: argparse.Namespace) -> int:
     from handctl.view.scene.run_info import RunInfo
 
     with RunLog(args.log, checked=False) as log:
-        run_info = replace(RunInfo.of(log.header, args.log.stem), truth=_find_truth(args, log))
+        run_info = replace(
+            RunInfo.from_header(log.header, args.log.stem), truth=_find_truth(args, log)
+        )
         at_s = _picture_moment_s(args, log) if args.picture else 0.0
         warning = log.warning
         scan = log.scan
     code = warn_if_lossy(args.log, warning)
-    if run_info.note:
-        print_escaped(f"handctl: caution: {args.log}: {run_info.note}", error=True)
+    if run_info.missing_mesh_note:
+        print_escaped(f"handctl: caution: {args.log}: {run_info.missing_mesh_note}", error=True)
     if args.save or args.picture:
         with progress_bar("drawing" if args.picture else "writing", quiet=args.json):
             result = _write_files(args, run_info, at_s)
@@ -43,7 +45,9 @@ def run(args: argparse.Namespace) -> int:
         result = {}
         _show_in_viewer(args.log, run_info, scan)
     if args.json:
-        print_json(result | {"log": args.log, "warning": warning, "note": run_info.note})
+        print_json(
+            result | {"log": args.log, "warning": warning, "note": run_info.missing_mesh_note}
+        )
     return code
 
 
@@ -53,13 +57,13 @@ def _find_truth(args: argparse.Namespace, log: Any) -> Any:
     Raises:
         LogError: the file that ``--truth`` names does not belong to this run.
     """
-    from handctl.report.truth import read_truth
+    from handctl.report.truth_record import read_truth
 
     beside = args.log.with_suffix(".truth")
     if args.truth is None and not (log.header.deterministic and beside.is_file()):
         return None
     truth = read_truth(args.truth or beside)
-    if truth.covers(log.t_ns + log.header.truth_offset_ns):
+    if truth.covers_times(log.t_ns + log.header.truth_offset_ns):
         return truth
     if args.truth is None:
         return None
@@ -109,7 +113,7 @@ def _check_options(args: argparse.Namespace) -> None:
 
 def _write_files(args: argparse.Namespace, run_info: Any, at_s: float) -> dict[str, Any]:
     """Write the requested recording and picture. Return the fields of the JSON result."""
-    from handctl.view.feed import write_rrd
+    from handctl.view.rerun_conversion import write_rrd
 
     result: dict[str, Any] = {}
     if args.save:
@@ -129,7 +133,7 @@ def _write_files(args: argparse.Namespace, run_info: Any, at_s: float) -> dict[s
 
 
 def _draw_picture(args: argparse.Namespace, rrd: Path, at_s: float) -> dict[str, Any]:
-    from handctl.view.picture import draw_recording
+    from handctl.view.dashboard_picture import draw_recording
 
     reports = draw_recording(rrd, at_s, args.picture)
     for report in reports:

@@ -10,9 +10,9 @@ import textwrap
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple, NoReturn
 
-from handctl.cli.parsing.renamed import new_spelling
+from handctl.cli.parsing.renamed_options import new_spelling
 from handctl.errors import ConfigError
-from handctl.printing import LONGEST_WORD, printable_text, similar_name
+from handctl.printing import MAX_WORD_CHARACTERS, printable_text, similar_name
 
 DOUBLE_DASH_AS_VALUE = re.compile(r"(--?[^=]+)=--")
 """Pattern for an option with the value ``--``. argparse would remove this value and fail without a message."""
@@ -29,21 +29,21 @@ class CommandExample(NamedTuple):
     """Example command line for a help text. The command works if pasted into a shell.
 
     Attributes:
-        line: the command line.
-        beside: commands that must run in other terminals at the same time.
+        command_line: the command line.
+        parallel_commands: commands that must run in other terminals at the same time.
     """
 
-    line: str
-    beside: tuple[str, ...] = ()
+    command_line: str
+    parallel_commands: tuple[str, ...] = ()
 
-    def epilog(self) -> str:
+    def help_epilog(self) -> str:
         """Return the end of a help text with the example. The last line is the command line."""
         beside = (
-            ["in other terminals:", *(f"  {command}" for command in self.beside)]
-            if self.beside
+            ["in other terminals:", *(f"  {command}" for command in self.parallel_commands)]
+            if self.parallel_commands
             else []
         )
-        return "\n".join([*beside, "example:", f"  {self.line}"])
+        return "\n".join([*beside, "example:", f"  {self.command_line}"])
 
 
 class HelpFormatter(argparse.HelpFormatter):
@@ -161,7 +161,7 @@ def _option_names(words: Iterable[str]) -> Iterable[str]:
 
 
 def _quote_word(word: str) -> str:
-    return repr(printable_text(word, LONGEST_WORD))
+    return repr(printable_text(word, MAX_WORD_CHARACTERS))
 
 
 def did_you_mean(word: str, names: Iterable[str]) -> str:
@@ -188,7 +188,9 @@ def add_sub_verb(
         example: example command line for the end of the help.
     """
     description = f"{text[0].upper()}{text[1:]}."
-    return sub_verbs.add_parser(name, help=text, description=description, epilog=example.epilog())
+    return sub_verbs.add_parser(
+        name, help=text, description=description, epilog=example.help_epilog()
+    )
 
 
 def check_words(words: Sequence[str]) -> None:

@@ -16,8 +16,8 @@ from typing import Any
 
 from handctl.cli.console.dry_run import report_dry_run
 from handctl.cli.console.options import (
-    perturb_words,
-    wire_words,
+    perturb_option_words,
+    wire_option_words,
 )
 from handctl.cli.console.plan import make_plan
 from handctl.cli.console.verbosity import print_note
@@ -29,7 +29,7 @@ from handctl.programs.task_program import TaskProgram
 from handctl.runtime.paths import truth_path
 from handctl.session.calibration import (
     IdentifiedByTendon,
-    identified_in,
+    identified_in_file,
     run_commissioning,
     write_calibration,
 )
@@ -45,7 +45,7 @@ from handctl.session.run import (
     run_lockstep,
 )
 from handctl.session.simulate import SimulatorSettings
-from handctl.session.tasks import find_scene, find_task
+from handctl.session.tasks import load_task_for_hand, scene_for_hand
 
 SIMULATOR_PACKAGE = "firmware_sim"
 START_TIMEOUT_S = 20.0
@@ -71,12 +71,12 @@ def _run_demo(args: argparse.Namespace) -> int:
         )
     args.bus = _bus_words(load_hand(args.hand).bus_names)
     plan = make_plan(args, lockstep=args.lockstep)
-    task, text = find_task(args.task, plan.hand)
-    args.scene = find_scene(args.scene, plan.hand)
+    task, text = load_task_for_hand(args.task, plan.hand)
+    args.scene = scene_for_hand(args.scene, plan.hand)
     gain_assignments(args.perturb, "--perturb")
-    identified = identified_in(args.calibration, plan.hand)
+    identified = identified_in_file(args.calibration, plan.hand)
     if args.dry_run:
-        _make_simulated_hand(args, None).check()
+        _make_simulated_hand(args, None).check_constructible()
         line = f"{plan.hand.name}: {task.name} on {args.scene}, {plan.rate_hz:g} Hz"
         return report_dry_run(args, plan, line, task=task.name, scene=args.scene)
     log = args.log or default_log(plan.hand, "demo")
@@ -151,7 +151,7 @@ def _run_in_lockstep(
 ) -> tuple[RunOutcome, Path]:
     """Run the demo in virtual time. Return the outcome and the path of the truth file."""
     truth = log.with_suffix(".truth")
-    with _make_simulated_hand(args, truth).clock(plan.period_ns) as clock:
+    with _make_simulated_hand(args, truth).lockstep_clock(plan.period_ns) as clock:
         runner = partial(run_lockstep, clock=clock)
         return _commission_and_run(plan, program, log, (runner, runner), identified), truth
 
@@ -184,12 +184,12 @@ def running_simulator(args: argparse.Namespace, plan: RunPlan) -> Iterator[None]
         BusError: the simulator does not start.
     """
     command = [sys.executable, "-m", SIMULATOR_PACKAGE, "--hand", str(args.hand)]
-    command += ["--scene", str(args.scene), "--seed", str(args.seed), *wire_words(args)]
+    command += ["--scene", str(args.scene), "--seed", str(args.seed), *wire_option_words(args)]
     command += [
         "--time-scale",
         str(plan.time_scale),
         *["--strict-clock"] * args.strict_clock,
-        *perturb_words(args),
+        *perturb_option_words(args),
     ]
     for name, spec in zip(plan.hand.bus_names, plan.buses, strict=True):
         command += ["--bus", f"{name}={spec}"]

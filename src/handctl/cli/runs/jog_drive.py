@@ -5,7 +5,7 @@ import math
 import sys
 from typing import Any
 
-from handctl.cli.console.bench import (
+from handctl.cli.console.bench_drive import (
     MAX_TORQUE_N_M,
     NOT_OFF_WARNING,
     WATCHDOG_MS,
@@ -48,11 +48,16 @@ def run(args: argparse.Namespace) -> int:
     options = parse_options(args.option)
     args.bus = args.bus[0]
     _describe_motion(args, options, None, goal)
-    line = f"{args.protocol} {args.node} on {args.bus} is moved: {_goal_text(goal)}, at most {goal.torque:g} N m"
+    limit = f"at most {goal.max_torque_N_m:g} N m"
+    line = f"{args.protocol} {args.node} on {args.bus} is moved: {_goal_text(goal)}, {limit}"
     if args.dry_run:
         if args.json:
             print_json(
-                {"mode": goal.mode.value, "setpoint": goal.target, "torque_limit_N_m": goal.torque}
+                {
+                    "mode": goal.mode.value,
+                    "setpoint": goal.target,
+                    "torque_limit_N_m": goal.max_torque_N_m,
+                }
             )
         else:
             print(f"would jog: {line}")
@@ -123,14 +128,14 @@ def _describe_motion(
         ConfigError: the protocol has no such mode or option.
     """
 
-    def make(motor: Motor) -> Drive:
+    def make_jog_drive(motor: Motor) -> Drive:
         if motor.protocol in ("odrive", "cia402"):
             motor = motor.model_copy(update={"position_range_rad": MAX_POSITION_RANGE_RAD})
         if goal.mode == DriveMode.FORCE_POSITION and node and "torque_max_N_m" in node.settings:
-            motor = _with_current_limit(motor, node.settings["torque_max_N_m"], goal.torque)
+            motor = _with_current_limit(motor, node.settings["torque_max_N_m"], goal.max_torque_N_m)
         return make_mode_drive(motor, 0, goal.mode, goal.limits)
 
-    return describe_drive(args, options, node, make)
+    return describe_drive(args, options, node, make_jog_drive)
 
 
 def _with_current_limit(motor: Motor, full_scale: float, torque: float) -> Motor:
@@ -160,7 +165,9 @@ def _goal_text(goal: JogGoal) -> str:
     motion = (
         f"{goal.mode.value} {goal.target:+g} {COMMAND_UNITS[goal.mode]} for {goal.duration_s:g} s"
     )
-    return f"{motion}, at most {goal.limits.speed:g} rad/s and {goal.travel:g} rad from here"
+    return (
+        f"{motion}, at most {goal.limits.speed:g} rad/s and {goal.max_travel_rad:g} rad from here"
+    )
 
 
 def _move_drive(
@@ -175,7 +182,7 @@ def _move_drive(
     with open_rig(args, drive) as (rig, bus):
         try:
             if args.clear:
-                rig.clear()
+                rig.clear_faults()
             result = jog_drive(rig, goal)
         finally:
             if result is None:
@@ -199,8 +206,8 @@ def _print_result(args: argparse.Namespace, goal: JogGoal, result: JogResult, of
     """Print the motion that the drive has reported."""
     if args.json:
         values = {
-            "moved_rad": result.moved_rad, "fastest_rad_s": result.fastest, "strongest_N_m": result.strongest,
-            "final_rad_s": result.final_speed,
+            "moved_rad": result.moved_rad, "fastest_rad_s": result.max_speed_rad_s,
+            "strongest_N_m": result.max_torque_N_m, "final_rad_s": result.final_speed_rad_s,
         }  # fmt: skip
         finite = {key: value if math.isfinite(value) else None for key, value in values.items()}
         done = {
@@ -212,9 +219,13 @@ def _print_result(args: argparse.Namespace, goal: JogGoal, result: JogResult, of
         print_json({**done, **finite, "confirmed_off": off, "failure": result.failure})
         return
     strongest = (
-        "no torque reported" if math.isnan(result.strongest) else f"{result.strongest:.3g} N m"
+        "no torque reported"
+        if math.isnan(result.max_torque_N_m)
+        else f"{result.max_torque_N_m:.3g} N m"
     )
-    print(f"moved {result.moved_rad:+.3f} rad, at most {result.fastest:.2f} rad/s, {strongest}")
+    print(
+        f"moved {result.moved_rad:+.3f} rad, at most {result.max_speed_rad_s:.2f} rad/s, {strongest}"
+    )
     if result.failure:
         print(f"stopped: {result.failure}", file=sys.stderr, flush=True)
     print("off, as reported by the drive" if off else "NOT confirmed off")

@@ -58,7 +58,9 @@ def write_in_protocol(args: argparse.Namespace) -> Path:
 
 def _hand_text(args: argparse.Namespace) -> str:
     """Return the text of the hand file with drives of ``args.protocol``."""
-    from handctl.campaign.stage import hand_with_protocol  # a slow import: the whole controller
+    from handctl.campaign.run_stages import (
+        hand_with_protocol,  # a slow import: the whole controller
+    )
 
     hand = hand_with_protocol(args.hand, args.protocol)
     return toml_text(with_meshes_from(hand.content, hand_path(args.hand).parent))

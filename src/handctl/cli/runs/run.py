@@ -18,10 +18,10 @@ from handctl.programs.program import Program
 from handctl.programs.task_program import TaskProgram
 from handctl.runtime.paths import truth_path
 from handctl.session.calibration import ensure_calibration
-from handctl.session.pace import pace_advice
 from handctl.session.plan import RunPlan, commission_log, default_log
 from handctl.session.run import RunOutcome, make_controller, refuse_view_without_screen, run_live
-from handctl.session.tasks import find_task, find_trajectory
+from handctl.session.tasks import load_task_for_hand, load_trajectory_for_hand
+from handctl.session.time_scale_advice import pace_advice
 
 
 def run(args: argparse.Namespace) -> int:
@@ -31,7 +31,8 @@ def run(args: argparse.Namespace) -> int:
     program, attached = _program_of_task(args, plan)
     path, calibration, reason = find_calibration(args, plan.hand)
     if args.dry_run:
-        summary = f"{plan.hand.name}: all files are valid; {plan.rate_hz:g} Hz, bus load {100 * max(plan.load):.0f} %"
+        load = f"bus load {100 * max(plan.bus_loads):.0f} %"
+        summary = f"{plan.hand.name}: all files are valid; {plan.rate_hz:g} Hz, {load}"
         next_step = (
             f"the hand would be commissioned first: {reason}"
             if reason
@@ -73,11 +74,11 @@ def _program_of_task(args: argparse.Namespace, plan: RunPlan) -> tuple[Program, 
         if getattr(args, name) is not None:
             raise ConfigError(f"{getattr(args, name):g}", f"--{name}", "only with --dataset")
     if args.trajectory is not None:
-        task = find_trajectory(args.trajectory, plan.hand)
+        task = load_trajectory_for_hand(args.trajectory, plan.hand)
         return TaskProgram(task), {"task.toml": toml_text(task.model_dump(by_alias=True)).encode()}
     if args.task is None:
         return LiveProgram(), {}
-    task, text = find_task(args.task, plan.hand)
+    task, text = load_task_for_hand(args.task, plan.hand)
     return TaskProgram(task), {"task.toml": text}
 
 

@@ -6,19 +6,19 @@ import subprocess
 import sys
 
 from handctl.cli.console.options import (
-    perturb_words,
+    perturb_option_words,
     print_json,
-    wire_words,
+    wire_option_words,
 )
 from handctl.cli.runs.other_protocol import hand_in_protocol, path_in_protocol, write_in_protocol
 from handctl.hand.hand_loading import load_hand
 from handctl.session.gains import gain_assignments
-from handctl.session.tasks import find_scene
+from handctl.session.tasks import scene_for_hand
 
 
 def run(args: argparse.Namespace) -> int:
     """Replace this process by the simulator."""
-    args.scene = find_scene(args.scene, load_hand(args.hand))
+    args.scene = scene_for_hand(args.scene, load_hand(args.hand))
     if args.dry_run:
         return _check_and_print(args)
     if args.protocol:
@@ -35,7 +35,7 @@ def _simulator_command(args: argparse.Namespace, hand: str) -> list[str]:
         command += ["--bus", bus]
     gain_assignments(args.perturb, "--perturb")
     command += [word for serial in args.serial for word in ("--serial", serial)]
-    return command + wire_words(args) + perturb_words(args) + ["--json"] * args.json
+    return command + wire_option_words(args) + perturb_option_words(args) + ["--json"] * args.json
 
 
 def _check_and_print(args: argparse.Namespace) -> int:

@@ -4,7 +4,7 @@ import argparse
 
 from handctl.cli.console.buses import controller_bus
 from handctl.cli.console.options import print_json
-from handctl.runtime.confirm import request_action
+from handctl.runtime.confirmed_requests import request_action
 
 
 def run(args: argparse.Namespace) -> int:

@@ -38,24 +38,24 @@ def fault(parser: VerbParser) -> None:
         dest="action", required=True, metavar="inject|list|kinds|campaign|sequences"
     )
 
-    def action(name: str, text: str) -> VerbParser:
+    def add_action(name: str, text: str) -> VerbParser:
         return add_sub_verb(actions, name, text, EXAMPLES[f"fault {name}"])
 
-    inject = action("inject", "start a fault in a running simulator")
+    inject = add_action("inject", "start a fault in a running simulator")
     inject.description = FAULT_SYNTAX
     text = 'fault and its parameters, as in "drop node=3 p=0.05 at=3s for=2s"'
     inject.add_argument("text", metavar="FAULT", help=text)
-    listed = action(
+    listed = add_action(
         "list", "list the faults of a running simulator, and how often each took effect"
     )
-    kinds = action("kinds", "list the faults that a running simulator can inject")
+    kinds = add_action("kinds", "list the faults that a running simulator can inject")
     for sub in (inject, listed, kinds):
         text = "bus of the simulator (default: that of the only running simulator)"
         sub.add_argument("--bus", metavar="SPEC", help=text)
         add_json_option(sub)
-    _declare_campaign(action("campaign", "inject every fault of the fault matrix in lockstep"))
+    _declare_campaign(add_action("campaign", "inject every fault of the fault matrix in lockstep"))
     _declare_sequences(
-        action(
+        add_action(
             "sequences", "inject random sequences of faults in lockstep, and check the safety rules"
         )
     )

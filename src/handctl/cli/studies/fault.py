@@ -5,7 +5,7 @@ import argparse
 from handctl.cli.console.options import print_json
 from handctl.runtime.simulator import ask_simulator, find_simulator
 
-MAX_NAMES = 8
+MAX_PRINTED_INSTANCES = 8
 """Largest number of names of instances that are printed in one line."""
 
 
@@ -49,6 +49,8 @@ def _print_kinds(args: argparse.Namespace) -> int:
     print()
     names = {component: names for kind in kinds for component, names in kind["on"].items()}
     for component, instances in names.items():
-        shown = ", ".join(instances[:MAX_NAMES]) + (", ..." if len(instances) > MAX_NAMES else "")
+        shown = ", ".join(instances[:MAX_PRINTED_INSTANCES]) + (
+            ", ..." if len(instances) > MAX_PRINTED_INSTANCES else ""
+        )
         print(f"{component:10} {shown or 'none'}")
     return 0

@@ -8,14 +8,14 @@ from pathlib import Path
 
 from handctl.campaign.campaign import CampaignReport
 from handctl.campaign.campaign import run_campaign as run_campaign
-from handctl.campaign.page import summary_lines, write_page
+from handctl.campaign.campaign_page import summary_lines, write_page
+from handctl.campaign.fault_matrix import ALL_PROTOCOLS, FAULT_MATRIX, scenarios_of_hand
+from handctl.campaign.run_stages import hand_with_protocol
 from handctl.campaign.scenario_run import ScenarioResult
-from handctl.campaign.scenarios import ALL_PROTOCOLS, FAULT_MATRIX, scenarios_of_hand
-from handctl.campaign.stage import hand_with_protocol
 from handctl.cli.console.options import check_seed, print_json
 from handctl.cli.console.progress import progress_bar
 from handctl.errors import ConfigError
-from handctl.log.record import pack_tick_record
+from handctl.log.tick_record import pack_tick_record
 from handctl.log.write.recorder import Recorder
 from handctl.output import write_text_atomically
 from handctl.session.exit_codes import ExitCode
@@ -28,7 +28,7 @@ QUICK_FAULT_FREE_S = 4.0
 FAULT_FREE_S = 60.0
 """Simulated time of the runs without faults for each protocol, in a full campaign [s]."""
 MAX_JOBS = 64
-FIRST_LABEL = "bringing the hand to its stages"
+FIRST_PROGRESS_LABEL = "bringing the hand to its stages"
 MAX_FAULT_FREE_S = 86_400.0
 
 
@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     fault_free_s = (
         args.calm if args.calm is not None else QUICK_FAULT_FREE_S if args.quick else FAULT_FREE_S
     )
-    with progress_bar(FIRST_LABEL, quiet=args.json) as update_progress:
+    with progress_bar(FIRST_PROGRESS_LABEL, quiet=args.json) as update_progress:
         report = run_campaign(
             args.hand,
             protocols,
@@ -75,9 +75,9 @@ def run(args: argparse.Namespace) -> int:
             seed=args.seed,
         )
     write_page(folder / "report.html", report)
-    write_text_atomically(folder / "report.json", json.dumps(report.plain(), indent=1))
+    write_text_atomically(folder / "report.json", json.dumps(report.as_json(), indent=1))
     _print_report(report, folder, args.json)
-    figures = report.plain()
+    figures = report.as_json()
     return ExitCode.FAILED if figures["late"] or figures["false_alarms"] else ExitCode.DONE
 
 
@@ -90,7 +90,7 @@ def report_folder(args: argparse.Namespace) -> Path:
 
 def _print_report(report: CampaignReport, folder: Path, as_json: bool) -> None:
     if as_json:
-        print_json(report.plain() | {"report": folder / "report.html"})
+        print_json(report.as_json() | {"report": folder / "report.html"})
         return
     for line in summary_lines(report):
         print(line)
@@ -109,8 +109,8 @@ def failure_log_writer(folder: Path) -> Callable[[SimulatedRun, ScenarioResult],
         recorder = Recorder.start(
             path, run_header(plan, simulation.controller, None, lockstep=True)
         )
-        for entry, out in simulation.recorded:
-            recorder.record(pack_tick_record(entry, out))
+        for entry, out in simulation.recorded_ticks:
+            recorder.send_record(pack_tick_record(entry, out))
         recorder.close(result.problem)
 
     return write_log

@@ -4,11 +4,11 @@ import argparse
 from typing import Any
 
 from handctl.campaign import sequences
-from handctl.campaign.stage import hand_with_protocol
+from handctl.campaign.run_stages import hand_with_protocol
 from handctl.cli.console.options import check_seed, print_json
 from handctl.cli.console.progress import progress_bar
 from handctl.cli.studies.fault_campaign import (
-    FIRST_LABEL,
+    FIRST_PROGRESS_LABEL,
     MAX_JOBS,
     failure_log_writer,
     report_folder,
@@ -17,14 +17,14 @@ from handctl.errors import ConfigError
 from handctl.session.exit_codes import ExitCode
 from handctl.session.plan import default_rate
 
-MAX_COUNT = 1_000_000
+MAX_SEQUENCES = 1_000_000
 
 
 def run(args: argparse.Namespace) -> int:
     """Run random sequences of faults, and report the violated rules. Return the exit code."""
     for name, value, maximum in (
         ("--jobs", args.jobs, MAX_JOBS),
-        ("--count", args.count, MAX_COUNT),
+        ("--count", args.count, MAX_SEQUENCES),
     ):
         if not 1 <= value <= maximum:
             raise ConfigError(f"{value}", name, f"1 to {maximum}")
@@ -32,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
     hand = hand_with_protocol(args.hand, args.protocol)
     folder = report_folder(args)
     seeds = range(args.seed, args.seed + args.count)
-    with progress_bar(FIRST_LABEL, quiet=args.json) as update_progress:
+    with progress_bar(FIRST_PROGRESS_LABEL, quiet=args.json) as update_progress:
         results = sequences.run_sequences(
             hand,
             args.protocol,
@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
         "worst_tension_N": max(result.tension for result in results),
     }
     if args.json:
-        print_json(figures | {"results": [result.plain() for result in broken]})
+        print_json(figures | {"results": [result.as_json() for result in broken]})
     else:
         print(
             f"{len(results)} sequences, {figures['felt']} faults with an effect; {len(broken)} violated a rule"

@@ -23,8 +23,8 @@ from handctl.paper.bench.experiments import (
     run_experiments,
 )
 from handctl.paper.bench.pool import worker_pool
+from handctl.paper.errata_item import ErrataVerdict
 from handctl.paper.figures.gallery import draw_all_figures
-from handctl.paper.item import ErrataVerdict
 from handctl.paper.page import items_as_json, page_as_html, page_as_markdown, value_text
 from handctl.paper.sections import PageSection, count_by_verdict, page_sections
 from handctl.session.exit_codes import ExitCode
@@ -112,12 +112,12 @@ def _measure_all(jobs: int) -> dict[str, Any]:
     done = 0
     with progress_bar("starting the simulator", job_count()) as update_progress:
 
-        def at(job: ExperimentJob, finished: bool) -> None:
+        def show_job(job: ExperimentJob, finished: bool) -> None:
             nonlocal done
             done += finished
             update_progress(done, label=None if finished else job_description(job))
 
-        with worker_pool(jobs, at) as workers:
+        with worker_pool(jobs, show_job) as workers:
             return run_experiments(workers)
 
 

@@ -28,7 +28,7 @@ from handctl.cli.parsing.parser import (
     add_sub_verb,
 )
 
-NEW_GAINS = "printf 'schema = 1\\n[motion]\\nforce_N = 12.0\\n' > new.toml;"
+WRITE_GAINS_COMMAND = "printf 'schema = 1\\n[motion]\\nforce_N = 12.0\\n' > new.toml;"
 """Shell command that writes a small gains file."""
 
 EXAMPLES = {
@@ -39,7 +39,7 @@ EXAMPLES = {
     "gains show": CommandExample("handctl gains show --hand jamia"),
     "gains diff": CommandExample("handctl gains diff packaged present --hand jamia"),
     "gains apply": CommandExample(
-        f"{NEW_GAINS} handctl gains apply new.toml --hand jamia --note 'a softer motion loop'"
+        f"{WRITE_GAINS_COMMAND} handctl gains apply new.toml --hand jamia --note 'a softer motion loop'"
     ),
     "gains rollback": CommandExample("handctl gains rollback --to 0 --hand jamia"),
     "gains log": CommandExample("handctl gains log --hand jamia"),
@@ -54,7 +54,7 @@ EXAMPLES = {
         "handctl tune search --hand jamia --plants 1 --trials 2 --output found.toml"
     ),
     "tune verify": CommandExample(
-        f"{NEW_GAINS} handctl tune verify new.toml --hand jamia --lockstep --dry-run"
+        f"{WRITE_GAINS_COMMAND} handctl tune verify new.toml --hand jamia --lockstep --dry-run"
     ),
 }
 """Example command line for the help of each command and subcommand."""
@@ -89,18 +89,18 @@ def gains(parser: VerbParser) -> None:
         dest="what", required=True, metavar="show|diff|apply|rollback|log|set"
     )
 
-    def kind(name: str, text: str) -> VerbParser:
+    def add_kind(name: str, text: str) -> VerbParser:
         one = add_sub_verb(kinds, name, text, EXAMPLES[f"gains {name}"])
         add_json_option(one)
         if name != "set":  # no --hand for set: the running controller has loaded its hand
             add_hand_option(one)
         return one
 
-    add_gains_options(kind("show", "show every gain: value, source, meaning, unit and bounds"))
-    diff = kind("diff", "compare two sets of gains")
+    add_gains_options(add_kind("show", "show every gain: value, source, meaning, unit and bounds"))
+    diff = add_kind("diff", "compare two sets of gains")
     text = "one or two of: a file, a log, a number of the history, present, packaged (default: packaged present)"
     diff.add_argument("sides", nargs="*", default=[], metavar="GAINS", help=text)
-    apply = kind("apply", "use the gains of a file in all later runs")
+    apply = add_kind("apply", "use the gains of a file in all later runs")
     apply.add_argument("file", type=Path, metavar="FILE", help="gains file")
     for option, name, meaning in (
         ("--calibration", "fit", "calibration with the identified parameters, for the history"),
@@ -112,12 +112,12 @@ def gains(parser: VerbParser) -> None:
     apply.add_argument(
         "--from-log", dest="log", action="append", type=Path, default=[], metavar="LOG", help=text
     )
-    back = kind("rollback", "use earlier gains again")
+    back = add_kind("rollback", "use earlier gains again")
     back.add_argument(
         "--to", type=int, metavar="N", help="number in the history, 0 for the packaged gains"
     )
-    kind("log", "list all gains that were applied")
-    live = kind("set", "change gains of a running controller, without a step in torque")
+    add_kind("log", "list all gains that were applied")
+    live = add_kind("set", "change gains of a running controller, without a step in torque")
     live.add_argument("values", nargs="+", metavar="KEY=VALUE", help="gains and their new values")
     add_bus_option(live)
 

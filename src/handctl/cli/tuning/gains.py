@@ -22,7 +22,7 @@ from handctl.hand.description import Hand
 from handctl.hand.hand_loading import load_hand
 from handctl.programs.requests import REFUSED_PREFIX
 from handctl.session.exit_codes import ExitCode
-from handctl.session.gains import gain_assignments, gains_for
+from handctl.session.gains import gain_assignments, read_gains_for_hand
 from handctl.session.plan import check_gain_margins
 from handctl.tune.gains_store import GainsStore, StoredGains
 
@@ -123,18 +123,20 @@ def _gains_to_compare(word: str, hand: Hand) -> Gains:
     if word == "packaged":
         return packaged_gains(hand.name)
     if word == "present":
-        present = store.present()
+        present = store.present_gains()
         return present.gains if present else packaged_gains(hand.name)
     if word.isdecimal():
-        entries = {str(entry.number): entry.file.gains for entry in store.entries()}
+        entries = {str(entry.number): entry.file.gains for entry in store.history_entries()}
         if word.lstrip("0") not in entries:
             raise ConfigError(
-                f"no gains number {word}", str(store.history), "one that handctl gains log lists"
+                f"no gains number {word}",
+                str(store.history_folder),
+                "one that handctl gains log lists",
             )
         return entries[word.lstrip("0")]
     if word.endswith(".mcap"):
         from handctl.log.read.reader import RunLog
-        from handctl.replay.rebuild import logged_gains
+        from handctl.replay.controller_rebuild import logged_gains
 
         with RunLog(Path(word)) as log:
             return logged_gains(log)
@@ -143,7 +145,7 @@ def _gains_to_compare(word: str, hand: Hand) -> Gains:
 
 def _apply_file(args: argparse.Namespace, hand: Hand) -> int:
     """Make the gains of a file the present gains of the hand."""
-    file = gains_for(hand, args.file, print_notice)
+    file = read_gains_for_hand(hand, args.file, print_notice)
     check_gain_margins(hand, file.gains)
     options = {
         "fit": args.fit,
@@ -156,7 +158,7 @@ def _apply_file(args: argparse.Namespace, hand: Hand) -> int:
     )
     store = GainsStore(hand.name, hand.identity)
     _rename_unusable(store)
-    return _report_done(args, store, store.apply(file.gains, provenance).provenance)
+    return _report_done(args, store, store.apply_gains(file.gains, provenance).provenance)
 
 
 def _roll_back(args: argparse.Namespace, hand: Hand) -> int:
@@ -165,10 +167,10 @@ def _roll_back(args: argparse.Namespace, hand: Hand) -> int:
     If the file of the present gains cannot be used, the newest entry of the history is the default.
     """
     store = GainsStore(hand.name, hand.identity)
-    entries = store.entries()
+    entries = store.history_entries()
     newest = entries[-1].number if entries else 0
     to = newest if _rename_unusable(store) and args.to is None else args.to
-    return _report_done(args, store, store.rollback(to).provenance)
+    return _report_done(args, store, store.roll_back(to).provenance)
 
 
 def _rename_unusable(store: GainsStore) -> bool:
@@ -195,9 +197,9 @@ def _report_done(args: argparse.Namespace, store: GainsStore, provenance: GainsP
 def _print_history(args: argparse.Namespace, hand: Hand) -> int:
     """Print the history of the gains applied to the hand, and mark the present entry."""
     store = GainsStore(hand.name)
-    entries = store.entries()
+    entries = store.history_entries()
     try:
-        present = store.present()
+        present = store.present_gains()
     except ConfigError as error:
         print_escaped(
             f"handctl: {error}; handctl gains rollback brings back number {entries[-1].number if entries else 0}",
@@ -242,14 +244,14 @@ def _change_live_gains(args: argparse.Namespace) -> int:
 
     If a value is invalid, an error is raised before a request is sent.
     """
-    from handctl.runtime.confirm import open_watcher, send_with_confirmation
+    from handctl.runtime.confirmed_requests import open_watcher, send_with_confirmation
 
     values = gain_assignments(args.values, "gains set")
     with_values(Gains(), values, "gains set", live=True)
     bus = controller_bus(args)
     watcher = open_watcher(bus, "gains")
     try:
-        watcher.fresh_line(GAIN_CHANGE_TIMEOUT_S)
+        watcher.request_line(GAIN_CHANGE_TIMEOUT_S)
         line, texts = send_with_confirmation(watcher, {"do": "gains", "set": values})
         for text in texts:
             _raise_refusal(text)
@@ -276,7 +278,7 @@ def _wait_for_answers(
         UnconfirmedError: the controller does not confirm the gains in time.
     """
     texts: dict[str, str] = {}
-    for line in itertools.chain((taken,), watcher.lines(GAIN_CHANGE_TIMEOUT_S)):
+    for line in itertools.chain((taken,), watcher.status_lines(GAIN_CHANGE_TIMEOUT_S)):
         for event in line["events"]:
             if event["name"] == "gain" and event["where"] in values:
                 texts[event["where"]] = event["text"]

@@ -27,7 +27,7 @@ from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.calibration import Calibration, load_calibration
 from handctl.programs.excitation import ExciteProgram
-from handctl.replay.rebuild import logged_hand
+from handctl.replay.controller_rebuild import logged_hand
 from handctl.runtime.hold_limit import HoldLimit
 from handctl.session.calibration import (
     ensure_calibration,
@@ -101,7 +101,7 @@ def run(args: argparse.Namespace) -> int:
         held = HoldLimit()
         outcome = run_live(plan, controller, log, observer=held)
         held.refuse_stopped(f"identifying {plan.hand.name}, log {log}")
-    outcome.refuse_unfinished(f"identifying {plan.hand.name}, log {log}")
+    outcome.check_finished(f"identifying {plan.hand.name}, log {log}")
     with RunLog(log) as record:
         results = identify_tendons(record, plan.hand, print_note)
     return _report_results(args, plan.hand, {log: results}, path, calibration)
@@ -118,7 +118,7 @@ def _in_lockstep(
     simulator = SimulatorSettings(
         args.hand, seed=args.seed, perturb=perturb, truth=log.with_suffix(".truth")
     )
-    with simulator.clock(plan.period_ns) as clock:
+    with simulator.lockstep_clock(plan.period_ns) as clock:
         print_note(about)
         return _commission_and_excite(plan, program, log, partial(run_lockstep, clock=clock))
 
@@ -205,11 +205,15 @@ def _report_results(
         path, hand, calibration.drive if calibration else {}, print_notice
     )
     every = [one for tendons in results.values() for one in tendons.values()]
-    spoilt = {one.data.digit: one.blocked for one in every if one.blocked}
-    met = {one.data.digit: one.contact for one in every if one.contact and not one.blocked}
+    spoilt = {one.data.digit: one.blocked_event for one in every if one.blocked_event}
+    met = {
+        one.data.digit: one.contact_text
+        for one in every
+        if one.contact_text and not one.blocked_event
+    }
     any_identified = False
     for log, tendons in results.items():
-        new = {name: one.identified(log, made) for name, one in tendons.items()}
+        new = {name: one.calibration_entry(log, made) for name, one in tendons.items()}
         any_identified = any_identified or any(one is not None for one in new.values())
         identified |= {
             name: one.beside(identified.get(name)) for name, one in new.items() if one is not None

@@ -11,9 +11,9 @@ from handctl.cli.console.plan import layered_gains
 from handctl.cli.console.screen import rich_console
 from handctl.cli.console.verbosity import is_quiet
 from handctl.cli.tuning.tune_files import (
+    ensemble_of_tuned_hand,
     load_tuned_hand,
     output_files,
-    plants_of,
     verify_command,
     write_gains,
 )
@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
     The command fails if the stability margins are too small.
     """
     from handctl.tune.loops.design import GainDesign, design_gains, linear_factors, model_with_gains
-    from handctl.tune.loops.steps import RestTest
+    from handctl.tune.loops.step_tests import RestTest
     from handctl.tune.plots import draw_loops
 
     if args.poles is None and args.damping != 1.0:
@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
     gains = layered_gains(args, hand).gains
     rate = control_rate(args.rate, hand, bus_loads(hand))
     out, picture = output_files(args, hand.name, "design")
-    factors = plants_of(args, spread, 1024)
+    factors = ensemble_of_tuned_hand(args, spread, 1024)
     plants = tuple(linear_factors(one) for one in factors)
     model = HandModel.from_hand(twin, gains, rate)
     proof = RestTest(twin, factors, plants, args.seed)
@@ -114,8 +114,12 @@ def _result_fields(
         "picture": str(picture),
         "rate_hz": rate,
         "plants": plants,
-        "before": {f"{name}/{kind}": asdict(one) for (name, kind), one in result.before.items()},
-        "after": {f"{name}/{kind}": asdict(one) for (name, kind), one in result.after.items()},
+        "before": {
+            f"{name}/{kind}": asdict(one) for (name, kind), one in result.margins_before.items()
+        },
+        "after": {
+            f"{name}/{kind}": asdict(one) for (name, kind), one in result.margins_after.items()
+        },
         "worst_before": asdict(result.worst_before),
         "worst_after": asdict(result.worst_after),
         "enough": result.worst_after.are_sufficient,
@@ -133,10 +137,10 @@ def _print_design(result: Any, rate: float, plants: int) -> None:
     for heading in ("tendon", "loop", "gain dB", "phase deg", "disk", "delay ms", "cross Hz"):
         table.add_column(heading, no_wrap=True)
     alike: dict[tuple[str, ...], list[str]] = {}
-    for (name, kind), after in result.after.items():
-        alike.setdefault((str(kind), *_margin_cells(result.before[name, kind], after)), []).append(
-            name
-        )
+    for (name, kind), after in result.margins_after.items():
+        alike.setdefault(
+            (str(kind), *_margin_cells(result.margins_before[name, kind], after)), []
+        ).append(name)
     for (kind, *cells), names in alike.items():
         more = f" + {len(names) - 1}" if len(names) > 1 else ""
         table.add_row(names[0].removesuffix("_tendon") + more, kind, *cells)
@@ -148,7 +152,7 @@ def _print_design(result: Any, rate: float, plants: int) -> None:
 def _margin_cells(before: Any, after: Any) -> list[str]:
     from handctl.tune.loops.margins import MAX_DELAY_S, MAX_GAIN_DB
 
-    def one(margins: Any, name: str, scale: float, digits: int) -> str:
+    def margin_text(margins: Any, name: str, scale: float, digits: int) -> str:
         limit = {"gain_db": MAX_GAIN_DB, "delay_s": MAX_DELAY_S}.get(name, math.inf)
         value = getattr(margins, name)
         if not margins.stable:
@@ -159,13 +163,13 @@ def _margin_cells(before: Any, after: Any) -> list[str]:
             else f"{'>' if value >= limit else ''}{value * scale:.{digits}f}"
         )
 
-    def pair(name: str, scale: float = 1.0, digits: int = 1) -> str:
-        return f"{one(before, name, scale, digits)}\u2192{one(after, name, scale, digits)}"
+    def before_and_after_text(name: str, scale: float = 1.0, digits: int = 1) -> str:
+        return f"{margin_text(before, name, scale, digits)}\u2192{margin_text(after, name, scale, digits)}"
 
     return [
-        pair("gain_db"),
-        pair("phase_deg", 1.0, 0),
-        pair("disk", 1.0, 2),
-        pair("delay_s", 1e3),
-        pair("crossover_hz", 1.0, 0),
+        before_and_after_text("gain_db"),
+        before_and_after_text("phase_deg", 1.0, 0),
+        before_and_after_text("disk", 1.0, 2),
+        before_and_after_text("delay_s", 1e3),
+        before_and_after_text("crossover_hz", 1.0, 0),
     ]

@@ -5,7 +5,7 @@ import shlex
 from pathlib import Path
 from typing import NamedTuple
 
-from handctl.cli.console.options import checked_count, perturb_words
+from handctl.cli.console.options import checked_count, perturb_option_words
 from handctl.cli.console.plan import check_perturb
 from handctl.core.gains.gains import Gains, GainsProvenance, gains_text
 from handctl.core.identified_parameters import identified_hand
@@ -13,7 +13,7 @@ from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import load_hand
 from handctl.output import check_output, path_with_suffix, write_text_atomically
-from handctl.session.calibration import identified_in
+from handctl.session.calibration import identified_in_file
 from handctl.tune.search.ensemble import draw_ensemble, ensemble_widths
 
 
@@ -37,7 +37,7 @@ def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, 
     return out, picture
 
 
-def plants_of(
+def ensemble_of_tuned_hand(
     args: argparse.Namespace, spread: dict[str, float], maximum: int
 ) -> tuple[dict[str, float], ...]:
     """Return the parameter factors of the plants for tuning: an ensemble around the best estimate of the hand.
@@ -70,7 +70,7 @@ def same_hand_words(args: argparse.Namespace) -> list[str]:
     words = ["--gains", str(args.gains)] if args.gains else []
     words += [word for gain in args.gain or () for word in ("--gain", gain)]
     words += ["--rate", f"{args.rate:g}"] if args.rate else []
-    return words + perturb_words(args)
+    return words + perturb_option_words(args)
 
 
 def write_gains(
@@ -89,15 +89,15 @@ class TunedHand(NamedTuple):
     Attributes:
         hand: hand with the parameters of the hand file. Gains files record name and identity of
             this hand.
-        twin: hand with the identified parameters instead of those in the file. The twin is the
+        identified_hand: hand with the identified parameters instead of those in the file. The twin is the
             controller's model, as in a run with this calibration, and the center of the ensemble.
-        spread: half widths of the ensemble, as the identification gives them, see
+        factor_spread: half widths of the ensemble, as the identification gives them, see
             ``draw_ensemble``.
     """
 
     hand: Hand
-    twin: Hand
-    spread: dict[str, float]
+    identified_hand: Hand
+    factor_spread: dict[str, float]
 
 
 def load_tuned_hand(name: str, fit: Path | None) -> TunedHand:
@@ -114,5 +114,5 @@ def load_tuned_hand(name: str, fit: Path | None) -> TunedHand:
     hand = load_hand(name)
     if fit is None:
         return TunedHand(hand, hand, {})
-    identified = identified_in(fit, hand)
+    identified = identified_in_file(fit, hand)
     return TunedHand(hand, identified_hand(hand, identified), ensemble_widths(identified))

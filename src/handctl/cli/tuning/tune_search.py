@@ -14,9 +14,9 @@ from handctl.cli.console.plan import layered_gains
 from handctl.cli.console.screen import rich_console
 from handctl.cli.console.verbosity import is_quiet
 from handctl.cli.tuning.tune_files import (
+    ensemble_of_tuned_hand,
     load_tuned_hand,
     output_files,
-    plants_of,
     verify_command,
     write_gains,
 )
@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
     gains = layered_gains(args, hand).gains
     rate = control_rate(args.rate, hand, bus_loads(hand))
     out, picture = output_files(args, hand.name, "search")
-    plants = plants_of(args, spread, 256)
+    plants = ensemble_of_tuned_hand(args, spread, 256)
     trials = checked_count(args.trials, "--trials", 100_000)
     crew_size = checked_count(args.jobs, "--jobs", 64)
     storage = args.study or Path(f"{hand.name}.study")
@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
         )
         crew = make_workers(crew_size, args.scheduler)
         try:
-            result = run_search(plan, storage, crew, progress.show)
+            result = run_search(plan, storage, crew, progress.show_result)
         except KeyboardInterrupt as error:
             raise type(error)(f"interrupted; the same command continues with {storage}") from None
         finally:
@@ -149,13 +149,13 @@ class _SearchProgress:
     def __exit__(self, *error: object) -> None:
         self._bar.stop()
 
-    def show(self, result: Any) -> None:
+    def show_result(self, result: Any) -> None:
         """Update the display of the search after a trial.
 
         Without a terminal, the display prints at most one line in 5 s.
         """
         text = (
-            f"best {result.cost(result.best):.3f}, trial {result.best.number}"
+            f"best {result.relative_cost(result.best):.3f}, trial {result.best.number}"
             if result.best
             else "none feasible yet"
         )
@@ -176,9 +176,9 @@ def _report_fields(result: Any, storage: Path, out: Path | None, picture: Path) 
     return {
         "trials": len(result.trials),
         "good": sum(one.is_feasible for one in result.trials),
-        "best": best_fields and best_fields | {"cost": result.cost(best)},
+        "best": best_fields and best_fields | {"cost": result.relative_cost(best)},
         "first": asdict(first.score),
-        "front": list(result.front),
+        "front": list(result.pareto_front),
         "study": str(storage),
         "gains": out,
         "picture": str(picture),

@@ -16,9 +16,9 @@ from handctl.cli.console.plan import check_perturb, find_calibration, make_plan,
 from handctl.cli.console.screen import rich_console
 from handctl.cli.console.verbosity import print_note
 from handctl.errors import ConfigError
-from handctl.session.calibration import ensure_calibration, homed_calibration, identified_in
+from handctl.session.calibration import ensure_calibration, homed_calibration, identified_in_file
 from handctl.session.exit_codes import ExitCode
-from handctl.session.gains import gain_assignments, gains_for
+from handctl.session.gains import gain_assignments, read_gains_for_hand
 from handctl.session.plan import RunPlan, check_gain_margins, commission_log, default_log
 from handctl.session.run import RunOutcome, make_controller, run_live, run_lockstep
 from handctl.session.simulate import SimulatorSettings
@@ -27,7 +27,7 @@ from handctl.session.simulate import SimulatorSettings
 def run(args: argparse.Namespace) -> int:
     """Verify new gains on the hand. Return 0 only if the new gains pass at full amplitude."""
     from handctl.programs.exercise import ExerciseProgram
-    from handctl.tune.verify import ROUND_AMPLITUDES, VerifyObserver
+    from handctl.tune.gains_verification import ROUND_AMPLITUDES, VerifyObserver
 
     if bool(args.bus) == args.lockstep:
         raise ConfigError(
@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
     if args.lockstep:
         refuse_bus_options(args)
     plan = make_plan(args, lockstep=args.lockstep)
-    new = gains_for(plan.hand, args.candidate, plan.tell)
+    new = read_gains_for_hand(plan.hand, args.candidate, plan.show_notice)
     check_gain_margins(plan.hand, new.gains, plan.rate_hz)
     old = plan.gains
     base = old.model_copy(update={"filter": new.gains.filter})
@@ -86,12 +86,12 @@ def _run_once(
             calibration = ensure_calibration(plan, path, reason, run_live, commission_log(log))
         controller = make_controller(plan, program, calibration, True)
         return run_live(plan, controller, log, observer=observer), None
-    calibration = homed_calibration(plan.hand, identified_in(args.calibration, plan.hand))
+    calibration = homed_calibration(plan.hand, identified_in_file(args.calibration, plan.hand))
     truth = log.with_suffix(".truth")
     perturb = gain_assignments(args.perturb, "--perturb")
-    with SimulatorSettings(args.hand, None, args.seed, perturb, homed=True, truth=truth).clock(
-        plan.period_ns
-    ) as clock:
+    with SimulatorSettings(
+        args.hand, None, args.seed, perturb, homed=True, truth=truth
+    ).lockstep_clock(plan.period_ns) as clock:
         return run_lockstep(
             plan, make_controller(plan, program, calibration, True), log, clock, observer
         ), truth
@@ -105,9 +105,9 @@ def _judge_run(
     Return the fields of the JSON result.
     """
     from handctl.log.read.reader import RunLog
-    from handctl.report.truth import read_truth
+    from handctl.report.truth_record import read_truth
+    from handctl.tune.gains_verification import ROUND_AMPLITUDES, scores_by_round
     from handctl.tune.plots import draw_verify
-    from handctl.tune.verify import ROUND_AMPLITUDES, scores_by_round
 
     truth = read_truth(truth_file) if truth_file else None
     with RunLog(log) as record:
@@ -134,7 +134,7 @@ def _report_verification(
 
     Return the exit code.
     """
-    from handctl.tune.verify import compare_rounds
+    from handctl.tune.gains_verification import compare_rounds
 
     last = runs[-1]
     columns = compare_rounds([one["rounds"] for one in runs]) if last["through"] else []
@@ -168,7 +168,7 @@ def _print_columns(result: dict[str, Any]) -> None:
 def _print_rounds(result: dict[str, Any], rounds: Iterable[Any], args: argparse.Namespace) -> None:
     from rich.table import Table
 
-    from handctl.tune.verify import ROUND_AMPLITUDES
+    from handctl.tune.gains_verification import ROUND_AMPLITUDES
 
     table = Table(title=f"judged by the {result['judged_by']}")
     for heading in (
@@ -213,7 +213,7 @@ def _print_rounds(result: dict[str, Any], rounds: Iterable[Any], args: argparse.
 
 def _gains_label(number: int, back: dict[str, Any] | None) -> str:
     """Return the label for the gains in a round of the test: old, new, or back to the old gains."""
-    from handctl.tune.verify import OLD_GAINS_ROUNDS, ROUND_AMPLITUDES
+    from handctl.tune.gains_verification import OLD_GAINS_ROUNDS, ROUND_AMPLITUDES
 
     if number < OLD_GAINS_ROUNDS:
         return "old"

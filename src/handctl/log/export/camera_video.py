@@ -37,7 +37,7 @@ CHANNEL_LEVELS = 256
 """Number of different values that a colour channel can have."""
 
 
-class Camera(NamedTuple):
+class DatasetCamera(NamedTuple):
     """Camera of a dataset.
 
     Attributes:
@@ -51,7 +51,7 @@ class Camera(NamedTuple):
     starts_s: tuple[float, ...]
 
     @property
-    def key(self) -> str:
+    def feature_key(self) -> str:
         """Return the name of the camera's feature in the dataset."""
         return f"observation.images.{self.name}"
 
@@ -73,7 +73,7 @@ class EpisodeVideo(NamedTuple):
 
 
 def make_cameras(names: Sequence[str], videos: Sequence[Sequence[Path]], starts_s: Sequence[float], logs: int) -> tuple[
-    Camera, ...
+    DatasetCamera, ...
 ]:  # fmt: skip
     """Check the names, files and times given for cameras, and return the cameras.
 
@@ -109,11 +109,11 @@ def make_cameras(names: Sequence[str], videos: Sequence[Sequence[Path]], starts_
             "no program ffmpeg", "--camera", "ffmpeg installed, for example by apt install ffmpeg"
         )
     return tuple(
-        Camera(name, tuple(files), starts) for name, files in zip(names, videos, strict=True)
+        DatasetCamera(name, tuple(files), starts) for name, files in zip(names, videos, strict=True)
     )
 
 
-def video_place(episode: int) -> dict[str, int]:
+def video_file_numbers(episode: int) -> dict[str, int]:
     """Return the chunk number and the file number under which the dataset stores the video of an episode."""
     return {"chunk_index": episode // FILES_PER_CHUNK, "file_index": episode % FILES_PER_CHUNK}
 

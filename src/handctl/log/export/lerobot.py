@@ -30,10 +30,10 @@ from handctl.errors import ConfigError, LogError
 from handctl.hand.hand_loading import parse_toml
 from handctl.log.export.camera_video import (
     VIDEO_PATH_PATTERN,
-    Camera,
+    DatasetCamera,
     EpisodeVideo,
     histogram_statistics,
-    video_place,
+    video_file_numbers,
     write_episode_video,
 )
 from handctl.log.read.reader import RunLog
@@ -72,13 +72,13 @@ class _Episode(NamedTuple):
     start_s: float
 
     @property
-    def names(self) -> dict[str, list[str]]:
+    def element_names(self) -> dict[str, list[str]]:
         """Return the names of the elements of each vector feature."""
         return {name: names for name, (names, _) in self.vectors.items()}
 
 
 def export_lerobot(
-    logs: Sequence[RunLog], path: Path, fps: int | None = None, cameras: Sequence[Camera] = ()
+    logs: Sequence[RunLog], path: Path, fps: int | None = None, cameras: Sequence[DatasetCamera] = ()
 ) -> int:  # fmt: skip
     """Write logs as a dataset into a new folder, and return the number of frames.
 
@@ -104,7 +104,9 @@ def export_lerobot(
         )
     episodes = [_episode_of_log(log, fps) for log in logs]
     for i, (log, episode) in enumerate(zip(logs, episodes, strict=True)):
-        _check_same_dataset(first, log, episodes[0].names == episode.names, f"log {i + 1}")
+        _check_same_dataset(
+            first, log, episodes[0].element_names == episode.element_names, f"log {i + 1}"
+        )
     tasks = list(dict.fromkeys(episode.task for episode in episodes))
     scalars = [_scalar_features(episodes, i, tasks, fps) for i in range(len(episodes))]
     parts = [
@@ -113,10 +115,10 @@ def export_lerobot(
     ]
     whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     path.mkdir()
-    videos = {camera.key: _write_videos(camera, episodes, path, fps) for camera in cameras}
+    videos = {camera.feature_key: _write_videos(camera, episodes, path, fps) for camera in cameras}
     _write_parquet(
         path / DATA_PATH_PATTERN.format(chunk_index=0, file_index=0),
-        _frame_table(episodes[0].names, whole),
+        _frame_table(episodes[0].element_names, whole),
     )
     statistics = [
         {name: _feature_statistics(table) for name, table in part.items()} for part in parts
@@ -150,7 +152,7 @@ def _episode_of_log(log: RunLog, fps: int) -> _Episode:
 
 
 def _write_videos(
-    camera: Camera, episodes: Sequence[_Episode], path: Path, fps: int
+    camera: DatasetCamera, episodes: Sequence[_Episode], path: Path, fps: int
 ) -> list[EpisodeVideo]:
     """Write the videos of a camera, one for each episode.
 
@@ -160,7 +162,9 @@ def _write_videos(
     """
     written = list[EpisodeVideo]()
     for number, episode in enumerate(episodes):
-        target = path / VIDEO_PATH_PATTERN.format(video_key=camera.key, **video_place(number))
+        target = path / VIDEO_PATH_PATTERN.format(
+            video_key=camera.feature_key, **video_file_numbers(number)
+        )
         first_s = episode.start_s - camera.starts_s[number]
         written.append(
             write_episode_video(camera.videos[number], target, first_s, episode.frames, fps)
@@ -354,7 +358,7 @@ def _episode_table(
     ]
     rows = fields | columns | {name: [0] * count for name in files}
     for key in video_keys:
-        places = [video_place(number) for number in range(count)]
+        places = [video_file_numbers(number) for number in range(count)]
         rows |= {f"videos/{key}/{name}": [place[name] for place in places] for name in places[0]}
         rows[f"videos/{key}/from_timestamp"] = [0.0] * count
         rows[f"videos/{key}/to_timestamp"] = [episode.frames / fps for episode in episodes]
@@ -399,7 +403,7 @@ def _info_content(
     """Return the content of `meta/info.json`."""
     features: dict[str, Any] = {
         name: {"dtype": "float32", "shape": [len(inner)], "names": inner}
-        for name, inner in episodes[0].names.items()
+        for name, inner in episodes[0].element_names.items()
     }
     features |= {
         name: {"dtype": str(values.dtype), "shape": [1], "names": None}

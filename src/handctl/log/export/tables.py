@@ -16,7 +16,7 @@ from handctl.drives.frame import ERROR_FLAG, EXTENDED_FLAG, FDF, REMOTE_FLAG, Fr
 from handctl.log.read.reader import RunLog
 from handctl.safety.action import SafetyAction
 
-BLOCK_TICKS = 4096
+TICKS_PER_BLOCK = 4096
 """Number of ticks that an export holds in memory at a time."""
 
 TEXT_COLUMNS = ("mode", "phase", "action")
@@ -63,7 +63,9 @@ def column_names(log: RunLog) -> tuple[str, ...]:
     The function `column_unit` returns the unit of each column.
     """
     return tuple(
-        f"{field}/{name}" for field in log.fields for name in log.header.axis(TELEMETRY_AXES[field])
+        f"{field}/{name}"
+        for field in log.fields
+        for name in log.header.axis_names(TELEMETRY_AXES[field])
     )
 
 
@@ -80,13 +82,13 @@ def column_title(column: str) -> str:
 
 
 def table_blocks(log: RunLog) -> Iterator[TableBlock]:
-    """Yield all ticks of a log in order, as tables of at most `BLOCK_TICKS` rows."""
+    """Yield all ticks of a log in order, as tables of at most `TICKS_PER_BLOCK` rows."""
     changes = log.phases
     starts = np.array([change.k for change in changes], np.int64)
     names = [change.name for change in changes]
-    rows = log.packed()
-    for start in range(0, len(log), BLOCK_TICKS):
-        part = slice(start, min(start + BLOCK_TICKS, len(log)))
+    rows = log.packed_telemetry()
+    for start in range(0, len(log), TICKS_PER_BLOCK):
+        part = slice(start, min(start + TICKS_PER_BLOCK, len(log)))
         data = b"".join(next(rows) for _ in range(part.start, part.stop))
         numbers = np.frombuffer(data, "<f8").reshape(part.stop - part.start, -1)
         phase = [names[i] for i in np.searchsorted(starts, log.k[part], "right") - 1]

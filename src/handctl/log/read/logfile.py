@@ -68,8 +68,8 @@ class ChunkLocation(NamedTuple):
 
     Attributes:
         offset, end: start and end of the chunk's record [bytes].
-        data: offset of the compressed bytes in the file.
-        first, last: times of the first and last message of the chunk [ns].
+        data_offset: offset of the compressed bytes in the file.
+        first_ns, last_ns: times of the first and last message of the chunk [ns].
         size: uncompressed size of the chunk [bytes].
         crc: CRC-32 of the uncompressed bytes, or 0 if the chunk has no checksum.
         compression: name of the compression: "", "lz4" or "zstd".
@@ -77,9 +77,9 @@ class ChunkLocation(NamedTuple):
 
     offset: int
     end: int
-    data: int
-    first: int
-    last: int
+    data_offset: int
+    first_ns: int
+    last_ns: int
     size: int
     crc: int
     compression: str
@@ -116,11 +116,11 @@ class LogFile:
         """Close the file."""
         os.close(self._fd)
 
-    def at(self, offset: int) -> str:
+    def position_text(self, offset: int) -> str:
         """Return a position in the file as text for error messages."""
         return f"{self.name}, byte {offset}"
 
-    def read(self, offset: int, size: int) -> bytes:
+    def read_range(self, offset: int, size: int) -> bytes:
         """Read exactly `size` bytes of the file.
 
         Raises:
@@ -129,11 +129,13 @@ class LogFile:
         data = os.pread(self._fd, size, offset)
         if len(data) != size:
             raise LogError(
-                "the file ends here", self.at(offset + len(data)), f"{size - len(data)} bytes more"
+                "the file ends here",
+                self.position_text(offset + len(data)),
+                f"{size - len(data)} bytes more",
             )
         return data
 
-    def crc(self, start: int, end: int, value: int = 0) -> int:
+    def range_crc(self, start: int, end: int, value: int = 0) -> int:
         """Compute the CRC-32 of a part of the file.
 
         Args:
@@ -142,12 +144,12 @@ class LogFile:
             value: CRC-32 of the bytes that precede the part.
         """
         while start < end:
-            data = self.read(start, min(1 << 20, end - start))
+            data = self.read_range(start, min(1 << 20, end - start))
             value = zlib.crc32(data, value)
             start += len(data)
         return value
 
-    def content(self, chunk: ChunkLocation, checked: bool = True) -> bytes:
+    def chunk_content(self, chunk: ChunkLocation, checked: bool = True) -> bytes:
         """Return the uncompressed bytes of a chunk, never more than the declared size.
 
         Args:
@@ -159,8 +161,8 @@ class LogFile:
         """
         if self._latest and self._latest[0] == chunk:
             return self._latest[1]
-        with LogErrorContext(self.at(chunk.offset)):
-            packed = self.read(chunk.data, chunk.end - chunk.data)
+        with LogErrorContext(self.position_text(chunk.offset)):
+            packed = self.read_range(chunk.data_offset, chunk.end - chunk.data_offset)
             content = _decompress_chunk(packed, chunk)
             if len(content) != chunk.size:
                 raise ValueError(

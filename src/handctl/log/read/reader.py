@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from handctl.core.tick_types import TELEMETRY_AXES, TELEMETRY_FIELDS
 from handctl.errors import LogError
-from handctl.log.batch import FIXED_DTYPE, column_count, columns_of_fields, row_fields
 from handctl.log.header import RunHeader
 from handctl.log.read.chunk_reader import (
     ChunkDefinitions,
@@ -26,11 +25,12 @@ from handctl.log.read.chunk_reader import (
 from handctl.log.read.logfile import ChunkLocation, LogErrorContext, LogFile
 from handctl.log.read.record_scan import RecordScan, scan_records
 from handctl.log.read.timeline import LoggedEvent, PhaseChange, TickGap
-from handctl.log.record import TickRecord, message_layout, unpack_tick, unpack_ticks
-from handctl.log.topics.chain import CHAIN_TOPIC as CHAIN_TOPIC
-from handctl.log.topics.chain import HASH_SIZE
+from handctl.log.tick_batch import FIXED_DTYPE, column_count, columns_of_fields, row_fields
+from handctl.log.tick_record import TickRecord, message_layout, unpack_tick, unpack_ticks
 from handctl.log.topics.clock_pairs import CLOCK_PAIRS_TOPIC as CLOCK_TOPIC
 from handctl.log.topics.clock_pairs import ClockPair, decode_clock_pair
+from handctl.log.topics.hash_chain import CHAIN_TOPIC as CHAIN_TOPIC
+from handctl.log.topics.hash_chain import HASH_SIZE
 from handctl.log.topics.snapshots import SNAPSHOT_TOPIC as SNAPSHOT_TOPIC
 from handctl.log.topics.snapshots import decode_snapshot
 from handctl.log.topics.topic_set import TICK_TOPIC, VALUES_TOPIC
@@ -61,7 +61,7 @@ def _read_header(scan: RecordScan) -> RunHeader:
     if (schema := json.loads(record["schema"])) != LOG_SCHEMA_VERSION:
         raise ValueError(f"log of version {schema}; this reader reads version {LOG_SCHEMA_VERSION}")
     attachments = {name: data for name, (_, _, data) in scan.attachments.items()}
-    return RunHeader.of_record(record, scan.metadata, attachments)
+    return RunHeader.from_record(record, scan.metadata, attachments)
 
 
 _SEQUENCE_MASK = 0xFFFF_FFFF
@@ -72,13 +72,13 @@ class _ChunkIndex(NamedTuple):
     """Index of the chunks of a log.
 
     Attributes:
-        fixed: (ticks,) first part of each Tick message, which has a constant length.
+        fixed_parts: (ticks,) first part of each Tick message, which has a constant length.
         first_of_chunk: (chunks + 1,) index of the first tick in each chunk. The last element is the
             number of ticks.
         snapshots: index of the chunk with each snapshot, by sequence number of the snapshot.
     """
 
-    fixed: NDArray[np.void]
+    fixed_parts: NDArray[np.void]
     first_of_chunk: NDArray[np.intp]
     snapshots: dict[int, int]
 
@@ -173,9 +173,9 @@ class RunLog:
 
     def _channels(self) -> tuple[int, int, dict[str, int]]:
         """Return the channel ids of the ticks and of the telemetry, and those of all topics by name."""
-        with LogErrorContext(self._file.at(self._chunks[0].offset)):
+        with LogErrorContext(self._file.position_text(self._chunks[0].offset)):
             definitions_of_log: ChunkDefinitions = schemas_and_channels(
-                self._file.content(self._chunks[0])
+                self._file.chunk_content(self._chunks[0])
             )
             topics = {topic: number for number, _, topic, _, _ in definitions_of_log.channels}
             return topics[TICK_TOPIC], topics[VALUES_TOPIC], topics
@@ -193,10 +193,10 @@ class RunLog:
         The chunk read last is cached, for callers that read several channels of a chunk in turn.
         """
         if self._latest is None or self._latest[0] is not chunk:
-            content = self._file.content(chunk)
+            content = self._file.chunk_content(chunk)
             rows_by_channel: dict[int, list[MessageRows]] = {}
-            with LogErrorContext(self._file.at(chunk.offset)):
-                for rows in iter_messages(content, chunk.end - chunk.data):
+            with LogErrorContext(self._file.position_text(chunk.offset)):
+                for rows in iter_messages(content, chunk.end - chunk.data_offset):
                     rows_by_channel.setdefault(rows.channel, []).append(rows)
             self._latest = chunk, rows_by_channel
         return self._latest[1].get(channel, [])
@@ -211,7 +211,7 @@ class RunLog:
             before = len(parts)
             for rows in self._rows_of(chunk, self._tick):
                 data = rows.data()
-                with LogErrorContext(self._file.at(chunk.offset)):
+                with LogErrorContext(self._file.position_text(chunk.offset)):
                     if data.shape[1] < 4 + FIXED_DTYPE.itemsize:
                         raise ValueError("a tick that is too short")
                     # Four bytes of CDR encapsulation precede the part of constant length in each
@@ -229,7 +229,7 @@ class RunLog:
     @property
     def _fixed(self) -> NDArray[np.void]:
         """Return the first part, which has a constant length, of each Tick message (ticks,)."""
-        return self._index.fixed
+        return self._index.fixed_parts
 
     def __len__(self) -> int:
         """Return the number of ticks in the log."""
@@ -308,7 +308,7 @@ class RunLog:
         Logs of earlier versions lack the last fields of TELEMETRY_FIELDS.
         """
         for chunk, rows in self._rows(self._values):
-            with LogErrorContext(self._file.at(chunk.offset)):
+            with LogErrorContext(self._file.position_text(chunk.offset)):
                 return row_fields(
                     self.header,
                     (rows.data().shape[1] - VALUES_START_OFFSET + VALUES_END_OFFSET) // 8,
@@ -351,12 +351,12 @@ class RunLog:
         size = VALUES_START_OFFSET + 8 * self._width + 4
         for chunk, rows in self._rows(self._values, chunks):
             data = rows.data()
-            with LogErrorContext(self._file.at(chunk.offset)):
+            with LogErrorContext(self._file.position_text(chunk.offset)):
                 if data.shape[1] != size:
                     raise ValueError("telemetry of another shape than in the header")
             yield data[:, VALUES_START_OFFSET:VALUES_END_OFFSET], rows.sequence()
 
-    def packed(self, chunks: slice = slice(None)) -> Iterator[bytes]:
+    def packed_telemetry(self, chunks: slice = slice(None)) -> Iterator[bytes]:
         """Yield the telemetry of each tick in the layout of `Telemetry.packed`.
 
         The method holds only a part of the file in memory at a time.
@@ -367,7 +367,7 @@ class RunLog:
         for data, _ in self._values_parts(chunks):
             yield from (row.tobytes() for row in data)
 
-    def messages(self) -> Iterator[bytes]:
+    def tick_messages(self) -> Iterator[bytes]:
         """Yield the Tick message of each tick as the bytes in the file."""
         yield from (message for _, message in self._messages())
 
@@ -386,7 +386,7 @@ class RunLog:
         pairs = []
         if CLOCK_TOPIC in self._others:
             for chunk, rows in self._rows(self._others[CLOCK_TOPIC]):
-                with LogErrorContext(self._file.at(chunk.offset)):
+                with LogErrorContext(self._file.position_text(chunk.offset)):
                     pairs += [
                         decode_clock_pair(row.tobytes(), self.header.offset_ns)
                         for row in rows.data()
@@ -412,7 +412,7 @@ class RunLog:
             LogError: the snapshot is damaged.
         """
         location = self._chunks[chunk]
-        with LogErrorContext(self._file.at(location.offset)):
+        with LogErrorContext(self._file.position_text(location.offset)):
             rows_of_chunk = self._rows_of(location, self._others[SNAPSHOT_TOPIC])
             snapshots = dict(
                 decode_snapshot(row.tobytes()) for rows in rows_of_chunk for row in rows.data()
@@ -421,7 +421,7 @@ class RunLog:
 
     def names(self, field: str) -> tuple[str, ...]:
         """Return the names of the columns of a telemetry field."""
-        return self.header.axis(TELEMETRY_AXES[field])
+        return self.header.axis_names(TELEMETRY_AXES[field])
 
     def _messages(self) -> Iterator[tuple[ChunkLocation, bytes]]:
         """Yield each Tick message with the location of the chunk."""
@@ -439,7 +439,7 @@ class RunLog:
     def ticks(self, chunks: slice = slice(None)) -> Iterator[TickRecord]:
         """Yield the ticks in order, either of all chunks or of the given chunks."""
         for chunk in self._chunks[chunks]:
-            with LogErrorContext(self._file.at(chunk.offset)):
+            with LogErrorContext(self._file.position_text(chunk.offset)):
                 messages = [
                     message
                     for rows in self._rows_of(chunk, self._tick)
@@ -458,10 +458,10 @@ class RunLog:
         phases: list[PhaseChange] = []
         phase_of_tail: dict[bytes, str] = {}
         for index, (chunk, message) in enumerate(self._messages()):
-            with LogErrorContext(self._file.at(chunk.offset)):
+            with LogErrorContext(self._file.position_text(chunk.offset)):
                 # Ticks of one phase without events have equal message ends (the phase and empty
                 # lists). The cache avoids decoding such an end again.
-                tail = message[message_layout(message).tail :]
+                tail = message[message_layout(message).tail_offset :]
                 phase = phase_of_tail.get(tail)
                 if phase is None:
                     tick = unpack_tick(message)

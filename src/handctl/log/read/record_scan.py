@@ -6,7 +6,7 @@ attachments, of the data section and of the summary.
 A record consists of opcode u8, length u64, and content. The data section ends with the record
 DataEnd, which has the CRC-32 of all bytes before this record. The summary and the footer follow.
 The footer has 29 bytes: opcode u8, length u64, two offsets u64, CRC-32 u32. The file begins and
-ends with MAGIC.
+ends with MCAP_MAGIC.
 
 Source: MCAP specification.
 """
@@ -19,7 +19,7 @@ from pathlib import Path
 from mcap.opcode import Opcode
 
 from handctl.errors import LogError
-from handctl.log.container import MAGIC
+from handctl.log.container import MCAP_MAGIC
 from handctl.log.read.logfile import MAX_CHUNK_BYTES, ChunkLocation, LogErrorContext, LogFile
 
 MAX_ATTACHMENT_BYTES = 16 << 20
@@ -84,24 +84,24 @@ class _FieldReader:
         self._data = data
         self._at = 0
 
-    def number(self, code: str) -> int:
+    def read_number(self, code: str) -> int:
         """Read a number of the given `struct` format."""
         value = struct.unpack_from("<" + code, self._data, self._at)[0]
         self._at += struct.calcsize("<" + code)
         return int(value)
 
-    def take(self, size: int) -> bytes:
+    def read_bytes(self, size: int) -> bytes:
         """Read `size` bytes."""
         if self._at + size > len(self._data):
             raise ValueError("a field extends beyond the end of its record")
         self._at += size
         return self._data[self._at - size : self._at]
 
-    def text(self) -> str:
+    def read_string(self) -> str:
         """Read a string."""
-        return self.take(self.number("I")).decode()
+        return self.read_bytes(self.read_number("I")).decode()
 
-    def rest(self) -> int:
+    def unread_bytes(self) -> int:
         """Return the number of unread bytes."""
         return len(self._data) - self._at
 
@@ -122,22 +122,25 @@ def scan_records(file: LogFile, scan: RecordScan, checked: bool = True, skip: bo
         LogError: the file is not an MCAP file, is damaged before the end, or exceeds a limit.
     """
     scan.size = file.size
-    if file.size < len(MAGIC) or file.read(0, len(MAGIC)) != MAGIC:
-        raise LogError("not an MCAP file", file.at(0), "a log that handctl wrote")
+    if file.size < len(MCAP_MAGIC) or file.read_range(0, len(MCAP_MAGIC)) != MCAP_MAGIC:
+        raise LogError("not an MCAP file", file.position_text(0), "a log that handctl wrote")
     finished = (
-        file.size >= 2 * len(MAGIC) and file.read(file.size - len(MAGIC), len(MAGIC)) == MAGIC
+        file.size >= 2 * len(MCAP_MAGIC)
+        and file.read_range(file.size - len(MCAP_MAGIC), len(MCAP_MAGIC)) == MCAP_MAGIC
     )
-    scan.end = len(MAGIC)
+    scan.end = len(MCAP_MAGIC)
     unpacked = 0
     unknown = 0
     while scan.end + _RECORD_STRUCT.size <= file.size:
         at = scan.end
-        code, length = _RECORD_STRUCT.unpack(file.read(at, _RECORD_STRUCT.size))
+        code, length = _RECORD_STRUCT.unpack(file.read_range(at, _RECORD_STRUCT.size))
         end = at + _RECORD_STRUCT.size + length
         # Opcode 0 is invalid. After a power failure a file may end in zeros.
         if code == 0 or end > file.size:
             if finished:
-                raise LogError("damaged log: no record here", file.at(at), "an intact file")
+                raise LogError(
+                    "damaged log: no record here", file.position_text(at), "an intact file"
+                )
             break
         if code == _MESSAGE_INDEX_OPCODE and length >= _LENGTHS[_MESSAGE_INDEX_OPCODE]:
             scan.end = end  # Most records are message indexes. The scan does not use their content.
@@ -146,7 +149,7 @@ def scan_records(file: LogFile, scan: RecordScan, checked: bool = True, skip: bo
             _check_end(file, scan, at, end, checked)
             return
         try:
-            with LogErrorContext(file.at(at)):
+            with LogErrorContext(file.position_text(at)):
                 unpacked += _add_record(file, scan, code, at, end)
         except LogError as error:
             if not skip:
@@ -154,7 +157,7 @@ def scan_records(file: LogFile, scan: RecordScan, checked: bool = True, skip: bo
             scan.problem = scan.problem or str(error)
             scan.skipped.append((at, end))
         unknown += code not in Opcode.__members__.values()
-        with LogErrorContext(file.at(at)):
+        with LogErrorContext(file.position_text(at)):
             _check_limits(scan, unpacked, unknown)
         scan.end = end
     scan.problem = (
@@ -200,10 +203,12 @@ def _add_record(file: LogFile, scan: RecordScan, code: int, at: int, end: int) -
         scan.chunks.append(_decode_chunk_head(file, at, end))
         return scan.chunks[-1].size
     if code == Opcode.ATTACHMENT:
-        _decode_attachment(scan, file.read(start, _checked_size(length, MAX_ATTACHMENT_BYTES)))
+        _decode_attachment(
+            scan, file.read_range(start, _checked_size(length, MAX_ATTACHMENT_BYTES))
+        )
     elif code == Opcode.METADATA:
-        fields = _FieldReader(file.read(start, _checked_size(length, MAX_METADATA_BYTES)))
-        name = fields.text()
+        fields = _FieldReader(file.read_range(start, _checked_size(length, MAX_METADATA_BYTES)))
+        name = fields.read_string()
         scan.metadata[name] = _text_map(fields)
     elif code == Opcode.MESSAGE:
         raise ValueError("a message outside a chunk")
@@ -221,7 +226,7 @@ def _decode_chunk_head(file: LogFile, at: int, end: int) -> ChunkLocation:
     """Decode the head of a Chunk record, without reading the data of the chunk."""
     # 80 bytes hold the fixed fields (41 bytes), the compression's name (at most 8) and the
     # compressed size of the records (8).
-    head = file.read(at, min(end - at, 80))
+    head = file.read_range(at, min(end - at, 80))
     first, last, size, crc, name = _CHUNK_STRUCT.unpack_from(head, _RECORD_STRUCT.size)
     _checked_size(size, MAX_CHUNK_BYTES)
     start = _RECORD_STRUCT.size + _CHUNK_STRUCT.size
@@ -238,43 +243,45 @@ def _decode_chunk_head(file: LogFile, at: int, end: int) -> ChunkLocation:
 def _decode_attachment(scan: RecordScan, data: bytes) -> None:
     """Decode an attachment, and compare the checksum."""
     fields = _FieldReader(data)
-    time_ns = fields.number("Q")
-    fields.number("Q")  # creation time
-    name = fields.text()
-    media = fields.text()
-    content = fields.take(fields.number("Q"))
-    crc = fields.number("I")
+    time_ns = fields.read_number("Q")
+    fields.read_number("Q")  # creation time
+    name = fields.read_string()
+    media = fields.read_string()
+    content = fields.read_bytes(fields.read_number("Q"))
+    crc = fields.read_number("I")
     # The checksum covers all fields before it. Its own four bytes are the last of the attachment.
-    if crc and crc != zlib.crc32(data[: -4 - fields.rest()]):
+    if crc and crc != zlib.crc32(data[: -4 - fields.unread_bytes()]):
         raise ValueError("checksum of an attachment does not match")
     scan.attachments[name] = (media, time_ns, content)
 
 
 def _text_map(fields: _FieldReader) -> dict[str, str]:
     """Decode a map of keys and values, both texts, in a record."""
-    inner = _FieldReader(fields.take(fields.number("I")))
+    inner = _FieldReader(fields.read_bytes(fields.read_number("I")))
     values = {}
-    while inner.rest():
-        key = inner.text()
-        values[key] = inner.text()
+    while inner.unread_bytes():
+        key = inner.read_string()
+        values[key] = inner.read_string()
     return values
 
 
 def _check_end(file: LogFile, scan: RecordScan, at: int, end: int, checked: bool) -> None:
     """Compare the checksums of the data section and of the summary with the content of the file."""
-    (crc,) = struct.unpack("<I", file.read(at + _RECORD_STRUCT.size, 4))
-    if end != at + _RECORD_STRUCT.size + 4 or (checked and crc and crc != file.crc(0, at)):
+    (crc,) = struct.unpack("<I", file.read_range(at + _RECORD_STRUCT.size, 4))
+    if end != at + _RECORD_STRUCT.size + 4 or (checked and crc and crc != file.range_crc(0, at)):
         raise LogError(
-            "damaged log: checksum of the data does not match", file.at(at), "an intact file"
+            "damaged log: checksum of the data does not match",
+            file.position_text(at),
+            "an intact file",
         )
     scan.complete = True
-    footer = file.size - len(MAGIC) - 29
-    if footer < end or file.read(file.size - len(MAGIC), len(MAGIC)) != MAGIC:
+    footer = file.size - len(MCAP_MAGIC) - 29
+    if footer < end or file.read_range(file.size - len(MCAP_MAGIC), len(MCAP_MAGIC)) != MCAP_MAGIC:
         scan.problem = scan.problem or "ends within its summary"
         return
-    raw = file.read(footer, 29)
+    raw = file.read_range(footer, 29)
     (expected,) = struct.unpack_from("<I", raw, 25)
     if raw[0] != Opcode.FOOTER or (
-        expected and expected != zlib.crc32(raw[:25], file.crc(end, footer))
+        expected and expected != zlib.crc32(raw[:25], file.range_crc(end, footer))
     ):
         scan.problem = scan.problem or "the summary is damaged; the data is intact"

@@ -34,14 +34,14 @@ class RecoveryReport:
     Attributes:
         status: result of the recovery.
         chunks, messages: number of copied chunks and messages.
-        lost: (start, end) of each range of the old file that was not copied [bytes].
+        lost_ranges: (start, end) of each range of the old file that was not copied [bytes].
         problem: description of a defect of the old file, or empty if there is none.
     """
 
     status: RecoveryStatus
     chunks: int = 0
     messages: int = 0
-    lost: tuple[tuple[int, int], ...] = ()
+    lost_ranges: tuple[tuple[int, int], ...] = ()
     problem: str = ""
 
 
@@ -62,7 +62,9 @@ def recover_log(path: Path, out: Path) -> RecoveryReport:
     try:
         problem = scan_damaged(file, scan)
         if not scan.chunks:
-            return RecoveryReport(RecoveryStatus.NOTHING, lost=((0, file.size),), problem=problem)
+            return RecoveryReport(
+                RecoveryStatus.NOTHING, lost_ranges=((0, file.size),), problem=problem
+            )
         with atomic_path(out, new=True) as part:
             descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
             try:
@@ -95,11 +97,11 @@ def _copy_intact_parts(
 ) -> RecoveryReport:
     """Copy the intact parts of a file into the new file, and write the end of the new file."""
     for name, (media, time_ns, data) in scan.attachments.items():
-        new.attach(name, media, data, time_ns)
+        new.write_attachment(name, media, data, time_ns)
     for name, values in scan.metadata.items():
         # The end record is written last, as in a log that was closed.
         if name != "handctl.end":
-            new.metadata(name, values)
+            new.write_metadata(name, values)
     lost = scan.skipped.copy()
     copied = 0
     for chunk in scan.chunks:
@@ -111,7 +113,7 @@ def _copy_intact_parts(
             lost.append((chunk.offset, chunk.end))
     if not scan.complete and scan.end < file.size:
         lost.append((scan.end, file.size))
-    new.metadata("handctl.end", _end_record(scan, problem))
+    new.write_metadata("handctl.end", _end_record(scan, problem))
     new.finish()
     status = (
         RecoveryStatus.NOTHING
@@ -120,7 +122,7 @@ def _copy_intact_parts(
         if lost or not scan.complete
         else RecoveryStatus.WHOLE
     )
-    return RecoveryReport(status, copied, new.messages, tuple(sorted(lost)), problem)
+    return RecoveryReport(status, copied, new.message_count, tuple(sorted(lost)), problem)
 
 
 def _end_record(scan: RecordScan, problem: str) -> dict[str, str]:
@@ -135,8 +137,8 @@ def _copy_chunk(file: LogFile, chunk: ChunkLocation, new: McapContainer) -> None
     Raises:
         LogError: the chunk is damaged.
     """
-    content = file.content(chunk)
-    with LogErrorContext(file.at(chunk.offset)):
+    content = file.chunk_content(chunk)
+    with LogErrorContext(file.position_text(chunk.offset)):
         chunk_definitions = schemas_and_channels(content)
         schemas = [
             Schema(number, data, encoding, name)
@@ -153,9 +155,9 @@ def _copy_chunk(file: LogFile, chunk: ChunkLocation, new: McapContainer) -> None
                 rows.log_times(),
                 _message_offsets(rows.records.shape),
             )
-            for rows in iter_messages(content, chunk.end - chunk.data)
+            for rows in iter_messages(content, chunk.end - chunk.data_offset)
         ]
-    new.chunk(blocks, schemas, channels)
+    new.write_chunk(blocks, schemas, channels)
 
 
 def _message_offsets(shape: tuple[int, ...]) -> "np.ndarray[tuple[int], np.dtype[np.uint64]]":

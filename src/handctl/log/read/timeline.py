@@ -26,8 +26,8 @@ class LoggedEvent(NamedTuple):
 class TickGap(NamedTuple):
     """Gap in a log where ticks are missing: numbers of the last tick before and of the first tick after the gap."""
 
-    before: int
-    after: int
+    last_before: int
+    first_after: int
 
 
 class PhaseChange(NamedTuple):

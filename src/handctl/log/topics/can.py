@@ -4,10 +4,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.drives.frame import ERROR_FLAG, EXTENDED_FLAG, FDF, REMOTE_FLAG
-from handctl.log.batch import FrameBatch, TickBatch
 from handctl.log.cdr import CdrWriter, MessageTemplate, TemplateWriter
 from handctl.log.container import MESSAGE_STRUCT, MessageBlock
 from handctl.log.header import RunHeader
+from handctl.log.tick_batch import FrameBatch, TickBatch
 from handctl.log.topics.message_streams import (
     MessageStamps,
     MessageStream,
@@ -22,25 +22,25 @@ _ID_MASK = 0x1FFF_FFFF
 def can_frame_template(bus: str) -> MessageTemplate:
     """Return the template of can_msgs/Frame messages for one bus."""
     out = TemplateWriter()
-    out.header(bus)
-    out.place("id", "<u4")
+    out.put_header(bus)
+    out.put_field("id", "<u4")
     for name in ("is_rtr", "is_extended", "is_error", "dlc"):
-        out.place(name, "|u1")
-    out.place("data", "|u1", 8)
-    return out.template()
+        out.put_field(name, "|u1")
+    out.put_field("data", "|u1", 8)
+    return out.finished_template()
 
 
 def encode_fd_frame(bus: str, t_ns: int, can_id: int, data: bytes) -> bytes:
     """Encode a CAN FD frame as ros2_socketcan_msgs/FdFrame."""
     out = CdrWriter()
-    out.put("I", t_ns // 10**9)
-    out.put("I", t_ns % 10**9)
-    out.text(bus)
-    out.count(can_id & _ID_MASK)
+    out.put_number("I", t_ns // 10**9)
+    out.put_number("I", t_ns % 10**9)
+    out.put_string(bus)
+    out.put_length(can_id & _ID_MASK)
     out.data += bytes((bool(can_id & EXTENDED_FLAG), bool(can_id & ERROR_FLAG), len(data)))
-    out.count(len(data))
+    out.put_length(len(data))
     out.data += data
-    return out.message()
+    return out.finished_message()
 
 
 class _DirectionTopics:
@@ -48,8 +48,10 @@ class _DirectionTopics:
 
     def __init__(self, buses: tuple[str, ...], registry: TopicRegistry, direction: str) -> None:
         self._buses = (*buses, "unknown")
-        self._channel = registry.add(f"/can/{direction}", "can_msgs/Frame")
-        self._fd_channel = registry.add(f"/can/{direction}_fd", "ros2_socketcan_msgs/FdFrame")
+        self._channel = registry.register_topic(f"/can/{direction}", "can_msgs/Frame")
+        self._fd_channel = registry.register_topic(
+            f"/can/{direction}_fd", "ros2_socketcan_msgs/FdFrame"
+        )
         self._streams = [
             MessageStream(self._channel, can_frame_template(bus)) for bus in self._buses
         ]
@@ -72,7 +74,7 @@ class _DirectionTopics:
         if not fd.all():
             blocks.append(
                 self._classical_messages(
-                    frames.frames[~fd], bus[~fd], stamps.at(~fd), measured[~fd]
+                    frames.frames[~fd], bus[~fd], stamps.selected(~fd), measured[~fd]
                 )
             )
         if fd.any():
@@ -96,12 +98,12 @@ class _DirectionTopics:
         for bus_index in used.tolist():
             indexes = np.flatnonzero(bus == bus_index)
             block = self._streams[bus_index].block(
-                stamps.at(indexes), _frame_values(frames[indexes]), measured[indexes]
+                stamps.selected(indexes), _frame_values(frames[indexes]), measured[indexes]
             )
             size = len(block.data) // len(indexes)
             for index, start in zip(indexes.tolist(), range(0, len(block.data), size), strict=True):
                 records[index] = block.data[start : start + size]
-        return _join_records(self._channel, stamps.log, records)
+        return _join_records(self._channel, stamps.log_times, records)
 
     def _long_messages(
         self,
@@ -117,7 +119,7 @@ class _DirectionTopics:
         columns = [frames.frames[name].tolist() for name in ("can_id", "length")]
         data = frames.frames["data"].tobytes()
         sequence = stamps.sequence.tolist()
-        log = stamps.log.tolist()
+        log = stamps.log_times.tolist()
         times = measured.tolist()
         # `rest` holds the payload bytes after the eighth of all frames not yet encoded. Classical
         # frames have no such bytes.
@@ -133,7 +135,7 @@ class _DirectionTopics:
                     MESSAGE_STRUCT.pack(5, size, channel, sequence[index], log[index], times[index])
                     + message
                 )
-        return _join_records(self._fd_channel, stamps.log[fd], records)
+        return _join_records(self._fd_channel, stamps.log_times[fd], records)
 
 
 def _join_records(channel: int, log_times: TimeArray, records: list[bytes]) -> MessageBlock:
@@ -174,12 +176,12 @@ class CanTopics:
 
         The time of a sent frame is the start of the tick.
         """
-        sent_at = (batch.t_ns + batch.late_ns)[batch.sent.tick]
+        sent_at = (batch.t_ns + batch.late_ns)[batch.sent.tick_indexes]
         blocks = []
         for direction, frames, t_ns in (
             (self._rx, batch.received, batch.received.frames["t_ns"]),
             (self._tx, batch.sent, sent_at),
         ):
             measured = np.maximum(t_ns + self._offset, 0).astype(np.uint64)
-            blocks += direction.blocks(frames, stamps.at(frames.tick), measured)
+            blocks += direction.blocks(frames, stamps.selected(frames.tick_indexes), measured)
         return blocks

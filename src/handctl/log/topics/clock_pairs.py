@@ -57,18 +57,18 @@ class ClockTopic:
 
     def __init__(self, registry: TopicRegistry) -> None:
         """Register the topic."""
-        self._channel = registry.add(CLOCK_PAIRS_TOPIC, "handctl_msgs/ClockPair")
+        self._channel = registry.register_topic(CLOCK_PAIRS_TOPIC, "handctl_msgs/ClockPair")
 
     def block(self, stamps: MessageStamps, wall_ns: int, monotonic_ns: int) -> MessageBlock:
         """Return the message with one pair of clock readings."""
         out = CdrWriter()
-        t_ns = int(stamps.log[0])
-        out.put("I", t_ns // 10**9)
-        out.put("I", t_ns % 10**9)
-        out.text("")
-        out.put("q", wall_ns)
-        out.put("q", monotonic_ns)
-        return variable_length_block(self._channel, stamps, [out.message()])
+        t_ns = int(stamps.log_times[0])
+        out.put_number("I", t_ns // 10**9)
+        out.put_number("I", t_ns % 10**9)
+        out.put_string("")
+        out.put_number("q", wall_ns)
+        out.put_number("q", monotonic_ns)
+        return variable_length_block(self._channel, stamps, [out.finished_message()])
 
 
 def decode_clock_pair(message: bytes, offset_ns: int) -> ClockPair:

@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.core.tick_types import GAIN_EVENT, HandMode
-from handctl.log.batch import TickBatch
 from handctl.log.cdr import CdrWriter
 from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
 from handctl.log.message_types import OTHER_PHASE_NUMBER, PHASE_NUMBERS
-from handctl.log.record import TickRecord
+from handctl.log.tick_batch import TickBatch
+from handctl.log.tick_record import TickRecord
 from handctl.log.topics.message_streams import MessageStamps, TopicRegistry, variable_length_block
 from handctl.programs.requests import is_routine_request
 from handctl.safety.action import SafetyAction
@@ -27,21 +27,21 @@ _STRING_PARAMETER_TYPE = 4
 def _stamped_writer(t_ns: int) -> CdrWriter:
     """Return a CDR writer whose message begins with a time stamp."""
     out = CdrWriter()
-    out.put("I", t_ns // 10**9)
-    out.put("I", t_ns % 10**9)
+    out.put_number("I", t_ns // 10**9)
+    out.put_number("I", t_ns % 10**9)
     return out
 
 
 def encode_rosout(t_ns: int, level: str, name: str, text: str) -> bytes:
     """Encode a log line as rcl_interfaces/Log."""
     out = _stamped_writer(t_ns)
-    out.put("B", LOG_LEVEL_NUMBERS.get(level, LOG_LEVEL_NUMBERS["error"]))
-    out.text(name)
-    out.text(text)
-    out.text("")
-    out.text("")
-    out.count(0)
-    return out.message()
+    out.put_number("B", LOG_LEVEL_NUMBERS.get(level, LOG_LEVEL_NUMBERS["error"]))
+    out.put_string(name)
+    out.put_string(text)
+    out.put_string("")
+    out.put_string("")
+    out.put_length(0)
+    return out.finished_message()
 
 
 def _append_parameter(out: CdrWriter, name: str, value: str) -> None:
@@ -50,16 +50,16 @@ def _append_parameter(out: CdrWriter, name: str, value: str) -> None:
         number = float(value)
     except ValueError:
         number = math.nan
-    out.text(name)
+    out.put_string(name)
     is_number = not math.isnan(number)
-    out.put("B", _DOUBLE_PARAMETER_TYPE if is_number else _STRING_PARAMETER_TYPE)
-    out.put("B", 0)
-    out.put("q", 0)
-    out.put("d", number if is_number else 0.0)
-    out.text("" if is_number else value)
+    out.put_number("B", _DOUBLE_PARAMETER_TYPE if is_number else _STRING_PARAMETER_TYPE)
+    out.put_number("B", 0)
+    out.put_number("q", 0)
+    out.put_number("d", number if is_number else 0.0)
+    out.put_string("" if is_number else value)
     # The five array fields of a ParameterValue stay empty.
     for _ in range(5):
-        out.count(0)
+        out.put_length(0)
 
 
 def encode_parameter_event(t_ns: int, new: dict[str, str], changed: dict[str, str]) -> bytes:
@@ -68,22 +68,22 @@ def encode_parameter_event(t_ns: int, new: dict[str, str], changed: dict[str, st
     A text that is a number is written as a double.
     """
     out = _stamped_writer(t_ns)
-    out.text("/handctl")
+    out.put_string("/handctl")
     for group in (new, changed):
-        out.count(len(group))
+        out.put_length(len(group))
         for name, value in group.items():
             _append_parameter(out, name, value)
-    out.count(0)
-    return out.message()
+    out.put_length(0)
+    return out.finished_message()
 
 
 def encode_labelled_number(t_ns: int, number: int, name: str) -> bytes:
     """Encode a message of type GraspPhase, Mode or Action from handctl_msgs, with header, number and name."""
     out = _stamped_writer(t_ns)
-    out.text("")
-    out.put("B", number)
-    out.text(name)
-    return out.message()
+    out.put_string("")
+    out.put_number("B", number)
+    out.put_string(name)
+    return out.finished_message()
 
 
 def _changed_indexes(values: list[tuple[int, str]], last: tuple[int, str] | None) -> list[int]:
@@ -98,16 +98,18 @@ class EventTopics:
     def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:
         """Register the topics."""
         self._gains = header.gains
-        self._rosout = registry.add("/rosout", "rcl_interfaces/Log")
-        self._parameters = registry.add("/parameter_events", "rcl_interfaces/ParameterEvent")
-        self._phase = registry.add("/grasp/phase", "handctl_msgs/GraspPhase")
-        self._mode = registry.add("/controller/mode", "handctl_msgs/Mode")
-        self._action = registry.add("/safety/action", "handctl_msgs/Action")
+        self._rosout = registry.register_topic("/rosout", "rcl_interfaces/Log")
+        self._parameters = registry.register_topic(
+            "/parameter_events", "rcl_interfaces/ParameterEvent"
+        )
+        self._phase = registry.register_topic("/grasp/phase", "handctl_msgs/GraspPhase")
+        self._mode = registry.register_topic("/controller/mode", "handctl_msgs/Mode")
+        self._action = registry.register_topic("/safety/action", "handctl_msgs/Action")
         self._last: dict[int, tuple[int, str]] = {}
 
     def latched(self, stamps: MessageStamps) -> list[MessageBlock]:
         """Return the messages with the gains at the start of the run."""
-        message = encode_parameter_event(int(stamps.log[0]), self._gains, {})
+        message = encode_parameter_event(int(stamps.log_times[0]), self._gains, {})
         return [variable_length_block(self._parameters, stamps, [message])] if self._gains else []
 
     def blocks(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
@@ -126,10 +128,11 @@ class EventTopics:
         for channel, states in lanes:
             indexes = _changed_indexes(states, self._last.get(channel))
             messages = [
-                encode_labelled_number(int(stamps.log[index]), *states[index]) for index in indexes
+                encode_labelled_number(int(stamps.log_times[index]), *states[index])
+                for index in indexes
             ]
             blocks.append(
-                variable_length_block(channel, stamps.at(_index_array(indexes)), messages)
+                variable_length_block(channel, stamps.selected(_index_array(indexes)), messages)
             )
             self._last[channel] = states[-1]
         return [block for block in [*blocks, *self._line_messages(batch, stamps)] if block.data]
@@ -141,7 +144,7 @@ class EventTopics:
         gains_at = []
         gains = []
         for index, tick in batch.ticks_with_events.items():
-            t_ns = int(stamps.log[index])
+            t_ns = int(stamps.log_times[index])
             for level, name, text in _log_lines(tick):
                 at.append(index)
                 lines.append(encode_rosout(t_ns, level, f"handctl.{name}", text))
@@ -150,8 +153,8 @@ class EventTopics:
                 gains_at.append(index)
                 gains.append(encode_parameter_event(t_ns, {}, changed))
         return [
-            variable_length_block(self._rosout, stamps.at(_index_array(at)), lines),
-            variable_length_block(self._parameters, stamps.at(_index_array(gains_at)), gains),
+            variable_length_block(self._rosout, stamps.selected(_index_array(at)), lines),
+            variable_length_block(self._parameters, stamps.selected(_index_array(gains_at)), gains),
         ]
 
 

@@ -31,7 +31,9 @@ class TopicRegistry:
     schemas: dict[str, Schema] = field(default_factory=dict)
     channels: dict[str, Channel] = field(default_factory=dict)
 
-    def add(self, topic: str, message_type: str, latched: bool = False, note: str = "") -> int:
+    def register_topic(
+        self, topic: str, message_type: str, latched: bool = False, note: str = ""
+    ) -> int:
         """Register a topic, and return the channel id.
 
         Args:
@@ -61,16 +63,16 @@ class MessageStamps:
     """Log times and sequence numbers of n messages.
 
     Attributes:
-        log: (n,) uint64, log times as UNIX time [ns].
+        log_times: (n,) uint64, log times as UNIX time [ns].
         sequence: (n,) uint32, low 32 bits of the tick numbers.
     """
 
-    log: TimeArray
+    log_times: TimeArray
     sequence: NDArray[np.uint32]
 
-    def at(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> "MessageStamps":
+    def selected(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> "MessageStamps":
         """Return the log times and sequence numbers of the selected messages."""
-        return MessageStamps(self.log[index], self.sequence[index])
+        return MessageStamps(self.log_times[index], self.sequence[index])
 
 
 def stamps_at(log_ns: int, k: int) -> MessageStamps:
@@ -94,7 +96,7 @@ class MessageStream:
     def __init__(self, channel: int, template: MessageTemplate) -> None:
         """Build the layout of a Message record: 31 bytes of header, and the template."""
         self._channel = channel
-        self._stamps = len(template.stamps)
+        self._stamps = len(template.stamp_offsets)
         # Opcode 5 marks a Message record. The length field counts the bytes that follow it: 22
         # bytes of header and the data.
         self._record = (
@@ -102,8 +104,8 @@ class MessageStream:
         )
         fields: list[tuple[str, object, int]] = [
             ("sequence", "<u4", 11), ("log", "<u8", 15), ("publish", "<u8", 23),
-            *((f"stamp{i}", ("<u4", (2,)), 31 + at) for i, at in enumerate(template.stamps)),
-            *((name, (code, (n,)), 31 + at) for name, (at, code, n) in template.places.items()),
+            *((f"stamp{i}", ("<u4", (2,)), 31 + at) for i, at in enumerate(template.stamp_offsets)),
+            *((name, (code, (n,)), 31 + at) for name, (at, code, n) in template.fields.items()),
         ]  # fmt: skip
         names, formats, offsets = zip(*fields, strict=True)
         self._dtype = np.dtype(
@@ -123,13 +125,13 @@ class MessageStream:
             values: values of the variable fields by name, each (n, size of the field).
             measured: (n,) times of measurement of the values, unless equal to the log times [ns].
         """
-        number = len(stamps.log)
+        number = len(stamps.log_times)
         # All messages are copies of the template. A structured array writes each variable field in
         # one assignment.
         rows = np.frombuffer(bytearray(self._record * number), self._dtype)
-        measured = stamps.log if measured is None else measured
+        measured = stamps.log_times if measured is None else measured
         rows["sequence"] = stamps.sequence
-        rows["log"] = stamps.log
+        rows["log"] = stamps.log_times
         rows["publish"] = measured
         times = ros_time(measured)
         for index in range(self._stamps):
@@ -137,7 +139,7 @@ class MessageStream:
         for name, array in values.items():
             rows[name] = array
         offsets = np.arange(number, dtype=np.uint64) * np.uint64(len(self._record))
-        return MessageBlock(self._channel, rows.tobytes(), stamps.log, offsets)
+        return MessageBlock(self._channel, rows.tobytes(), stamps.log_times, offsets)
 
 
 def variable_length_block(
@@ -146,10 +148,10 @@ def variable_length_block(
     """Join messages of variable length to a block, and return the block."""
     parts = []
     for sequence, t_ns, message in zip(
-        stamps.sequence.tolist(), stamps.log.tolist(), messages, strict=True
+        stamps.sequence.tolist(), stamps.log_times.tolist(), messages, strict=True
     ):
         parts.append(
             MESSAGE_STRUCT.pack(5, 22 + len(message), channel, sequence, t_ns, t_ns) + message
         )
     ends = np.cumsum([0, *map(len, parts)], dtype=np.uint64)
-    return MessageBlock(channel, b"".join(parts), stamps.log, ends[:-1])
+    return MessageBlock(channel, b"".join(parts), stamps.log_times, ends[:-1])

@@ -34,7 +34,7 @@ class SnapshotTopic:
 
     def __init__(self, registry: TopicRegistry) -> None:
         """Register the topic."""
-        self._channel = registry.add(SNAPSHOT_TOPIC, "handctl_msgs/Snapshot")
+        self._channel = registry.register_topic(SNAPSHOT_TOPIC, "handctl_msgs/Snapshot")
 
     def block(self, t_ns: int, snapshot: ControllerSnapshot) -> MessageBlock:
         """Return the message with one snapshot.
@@ -44,13 +44,13 @@ class SnapshotTopic:
             snapshot: the snapshot to encode.
         """
         out = CdrWriter()
-        out.put("I", t_ns // 10**9)
-        out.put("I", t_ns % 10**9)
-        out.text("")
-        out.put("q", snapshot.k)
-        out.count(len(snapshot.data))
+        out.put_number("I", t_ns // 10**9)
+        out.put_number("I", t_ns % 10**9)
+        out.put_string("")
+        out.put_number("q", snapshot.k)
+        out.put_length(len(snapshot.data))
         return variable_length_block(
-            self._channel, stamps_at(t_ns, snapshot.k), [out.message() + snapshot.data]
+            self._channel, stamps_at(t_ns, snapshot.k), [out.finished_message() + snapshot.data]
         )
 
 

@@ -9,10 +9,10 @@ from handctl.core.tick_types import TELEMETRY_AXES, TELEMETRY_FIELDS
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import hand_from_content, parse_toml
 from handctl.hand.moment_arms import arms_at
-from handctl.log.batch import TickBatch, columns_of_fields
 from handctl.log.cdr import CdrWriter, MessageTemplate, TemplateWriter
 from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
+from handctl.log.tick_batch import TickBatch, columns_of_fields
 from handctl.log.topics.message_streams import MessageStamps, MessageStream, TopicRegistry
 
 FloatArray = NDArray[np.float64]
@@ -85,69 +85,69 @@ def joint_state_template(
 ) -> MessageTemplate:
     """Return the template of a sensor_msgs/JointState message."""
     out = TemplateWriter()
-    out.header()
-    out.texts(names)
+    out.put_header()
+    out.put_strings(names)
     for name, used in (("position", position), ("velocity", velocity), ("effort", effort)):
-        out.floats(name, len(names) if used else 0)
-    return out.template()
+        out.put_float_sequence(name, len(names) if used else 0)
+    return out.finished_template()
 
 
 def wrench_template(frame_id: str) -> MessageTemplate:
     """Return the template of a geometry_msgs/WrenchStamped message."""
     out = TemplateWriter()
-    out.header(frame_id)
-    out.place("force", "<f8", 3)
-    out.place("torque", "<f8", 3)
-    return out.template()
+    out.put_header(frame_id)
+    out.put_field("force", "<f8", 3)
+    out.put_field("torque", "<f8", 3)
+    return out.finished_template()
 
 
 def statistics_values(number: int) -> MessageTemplate:
     """Return the template of a pal_statistics_msgs/StatisticsValues with `number` values and names_version 1."""
     out = TemplateWriter()
-    out.header()
-    out.floats("values", number)
-    out.count(1)
-    return out.template()
+    out.put_header()
+    out.put_float_sequence("values", number)
+    out.put_length(1)
+    return out.finished_template()
 
 
 def cycle_stats_template(motors: int) -> MessageTemplate:
     """Return the template of a handctl_msgs/CycleStats message."""
     out = TemplateWriter()
-    out.header()
-    out.place("cycle", "<f8", 3)
-    out.place("missed", "<u4")
-    out.place("mode", "|u1")
-    out.place("action", "|u1")
-    out.floats("stale", motors)
-    return out.template()
+    out.put_header()
+    out.put_field("cycle", "<f8", 3)
+    out.put_field("missed", "<u4")
+    out.put_field("mode", "|u1")
+    out.put_field("action", "|u1")
+    out.put_float_sequence("stale", motors)
+    return out.finished_template()
 
 
 def estimate_template(names: tuple[str, ...], unit: str) -> MessageTemplate:
     """Return the template of a handctl_msgs/Estimate message."""
     out = TemplateWriter()
-    out.header()
-    out.texts(names)
-    out.floats("value", len(names))
-    out.floats("variance", len(names))
-    out.texts((unit,) * len(names))
-    return out.template()
+    out.put_header()
+    out.put_strings(names)
+    out.put_float_sequence("value", len(names))
+    out.put_float_sequence("variance", len(names))
+    out.put_strings((unit,) * len(names))
+    return out.finished_template()
 
 
 def names_message(header: RunHeader, seconds: int, nanoseconds: int) -> bytes:
     """Encode the names of the telemetry columns (`field/name`) as pal_statistics_msgs/StatisticsNames."""
     out = CdrWriter()
-    out.put("I", seconds)
-    out.put("I", nanoseconds)
-    out.text("")
-    out.texts(
+    out.put_number("I", seconds)
+    out.put_number("I", nanoseconds)
+    out.put_string("")
+    out.put_strings(
         tuple(
             f"{name}/{element}"
             for name in TELEMETRY_FIELDS
-            for element in header.axis(TELEMETRY_AXES[name])
+            for element in header.axis_names(TELEMETRY_AXES[name])
         )
     )
-    out.count(1)
-    return out.message()
+    out.put_length(1)
+    return out.finished_message()
 
 
 class StateTopics:
@@ -164,8 +164,8 @@ class StateTopics:
         self._last: tuple[int, int] | None = None
         self._joint_states = {}
         for topic, (axis, *parts) in JOINT_STATE_TOPICS.items():
-            template = joint_state_template(header.axis(axis), *map(bool, parts))
-            channel = registry.add(
+            template = joint_state_template(header.axis_names(axis), *map(bool, parts))
+            channel = registry.register_topic(
                 topic, "sensor_msgs/JointState", note=_TOPIC_NOTES.get(topic, "")
             )
             self._joint_states[topic] = MessageStream(channel, template)
@@ -175,7 +175,7 @@ class StateTopics:
             names = tuple(
                 f"{name}/{part}" for name in self._pretension for part in ("first", "second")
             )
-            channel = registry.add(
+            channel = registry.register_topic(
                 SPOOL_PAIRS_TOPIC, "sensor_msgs/JointState", note=_TOPIC_NOTES[SPOOL_PAIRS_TOPIC]
             )
             self._pairs = MessageStream(
@@ -183,23 +183,27 @@ class StateTopics:
             )
         self._wrenches = [self._add_wrench_topic(registry, digit) for digit in header.digits]
         width = sum(part.stop - part.start for part in self._columns.values())
-        channel = registry.add("/controller/values", "pal_statistics_msgs/StatisticsValues")
+        channel = registry.register_topic(
+            "/controller/values", "pal_statistics_msgs/StatisticsValues"
+        )
         self._values = MessageStream(channel, statistics_values(width))
         self._cycle = MessageStream(
-            registry.add("/cycle", "handctl_msgs/CycleStats"),
+            registry.register_topic("/cycle", "handctl_msgs/CycleStats"),
             cycle_stats_template(len(header.motors)),
         )
         self._estimates = {}
         for topic, (field, unit) in ESTIMATE_TOPICS.items():
-            channel = registry.add(topic, "handctl_msgs/Estimate", note=_TOPIC_NOTES.get(topic, ""))
+            channel = registry.register_topic(
+                topic, "handctl_msgs/Estimate", note=_TOPIC_NOTES.get(topic, "")
+            )
             self._estimates[field] = MessageStream(
-                channel, estimate_template(header.axis(TELEMETRY_AXES[field]), unit)
+                channel, estimate_template(header.axis_names(TELEMETRY_AXES[field]), unit)
             )
 
     def _add_wrench_topic(self, registry: TopicRegistry, digit: str) -> MessageStream:
         """Register the wrench topic of a digit."""
         note = "force of the object on the digit; the tip closes towards +y of its frame"
-        channel = registry.add(
+        channel = registry.register_topic(
             f"/fingertip/{digit}/wrench", "geometry_msgs/WrenchStamped", note=note
         )
         return MessageStream(channel, wrench_template(f"{digit}_tip"))
@@ -277,7 +281,7 @@ class StateTopics:
         # The smallest int64 marks a tick in which no reply arrived. The time of its last reply
         # becomes NaN.
         latest = np.full(len(start), np.iinfo(np.int64).min)
-        np.maximum.at(latest, batch.received.tick, batch.received.frames["t_ns"])
+        np.maximum.at(latest, batch.received.tick_indexes, batch.received.frames["t_ns"])
         received = (latest > np.iinfo(np.int64).min) & (before >= 0)
         last_reply = np.where(received, (np.where(received, latest, 0) - before) * 1e-9, np.nan)
         self._last = int(batch.k[-1]), int(start[-1])

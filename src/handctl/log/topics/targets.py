@@ -4,10 +4,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from handctl.log.batch import TickBatch
 from handctl.log.cdr import CdrWriter
 from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
+from handctl.log.tick_batch import TickBatch
 from handctl.log.topics.message_streams import MessageStamps, TopicRegistry, variable_length_block
 from handctl.programs.requests import (
     OpenStream,
@@ -27,7 +27,7 @@ class TargetTopic:
     def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:
         """Register the topic."""
         self._offset_ns = header.offset_ns
-        self._channel = registry.add("/stream/target", "handctl_msgs/StreamTarget")
+        self._channel = registry.register_topic("/stream/target", "handctl_msgs/StreamTarget")
         self._names: dict[str, tuple[str, ...]] = {}
 
     def blocks(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
@@ -37,10 +37,12 @@ class TargetTopic:
         for index, tick in batch.ticks_with_events.items():
             for target in self._targets_among(tick.tick_in.requests):
                 at.append(index)
-                messages.append(self._target_message(int(stamps.log[index]), target))
+                messages.append(self._target_message(int(stamps.log_times[index]), target))
         if not messages:
             return []
-        return [variable_length_block(self._channel, stamps.at(np.array(at, np.intp)), messages)]
+        return [
+            variable_length_block(self._channel, stamps.selected(np.array(at, np.intp)), messages)
+        ]
 
     def _targets_among(self, requests: tuple[str, ...]) -> Iterator[StreamTarget]:
         """Yield the streamed targets among some requests.
@@ -60,14 +62,14 @@ class TargetTopic:
         names = self._names.get(target.stream, ())
         age_s = (log_ns - self._offset_ns - target.sent_ns) / 1e9
         out = CdrWriter()
-        out.put("I", log_ns // 10**9)
-        out.put("I", log_ns % 10**9)
-        out.text("")
-        out.text(target.stream)
-        out.put("q", int(np.clip(target.number, -(2**63), 2**63 - 1)))
-        out.put("d", age_s)
-        out.texts(names if len(names) == len(target.values) else ())
-        out.count(len(target.values))
+        out.put_number("I", log_ns // 10**9)
+        out.put_number("I", log_ns % 10**9)
+        out.put_string("")
+        out.put_string(target.stream)
+        out.put_number("q", int(np.clip(target.number, -(2**63), 2**63 - 1)))
+        out.put_number("d", age_s)
+        out.put_strings(names if len(names) == len(target.values) else ())
+        out.put_length(len(target.values))
         for value in target.values:
-            out.put("d", value)
-        return out.message()
+            out.put_number("d", value)
+        return out.finished_message()

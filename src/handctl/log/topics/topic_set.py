@@ -3,15 +3,15 @@
 import numpy as np
 from mcap.records import Channel, Schema
 
-from handctl.log.batch import TickBatch
 from handctl.log.cdr import CdrWriter
 from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
+from handctl.log.tick_batch import TickBatch
 from handctl.log.topics.can import CanTopics
-from handctl.log.topics.chain import ChainTopic
 from handctl.log.topics.clock_pairs import ClockTopic
 from handctl.log.topics.event_topics import EventTopics
-from handctl.log.topics.health import HealthTopics
+from handctl.log.topics.hash_chain import ChainTopic
+from handctl.log.topics.health_topics import HealthTopics
 from handctl.log.topics.message_streams import (
     MessageStamps,
     TopicRegistry,
@@ -41,13 +41,13 @@ class TopicSet:
         """Register all topics of a run."""
         self._header = header
         self._registry = TopicRegistry()
-        self._description = self._registry.add(
+        self._description = self._registry.register_topic(
             "/robot_description", "std_msgs/String", latched=True
         )
-        self._names = self._registry.add(
+        self._names = self._registry.register_topic(
             "/controller/names", "pal_statistics_msgs/StatisticsNames", latched=True
         )
-        self._tick = self._registry.add(TICK_TOPIC, "handctl_msgs/Tick")
+        self._tick = self._registry.register_topic(TICK_TOPIC, "handctl_msgs/Tick")
         self._tf = TfTopics(header, self._registry)
         self._events = EventTopics(header, self._registry)
         self._parts = (
@@ -82,14 +82,16 @@ class TopicSet:
         urdf = self._header.attachments.get("hand.urdf")
         if urdf is not None:
             text = CdrWriter()
-            text.text(urdf.decode())
-            blocks.append(variable_length_block(self._description, stamps, [text.message()]))
+            text.put_string(urdf.decode())
+            blocks.append(
+                variable_length_block(self._description, stamps, [text.finished_message()])
+            )
         return blocks
 
     @property
     def last_digest(self) -> bytes:
         """Return the chain hash of the latest tick."""
-        return self._chain.last
+        return self._chain.last_hash
 
     def clock_pair(self, t_ns: int, k: int, wall_ns: int, monotonic_ns: int) -> MessageBlock:
         """Return a message with a reading of wall clock and monotonic clock.

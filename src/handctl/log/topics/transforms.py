@@ -10,17 +10,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.log.batch import TickBatch, columns_of_fields
 from handctl.log.cdr import TemplateWriter
 from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
+from handctl.log.tick_batch import TickBatch, columns_of_fields
 from handctl.log.topics.message_streams import MessageStamps, MessageStream, TopicRegistry
 
 TRANSFORM_PERIOD_NS = 20_000_000
 """Interval between messages with transforms [ns]. 50 Hz is enough for a viewer."""
 ROOT_FRAME = "palm"
 """Name of the frame that is the root of all link frames."""
-Z_AXIS = (0.0, 0.0, 1.0)
+DEFAULT_JOINT_AXIS = (0.0, 0.0, 1.0)
 """Axis of a hinge for which the hand file gives no ``joint_axis``."""
 
 
@@ -69,7 +69,7 @@ def link_frames(hand_toml: str) -> list[LinkFrame]:
         position = tuple(map(float, digit["mount_position_m"]))
         rotation = quaternion_of_rpy(*map(math.radians, digit["mount_rpy_deg"]))
         turns = digit.get("joint_rpy_deg", [(0.0, 0.0, 0.0)] * len(lengths))
-        axes = digit.get("joint_axis", [Z_AXIS] * len(lengths))
+        axes = digit.get("joint_axis", [DEFAULT_JOINT_AXIS] * len(lengths))
         for index, length in enumerate(lengths):
             child = f"{name}_link{index + 1}"
             size = math.hypot(*axes[index])
@@ -83,7 +83,7 @@ def link_frames(hand_toml: str) -> list[LinkFrame]:
             rotation = (0.0, 0.0, 0.0, 1.0)
             joint += 1
         tips[name] = parent
-        frames.append(LinkFrame(parent, f"{name}_tip", position, rotation, Z_AXIS, -1))
+        frames.append(LinkFrame(parent, f"{name}_tip", position, rotation, DEFAULT_JOINT_AXIS, -1))
     return frames
 
 
@@ -109,13 +109,13 @@ def link_quaternions(link: LinkFrame, q: NDArray[np.float64]) -> NDArray[np.floa
 def _transform_stream(channel: int, some: list[LinkFrame]) -> MessageStream:
     """Return the stream of a tf2_msgs/TFMessage for some links."""
     out = TemplateWriter()
-    out.count(len(some))
+    out.put_length(len(some))
     for index, link in enumerate(some):
-        out.header(link.parent)
-        out.text(link.child)
-        out.place(f"position{index}", "<f8", 3)
-        out.place(f"rotation{index}", "<f8", 4)
-    return MessageStream(channel, out.template())
+        out.put_header(link.parent)
+        out.put_string(link.child)
+        out.put_field(f"position{index}", "<f8", 3)
+        out.put_field(f"rotation{index}", "<f8", 4)
+    return MessageStream(channel, out.finished_template())
 
 
 class TfTopics:
@@ -131,9 +131,11 @@ class TfTopics:
             [link for link in tree if (link.joint >= 0) == moves] for moves in (True, False)
         )
         self._static = _transform_stream(
-            registry.add("/tf_static", "tf2_msgs/TFMessage", latched=True), self._fixed
+            registry.register_topic("/tf_static", "tf2_msgs/TFMessage", latched=True), self._fixed
         )
-        self._stream = _transform_stream(registry.add("/tf", "tf2_msgs/TFMessage"), self._moving)
+        self._stream = _transform_stream(
+            registry.register_topic("/tf", "tf2_msgs/TFMessage"), self._moving
+        )
         self._q = columns_of_fields(header)["q"]
         self._last = -1
 
@@ -157,4 +159,4 @@ class TfTopics:
         for index, link in enumerate(self._moving):
             values[f"position{index}"] = np.array([link.position])
             values[f"rotation{index}"] = link_quaternions(link, q[:, link.joint])
-        return [self._stream.block(stamps.at(selected), values)]
+        return [self._stream.block(stamps.selected(selected), values)]

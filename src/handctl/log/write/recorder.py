@@ -19,8 +19,13 @@ from typing import Self
 from handctl.core.tick_types import IoEvent
 from handctl.errors import LogError
 from handctl.log.header import RunHeader
-from handctl.log.record import END_RECORD_KIND, FILE_RECORD_KIND, HEADER_RECORD_KIND, record_bytes
-from handctl.log.write.child import RecorderProcess, take_recorder_process
+from handctl.log.tick_record import (
+    END_RECORD_KIND,
+    FILE_RECORD_KIND,
+    HEADER_RECORD_KIND,
+    record_bytes,
+)
+from handctl.log.write.recorder_start import RecorderProcess, take_recorder_process
 
 PIPE_BYTES = (8 << 20, 1 << 20)
 """Sizes to request for the pipe to the recorder, in order of preference [bytes].
@@ -131,7 +136,7 @@ class Recorder:
     def _abandon_process(self) -> None:
         """End a recorder process that did not start properly."""
         self._ended = True
-        self._process.end()
+        self._process.end_process()
 
     def _close_notes(self) -> None:
         """Close the pipe for the recorder's notes."""
@@ -159,7 +164,7 @@ class Recorder:
                 return False
         return True
 
-    def record(self, data: bytes) -> bool:
+    def send_record(self, data: bytes) -> bool:
         """Send one record. A real-time run does not wait for a full pipe. A deterministic run waits.
 
         Args:
@@ -190,7 +195,7 @@ class Recorder:
         self.dropped += 1
         return False
 
-    def events(self) -> tuple[IoEvent, ...]:
+    def take_events(self) -> tuple[IoEvent, ...]:
         """Return the events of the recorder since the last call. Their kind is "recorder".
 
         `where` is one of:

@@ -9,10 +9,10 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
-from handctl.log.batch import TickBatcher
 from handctl.log.container import McapContainer, MessageBlock
 from handctl.log.header import RunHeader
-from handctl.log.record import SNAPSHOT_HEAD_STRUCT
+from handctl.log.tick_batch import TickBatcher
+from handctl.log.tick_record import SNAPSHOT_HEAD_STRUCT
 from handctl.log.topics.clock_pairs import PAIR_PERIOD_NS
 from handctl.log.topics.snapshots import ControllerSnapshot
 from handctl.log.topics.topic_set import TopicSet
@@ -44,7 +44,7 @@ ReportFunction = Callable[[str, int], None]
 ClockFunction = Callable[[], tuple[int, int]]
 
 
-def _both_clocks() -> tuple[int, int]:
+def _read_both_clocks() -> tuple[int, int]:
     """Return the readings of wall clock and monotonic clock [ns]."""
     return time.time_ns(), time.monotonic_ns()
 
@@ -97,7 +97,7 @@ class LogWriter:
         header: RunHeader,
         report: ReportFunction,
         floor_bytes: int,
-        clocks: ClockFunction = _both_clocks,
+        clocks: ClockFunction = _read_both_clocks,
         to_disk: Callable[[int], None] = sync_now,
     ) -> None:
         """Create the file, and write the header.
@@ -141,13 +141,13 @@ class LogWriter:
         header = self._header
         container = self._container
         for name, data in ({"hand.toml": header.hand_toml.encode()} | header.attachments).items():
-            container.attach(
+            container.write_attachment(
                 name,
                 _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream"),
                 data,
                 header.offset_ns,
             )
-        container.metadata("handctl", header.metadata)
+        container.write_metadata("handctl", header.metadata)
         lists = {
             name: list(getattr(header, name))
             for name in ("joints", "tendons", "motors", "digits", "buses")
@@ -158,29 +158,29 @@ class LogWriter:
             "offset_ns": header.offset_ns,
         }
         fields = lists | numbers | {"deterministic": header.deterministic}
-        container.metadata(
+        container.write_metadata(
             "handctl.run", {name: json.dumps(value) for name, value in fields.items()}
         )
-        container.metadata("handctl.gains", header.gains)
+        container.write_metadata("handctl.gains", header.gains)
         if header.wall:
-            container.metadata("handctl.wall", header.wall)
-        container.chunk(self._topics.latched(), self._topics.schemas, self._topics.channels)
+            container.write_metadata("handctl.wall", header.wall)
+        container.write_chunk(self._topics.latched(), self._topics.schemas, self._topics.channels)
 
     @property
-    def pending(self) -> bool:
+    def has_pending_ticks(self) -> bool:
         """Return True if ticks wait for the next chunk."""
         return len(self._batcher) > 0
 
-    def add(self, body: bytes) -> None:
+    def add_tick(self, body: bytes) -> None:
         """Add a tick, given as the body of a record, to the next chunk."""
         if self.closed:
             self.lost += 1
             return
-        misshapen = self._batcher.misshapen
-        begins = not self.pending
-        t_ns = self._batcher.add(body)
+        misshapen = self._batcher.misshapen_ticks
+        begins = not self.has_pending_ticks
+        t_ns = self._batcher.add_tick(body)
         self.ticks += 1
-        if self._batcher.misshapen > misshapen == 0:
+        if self._batcher.misshapen_ticks > misshapen == 0:
             self._report("misshapen", 1)
         if self._ends_chunk(t_ns, begins) or self._batcher.size > CHUNK_BYTES:
             self.flush()
@@ -214,9 +214,9 @@ class LogWriter:
 
     def flush(self) -> None:
         """Write the collected ticks as one chunk."""
-        if self.closed or not self.pending:
+        if self.closed or not self.has_pending_ticks:
             return
-        batch = self._batcher.take()
+        batch = self._batcher.take_batch()
         # Each missing tick number, also between two chunks, counts as a missed tick.
         first = self._last_k + 1 if self._last_k >= 0 else int(batch.k[0])
         self._missed += max(int(batch.k[-1]) - first + 1 - len(batch.k), 0)
@@ -224,7 +224,7 @@ class LogWriter:
         snapshots = self._snapshots
         self._snapshots = []
         try:
-            self._container.chunk(
+            self._container.write_chunk(
                 self._topics.blocks(batch) + snapshots + self._clock_pair(int(batch.t_ns[-1]))
             )
         except OSError as error:
@@ -269,7 +269,7 @@ class LogWriter:
         self.closed = True
         self._report("disk_full" if error.errno in _DISK_FULL_ERRNOS else "error", error.errno or 0)
         with suppress(OSError):
-            self._container.cut_back()
+            self._container.cut_incomplete_record()
             self._write_end(f"write failed: {error.strerror}", 0)
 
     def _write_end(self, reason: str, dropped: int, facts: Mapping[str, str] | None = None) -> None:
@@ -283,21 +283,21 @@ class LogWriter:
             "ticks": self.ticks,
             "missed": self._missed,
             "dropped": dropped,
-            "misshapen": self._batcher.misshapen,
+            "misshapen": self._batcher.misshapen_ticks,
         }
         values = {
             **(facts or {}),
             "reason": reason,
-            "messages": str(self._container.messages),
+            "messages": str(self._container.message_count),
             "chain": self._topics.last_digest.hex(),
         }
         try:
-            self._container.metadata(
+            self._container.write_metadata(
                 "handctl.end", values | {name: str(value) for name, value in numbers.items()}
             )
             self._container.finish()
         except OSError:
-            self._container.cut_back()
+            self._container.cut_incomplete_record()
             raise
         finally:
             os.fsync(self._fd)
@@ -321,7 +321,11 @@ class LogWriter:
                     "disk_full" if error.errno in _DISK_FULL_ERRNOS else "error", error.errno or 0
                 )
         os.close(self._fd)
-        numbers = {"ticks": self.ticks, "lost": self.lost, "messages": self._container.messages}
+        numbers = {
+            "ticks": self.ticks,
+            "lost": self.lost,
+            "messages": self._container.message_count,
+        }
         return numbers | {
             "bytes": self._container.complete_size,
             "path": str(self._path),

@@ -13,7 +13,7 @@ from handctl.errors import DriveError
 from handctl.hand.hand_loading import load_hand
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
-from handctl.session.simulate import SimulatorSettings, homed_controller, simulate
+from handctl.session.simulate import SimulatorSettings, homed_controller, simulate_controller
 
 RATE_HZ = 500.0
 """Control rate of all experiments [Hz]."""
@@ -65,7 +65,7 @@ def run_bench_task(
     model = _hand_model(hand_file)
     recording = BenchRecording()
     bench = SimulatorSettings(hand_file, scene, seed, homed=True, truth=truth)
-    state = simulate(homed_controller(model, TaskProgram(task)), bench, recording.record)
+    state = simulate_controller(homed_controller(model, TaskProgram(task)), bench, recording.record)
     if state.failure:
         raise DriveError(state.failure, f"{task.name} with {model.hand.name} in the simulator")
     return recording

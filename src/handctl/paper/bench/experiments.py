@@ -38,7 +38,7 @@ def job_description(job: ExperimentJob) -> str:
     """Return a description of a job for progress reports."""
     match job["do"]:
         case "pull":
-            return f"pulling a blocked finger to {force_displacement.PULL_N:g} N"
+            return f"pulling a blocked finger to {force_displacement.MAX_PULL_N:g} N"
         case "search":
             return f"gripping a {job['diameter_mm']:g} mm cylinder with 6 N a finger"
     return f"loading it along {job['axis']} until it slips"

@@ -18,23 +18,23 @@ from handctl.hand.hand_loading import hand_from_content, load_hand
 from handctl.hand.tendons import TendonElasticity
 from handctl.paper import sources as src
 from handctl.paper.bench.bench_run import run_bench_task
-from handctl.paper.item import ErrataItem
+from handctl.paper.errata_item import ErrataItem
 from handctl.paper.verdicts import verdict_of_contradiction
 from handctl.programs.task import Task
 
 HAND_NAME = "jamia_bench"
 """Name of the packaged hand of the test bench."""
-BLOCKED_DEG = 0.01
+BLOCKED_JOINT_RANGE_DEG = 0.01
 """Range of motion that a clamped joint has left [deg].
 
 Three such joints move the tendon by 1.6 um.
 """
-PULL_N = 238.0
+MAX_PULL_N = 238.0
 """Tension to which the tendons are pulled [N].
 
 With its overshoot, the tension stays below 244 N, at which the load cells count as saturated.
 """
-RATE_N_PER_S = 60.0
+PULL_RATE_N_PER_S = 60.0
 """Rate at which the tension of the pulled tendons increases [N/s]."""
 LINEAR_RANGE_N = (30.0, 150.0)
 """Range of tension in which all tendons are linear [N].
@@ -71,7 +71,7 @@ def blocked_hand(knees: tuple[float, ...]) -> Hand:
     """Return the bench hand with clamped joints, and with the given knees of the first tendons."""
     content = copy.deepcopy(load_hand(HAND_NAME).content)
     for digit in content["digit"]:
-        digit["joint_max_deg"] = [low + BLOCKED_DEG for low in digit["joint_min_deg"]]
+        digit["joint_max_deg"] = [low + BLOCKED_JOINT_RANGE_DEG for low in digit["joint_min_deg"]]
     for tendon, knee in zip(content["tendon"], knees, strict=False):
         tendon["knee_N"] = knee
     return hand_from_content(content, f"{HAND_NAME}, blocked")
@@ -83,11 +83,11 @@ def measure_tendons(folder: Path) -> dict[str, Any]:
     Args:
         folder: folder for the files of the experiment.
     """
-    knees = tuple(map(float, src.KNEES_N))
+    knees = tuple(map(float, src.KNEE_TENSIONS_N))
     hand = blocked_hand(knees)
     path = folder / "blocked.toml"
     path.write_text(hand.to_toml(), encoding="utf-8")
-    pulled = dict.fromkeys(hand.digit_names[: len(knees)], PULL_N)
+    pulled = dict.fromkeys(hand.digit_names[: len(knees)], MAX_PULL_N)
     recording = run_bench_task(str(path), None, _pull_task(pulled))
     rows = recording.in_phase("pull")
     force = np.array(recording.tension)[rows]
@@ -119,8 +119,8 @@ def _pull_task(tension: dict[str, float]) -> Task:
             "kind": "hold",
             "name": "pull",
             "tension_N": tension,
-            "rate_N_per_s": RATE_N_PER_S,
-            "duration_s": PULL_N / RATE_N_PER_S + 0.3,
+            "rate_N_per_s": PULL_RATE_N_PER_S,
+            "duration_s": MAX_PULL_N / PULL_RATE_N_PER_S + 0.3,
         },
     )
     return Task.model_validate({"schema": 1, "name": "force and displacement", "phase": phases})
@@ -156,14 +156,14 @@ def curve_of_tendon(measured: Mapping[str, Any], noise: float) -> TendonCurve:
 def _fit_knee(displacement: Array, force: Array, slope: float) -> tuple[float, float]:
     """Return the tension at the knee from a least-squares fit, and its standard deviation [N]."""
 
-    def law(x: Array, knee: float, ratio: float, width: float) -> Array:
+    def knee_curve(x: Array, knee: float, ratio: float, width: float) -> Array:
         tendon = TendonElasticity(slope, ratio * slope, knee, width, 0.0)
         return np.array([tendon.elastic_tension(value) for value in x.tolist()])
 
     bounds = ([100.0, 0.05, 1e-5], [300.0, 0.95, 2e-3])
     # Every fourth sample is enough. Further samples need time, and tell little about the knee.
     parameters, covariance = curve_fit(
-        law, displacement[::4], force[::4], (180.0, 0.5, 2e-4), bounds=bounds
+        knee_curve, displacement[::4], force[::4], (180.0, 0.5, 2e-4), bounds=bounds
     )
     return float(parameters[0]), float(np.sqrt(covariance[0, 0]))
 
@@ -177,7 +177,7 @@ def curves_of_tendons(measured: Mapping[str, Any]) -> list[TendonCurve]:
 def knee_items(measured: Mapping[str, Any]) -> list[ErrataItem]:
     """Return items that compare the measured knees with the knees that the paper states."""
     rows = []
-    verdict = verdict_of_contradiction([str(knee) for knee in src.KNEES_N], None)
+    verdict = verdict_of_contradiction([str(knee) for knee in src.KNEE_TENSIONS_N], None)
     for place, tendon in zip(("Sec. 5", "Abstract"), curves_of_tendons(measured), strict=True):
         knee_nominal = tendon.knee_nominal
         top = float(tendon.force.max())

@@ -13,10 +13,10 @@ import numpy as np
 from handctl.hand.digit import Array
 from handctl.paper import sources as src
 from handctl.paper.bench.bench_run import BenchRecording, run_bench_task
-from handctl.paper.item import ErrataItem
+from handctl.paper.errata_item import ErrataItem
 from handctl.paper.verdicts import verdict_of_lower_bound
 from handctl.programs.task import Task
-from handctl.report.truth import TruthRecord, read_truth
+from handctl.report.truth_record import TruthRecord, read_truth
 
 HAND_NAME = "jamia"
 """Name of the packaged hand for this measurement."""
@@ -96,7 +96,7 @@ def search_tension(folder: Path, diameter_mm: float) -> dict[str, Any]:
     # equal.
     normals = np.maximum.accumulate(normals + 1e-6 * np.arange(len(phases))[:, None])
     start_s = recording.t_ns[recording.phase.index(phases[0]["name"])] / 1e9
-    target_normals = np.full(len(names), float(src.GRIP_FINGER_N))
+    target_normals = np.full(len(names), float(src.FINGER_GRIP_FORCE_N))
     tension = _tension_for_normals(normals, target_normals)
     recording, truth = _grip_cylinder(
         folder, diameter_mm, "z", 1e3, [_hold_phase("try", tension, GRIP_SETTLING_S)]
@@ -136,10 +136,10 @@ def load_until_slip(
     slip, ended = _find_slip(truth, first, end)
     # Along z, the weight of the object acts in the direction of the load.
     weight = CYLINDER_MASS_KG * float(src.GRAVITY_M_PER_S2) if axis == "z" else 0.0
-    load = float(truth.at("load", truth.t_ns[slip : slip + 1])[0]) + weight
+    load = float(truth.column_at("load", truth.t_ns[slip : slip + 1])[0]) + weight
     # The palm carries the sum of the contact forces of the digits along x, out of the palm.
     palm = sum(
-        float(truth.at(f"contact_force/{name}/x", truth.t_ns[first : first + 1])[0])
+        float(truth.column_at(f"contact_force/{name}/x", truth.t_ns[first : first + 1])[0])
         for name in tension
     )
     times = truth.t_ns[first:end:10]
@@ -150,7 +150,7 @@ def load_until_slip(
         "diameter_mm": diameter_mm, "axis": axis, "tension_N": dict(tension),
         "normal_N": dict(zip(tension, normals, strict=True)), "palm_N": max(0.0, palm), "load_N": load, "ended": ended,
         "payload_kg": load / float(src.GRAVITY_M_PER_S2),
-        "trace_N": (truth.at("load", times) + weight).tolist(), "trace_mm": (1000.0 * moved).tolist(),
+        "trace_N": (truth.column_at("load", times) + weight).tolist(), "trace_mm": (1000.0 * moved).tolist(),
     }  # fmt: skip
 
 
@@ -202,13 +202,14 @@ def _mean_normals(truth: TruthRecord, until_ns: int) -> list[float]:
     end = int(np.searchsorted(truth.t_ns, until_ns))
     times = truth.t_ns[end - AVERAGE_ROWS : end]
     return [
-        float(truth.at(f"normal/{name}", times).mean()) for name in src.paper_hand().digit_names
+        float(truth.column_at(f"normal/{name}", times).mean())
+        for name in src.paper_hand().digit_names
     ]
 
 
 def _object_positions(truth: TruthRecord, times: Any) -> Array:
     """Return the positions of the object at given times (times, 3) [m]."""
-    return truth.table([f"object/{axis}" for axis in "xyz"], times)
+    return truth.columns_at([f"object/{axis}" for axis in "xyz"], times)
 
 
 def _find_slip(truth: TruthRecord, first: int, end: int) -> tuple[int, str]:
@@ -227,7 +228,7 @@ def _find_slip(truth: TruthRecord, first: int, end: int) -> tuple[int, str]:
     return first + row, ended
 
 
-def bound_kg(result: Mapping[str, Any]) -> float:
+def friction_bound_kg(result: Mapping[str, Any]) -> float:
     """Return the largest payload that Coulomb friction permits [kg].
 
     It follows from the measured normal forces of digits and palm.
@@ -246,7 +247,8 @@ def payload_items(results: Sequence[Mapping[str, Any]]) -> list[ErrataItem]:
         reason = (
             f"Cylinder of {result['diameter_mm']:g} mm, load {AXIS_NAMES[axis]}; fingers press with "
             f"{', '.join(f'{force:.1f}' for force in fingers)} N, the thumb with {result['normal_N']['thumb']:.1f} N; "
-            f"{CRITERION_TEXTS[result['ended']]}. Coulomb's bound by all normal forces is {bound_kg(result):.2f} kg."
+            f"{CRITERION_TEXTS[result['ended']]}. Coulomb's bound by all normal forces is "
+            f"{friction_bound_kg(result):.2f} kg."
         )
         rows.append(
             ErrataItem(
@@ -265,7 +267,7 @@ def payload_table(results: Sequence[Mapping[str, Any]]) -> tuple[tuple[str, ...]
 
     The first row contains the titles of the columns.
     """
-    formula = float(src.payload_kg(src.FINGER_COUNT * src.GRIP_FINGER_N))
+    formula = float(src.payload_kg(src.FINGER_COUNT * src.FINGER_GRIP_FORCE_N))
     titles = (
         "cylinder",
         "load",
@@ -285,7 +287,7 @@ def payload_table(results: Sequence[Mapping[str, Any]]) -> tuple[tuple[str, ...]
         rows.append((
             f"⌀ {result['diameter_mm']:g} mm", f"{result['axis']}: {AXIS_NAMES[result['axis']]}", f"{fingers:.1f} N",
             f"{normal['thumb']:.1f} N", f"{result['palm_N']:.1f} N", f"{bound_mark}{result['payload_kg']:.2f} kg",
-            f"{formula:.3f} kg", f"{2 * formula:.3f} kg", f"{bound_kg(result):.2f} kg",
+            f"{formula:.3f} kg", f"{2 * formula:.3f} kg", f"{friction_bound_kg(result):.2f} kg",
         ))  # fmt: skip
     return (titles, *rows)
 

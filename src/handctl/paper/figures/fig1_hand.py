@@ -12,16 +12,21 @@ from handctl.paper import sources as src
 from handctl.paper.figures.style import DIGIT_COLOURS
 
 HAND_FIGURE_SIZE_IN = (7.2, 5.6)
-POSE_DEG = {"index": 24.0, "middle": 30.0, "ring": 36.0, "thumb": 30.0}
+POSE_ANGLES_DEG = {"index": 24.0, "middle": 30.0, "ring": 36.0, "thumb": 30.0}
 """Angle that all joints of a digit have in the figure, for each digit [deg]."""
-LABEL_MM = {"index": (4, 0, 8), "middle": (4, 0, 8), "ring": (-8, -4, -14), "thumb": (0, 0, 8)}
+LABEL_OFFSETS_MM = {
+    "index": (4, 0, 8),
+    "middle": (4, 0, 8),
+    "ring": (-8, -4, -14),
+    "thumb": (0, 0, 8),
+}
 """Offset of the label of each digit [mm]."""
 FACES_AROUND = 24
 FACES_ALONG = 6
 """Number of faces around a bar, and number of rings on its round end."""
 LIGHT_DIRECTION = np.array([0.35, -0.45, 0.82])
 """Direction from which the light comes."""
-VIEW_DEG = (24.0, -58.0)
+VIEW_ANGLES_DEG = (24.0, -58.0)
 """Elevation and azimuth of the view [deg]."""
 
 
@@ -44,12 +49,14 @@ def draw_hand_figure(figure: Any) -> None:
     colours: list[Any] = []
     for name, colour in DIGIT_COLOURS.items():
         model = DigitModel.from_hand(src.paper_hand(), name)
-        nodes = 1000.0 * joint_points(model, np.radians(np.full(model.joint_count, POSE_DEG[name])))
+        nodes = 1000.0 * joint_points(
+            model, np.radians(np.full(model.joint_count, POSE_ANGLES_DEG[name]))
+        )
         for start, end in pairwise(nodes):
             capsule = _capsule_faces(start, end, 1000.0 * model.radius)
             faces += capsule
             colours += [_shaded_colour(face, colour) for face in capsule]
-        label_position = (nodes[0] + nodes[1]) / 2.0 + np.array(LABEL_MM[name])
+        label_position = (nodes[0] + nodes[1]) / 2.0 + np.array(LABEL_OFFSETS_MM[name])
         outline = [withStroke(linewidth=2.5, foreground="white")]
         axes.text(
             *label_position,
@@ -76,7 +83,7 @@ def _set_axes(axes: Any) -> None:
     )
     axes.set(xlim=(-12, 62), ylim=(-37, 37), zlim=(-37, 37))
     axes.set_box_aspect((1, 1, 1), zoom=1.05)
-    axes.view_init(*VIEW_DEG)
+    axes.view_init(*VIEW_ANGLES_DEG)
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
         axis.set_pane_color((1.0, 1.0, 1.0, 0.0))
     finger, thumb = (

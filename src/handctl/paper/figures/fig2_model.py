@@ -9,21 +9,21 @@ from handctl.paper.figures.style import BLUE, GREY, ORANGE
 from handctl.paper.model import kinematics
 
 MODEL_FIGURE_SIZE_IN = (9.6, 5.0)
-POSE_DEG = (25.0, 30.0, 35.0)
-ARC_MM = (9.0, 6.0, 5.0)
+POSE_ANGLES_DEG = (25.0, 30.0, 35.0)
+ARC_RADII_MM = (9.0, 6.0, 5.0)
 """Radius of the arc that marks the relative angle of each joint [mm]."""
 
 
 def draw_model_figure(figure: Any) -> None:
     """Draw a finger in a pose, with the angles that sections 4 and 7 of the paper use at each joint."""
     axes = figure.add_subplot()
-    q = np.radians(POSE_DEG)
+    q = np.radians(POSE_ANGLES_DEG)
     theta = np.cumsum(q)
     nodes = 1000.0 * kinematics.points_in_plane(kinematics.paper_digit("index"), q)
     lengths = src.exact_millimetres(src.paper_finger().link_length_m)
     axes.plot(*nodes.T, color=GREY, linewidth=7, alpha=0.4, solid_capstyle="round", zorder=1)
     axes.plot(*nodes[:-1].T, "o", color="white", markeredgecolor="black", markersize=9, zorder=5)
-    for i, radius in enumerate(ARC_MM):
+    for i, radius in enumerate(ARC_RADII_MM):
         before = theta[i] - q[i]
         _draw_ray(axes, nodes[i], before, 1.7 * radius, BLUE)
         _draw_ray(axes, nodes[i], 0.0, 2.2 * radius, ORANGE)

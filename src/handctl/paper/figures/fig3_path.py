@@ -15,7 +15,7 @@ from handctl.paper.figures.style import BLUE, GREY, RED
 from handctl.paper.model import kinematics
 
 PATH_FIGURE_SIZE_IN = (9.6, 4.5)
-CELL_MM = 0.25
+AREA_CELL_MM = 0.25
 """Size of the cells of which the drawn area consists [mm]."""
 SAMPLE_COUNTS = {"index": 161, "thumb": 900}
 """Number of sampled angles of each joint, by digit."""
@@ -76,7 +76,7 @@ def _draw_digit(axes: Any, name: str, title: str, x: tuple[float, float]) -> Non
 
 def _draw_area(axes: Any, tips: Array, x: tuple[float, float], y: tuple[float, float]) -> None:
     """Draw the cells that contain a sampled position of the tip, and fill the gaps between them."""
-    bins = [np.arange(low, high + CELL_MM, CELL_MM) for low, high in (x, y)]
+    bins = [np.arange(low, high + AREA_CELL_MM, AREA_CELL_MM) for low, high in (x, y)]
     # Cells between two samples would look like holes in the workspace.
     hit = binary_closing(np.histogram2d(tips[:, 0], tips[:, 1], bins=bins)[0] > 0, iterations=3)
     smooth = gaussian_filter(hit.astype(float), 1.5).T

@@ -6,15 +6,15 @@ import numpy as np
 
 from handctl.paper.figures.style import BLUE, GREEN, GREY, ORANGE, PURPLE, RED
 from handctl.paper.model.motion import (
-    CLOSED_DEG,
-    DURATIONS_S,
+    CLOSED_JOINT_ANGLE_DEG,
+    CLOSING_DURATIONS_S,
     TORQUE_PARTS,
     closing_torques,
     first_torque,
 )
 
 TORQUES_FIGURE_SIZE_IN = (9.6, 9.0)
-SIZE_EQ10 = (9.0, 3.6)
+EQ10_FIGURE_SIZE_IN = (9.0, 3.6)
 PART_COLOURS = dict(zip(TORQUE_PARTS, (BLUE, RED, GREEN, ORANGE, PURPLE), strict=True))
 LINK_PARTS = TORQUE_PARTS[:3]
 """Torque components that Eq. 3 to 12 of the paper describe."""
@@ -25,20 +25,22 @@ def draw_torque_figure(figure: Any) -> None:
 
     Below each, the components of the links are enlarged.
     """
-    rows = figure.subplots(4, len(DURATIONS_S), sharey="row", height_ratios=(1.15, 1, 1.15, 1))
+    rows = figure.subplots(
+        4, len(CLOSING_DURATIONS_S), sharey="row", height_ratios=(1.15, 1, 1.15, 1)
+    )
     for pair, (name, title) in enumerate((("index", "finger"), ("thumb", "thumb"))):
-        for column, duration in enumerate(DURATIONS_S):
+        for column, duration in enumerate(CLOSING_DURATIONS_S):
             motion = closing_torques(name, duration)
             total_axes = rows[2 * pair][column]
             link_axes = rows[2 * pair + 1][column]
             for part in TORQUE_PARTS:
                 total_axes.plot(
                     1e3 * motion.times,
-                    1e3 * motion.parts[part],
+                    1e3 * motion.torque_by_cause[part],
                     color=PART_COLOURS[part],
                     label=part,
                 )
-            total = sum(motion.parts.values(), np.zeros(len(motion.times)))
+            total = sum(motion.torque_by_cause.values(), np.zeros(len(motion.times)))
             total_axes.plot(
                 1e3 * motion.times,
                 1e3 * total,
@@ -49,14 +51,16 @@ def draw_torque_figure(figure: Any) -> None:
             )
             for part in LINK_PARTS:
                 link_axes.plot(
-                    1e3 * motion.times, 1e3 * motion.parts[part], color=PART_COLOURS[part]
+                    1e3 * motion.times, 1e3 * motion.torque_by_cause[part], color=PART_COLOURS[part]
                 )
-            total_axes.set_title(f"{title}, {CLOSED_DEG:g}° in {duration:g} s", fontsize=9.5)
+            total_axes.set_title(
+                f"{title}, {CLOSED_JOINT_ANGLE_DEG:g}° in {duration:g} s", fontsize=9.5
+            )
             link_axes.set_title("links alone (Eq. 3-12)", fontsize=9, weight="normal")
             for axes in (total_axes, link_axes):
                 axes.margins(x=0)
                 axes.axhline(0.0, color=GREY, linewidth=0.7)
-                _add_tension_axis(axes, motion.lever, column == len(DURATIONS_S) - 1)
+                _add_tension_axis(axes, motion.lever_m, column == len(CLOSING_DURATIONS_S) - 1)
             if column == 0:
                 total_axes.set(ylabel="torque [mN m]")
                 link_axes.set(ylabel="torque [mN m]")
@@ -84,7 +88,7 @@ def draw_eq10_figure(figure: Any) -> None:
 
     One plot has the scale of the printed equation, the other the scale of the corrected one.
     """
-    times, printed, right = first_torque(DURATIONS_S[1])
+    times, printed, right = first_torque(CLOSING_DURATIONS_S[1])
     wide, close = figure.subplots(1, 2)
     for axes in (wide, close):
         axes.plot(1e3 * times, 1e3 * printed, color=RED, label="Eq. 10 as printed")

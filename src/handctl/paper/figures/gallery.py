@@ -11,7 +11,7 @@ from handctl.paper.figures import (
     fig3_path,
     fig4_statics,
     fig7_torques,
-    measured,
+    measured_figures,
 )
 from handctl.paper.figures.style import write_figure
 
@@ -32,17 +32,20 @@ def figure_contents(
         "fig3-path": (fig3_path.PATH_FIGURE_SIZE_IN, fig3_path.draw_path_figure),
         "fig4-statics": (fig4_statics.STATICS_FIGURE_SIZE_IN, fig4_statics.draw_statics_figure),
         "fig7-torques": (fig7_torques.TORQUES_FIGURE_SIZE_IN, fig7_torques.draw_torque_figure),
-        "fig7-eq10": (fig7_torques.SIZE_EQ10, fig7_torques.draw_eq10_figure),
+        "fig7-eq10": (fig7_torques.EQ10_FIGURE_SIZE_IN, fig7_torques.draw_eq10_figure),
     }
     if results is not None:
         bench = curves_of_tendons(results["force_displacement"])
         loads = results["payload"]
         drawn |= {
             "fig5-force-displacement": (
-                measured.SIZE_FORCE,
-                lambda fig: measured.draw_force_displacement(fig, bench),
+                measured_figures.FORCE_FIGURE_SIZE_IN,
+                lambda fig: measured_figures.draw_force_displacement(fig, bench),
             ),
-            "fig8-payload": (measured.SIZE_PAYLOAD, lambda fig: measured.draw_payloads(fig, loads)),
+            "fig8-payload": (
+                measured_figures.PAYLOAD_FIGURE_SIZE_IN,
+                lambda fig: measured_figures.draw_payloads(fig, loads),
+            ),
         }
     return drawn
 

@@ -6,17 +6,17 @@ import numpy as np
 
 from handctl.hand.digit import Array
 from handctl.paper import sources as src
-from handctl.paper.item import ErrataItem
+from handctl.paper.errata_item import ErrataItem
 from handctl.paper.model.kinematics import paper_digit
 from handctl.paper.verdicts import verdict_of_number, verdict_of_statement
 
 STATICS_TAG = ("statics",)
-BEND_RATIO = 18.0
+MIN_BEND_RATIO = 18.0
 """Smallest ratio of pulley diameter to wire diameter in engineering practice.
 
 Source: ISO 4308-1, factor h2 of mechanism class M4.
 """
-WRAP_DEG = (15.0, 30.0, 45.0)
+WRAP_ANGLES_DEG = (15.0, 30.0, 45.0)
 """Joint angles of a finger that wraps around an object and touches it with the middle of each link [deg].
 
 Source: Birglen, Laliberte & Gosselin (2008).
@@ -38,7 +38,7 @@ def assumption_items() -> list[ErrataItem]:
 def _check_one_tendon() -> list[ErrataItem]:
     """Check whether T r_p = M can be true at every joint of the straight finger."""
     levers = src.levers_mm(src.paper_finger())
-    given = src.tension_per_newton(src.paper_finger()) * src.PULLEY_MM
+    given = src.tension_per_newton(src.paper_finger()) * src.PULLEY_RADIUS_MM
     rows = []
     for i, required in enumerate(levers):
         radius = required / src.tension_per_newton(src.paper_finger())
@@ -63,9 +63,9 @@ def _check_coupling() -> list[ErrataItem]:
     """
     levers = src.levers_mm(src.paper_finger())
     # By virtual work at equal angles, T times 3 r_p equals F times the sum of the levers.
-    tension = sum(levers, Fraction(0)) / (len(levers) * src.PULLEY_MM)
-    force = src.GRIP_FINGER_N * tension
-    torque = src.GRIP_FINGER_N * tension * src.SPOOL_MM / 1000
+    tension = sum(levers, Fraction(0)) / (len(levers) * src.PULLEY_RADIUS_MM)
+    force = src.FINGER_GRIP_FORCE_N * tension
+    torque = src.FINGER_GRIP_FORCE_N * tension * src.SPOOL_RADIUS_MM / 1000
     arms = src.paper_hand().moment_arms[
         src.paper_hand().digit_tendons["index"], src.paper_hand().digit_joints["index"]
     ]
@@ -87,24 +87,25 @@ def _check_coupling() -> list[ErrataItem]:
 
 def _check_balance() -> list[ErrataItem]:
     """Check whether three fingers with 6 N each and the thumb with 10 N are in balance."""
-    fingers = src.FINGER_COUNT * src.GRIP_FINGER_N
+    fingers = src.FINGER_COUNT * src.FINGER_GRIP_FORCE_N
     tension = fingers * src.tension_per_newton(src.paper_thumb())
-    torque = tension * src.SPOOL_MM / 1000
+    torque = tension * src.SPOOL_RADIUS_MM / 1000
     return [
         ErrataItem(
-            "grip.balance", "Sec. 5 against Sec. 6", f"{src.GRIP_THUMB_N} N thumb, {src.GRIP_FINGER_N} N each finger",
-            float(fingers), "N", verdict_of_statement(fingers == src.GRIP_THUMB_N),
-            f"Three fingers press with {fingers} N, the thumb with {src.GRIP_THUMB_N} N: the object would be pushed "
-            f"out. For {fingers} N the thumb's tendon needs {tension} N and its motor {float(torque):g} N m.",
+            "grip.balance", "Sec. 5 against Sec. 6",
+            f"{src.THUMB_GRIP_FORCE_N} N thumb, {src.FINGER_GRIP_FORCE_N} N each finger",
+            float(fingers), "N", verdict_of_statement(fingers == src.THUMB_GRIP_FORCE_N),
+            f"Three fingers press with {fingers} N, the thumb with {src.THUMB_GRIP_FORCE_N} N: the object would be "
+            f"pushed out. For {fingers} N the thumb's tendon needs {tension} N and its motor {float(torque):g} N m.",
             STATICS_TAG),
     ]  # fmt: skip
 
 
 def _payload_of_both_sides() -> list[ErrataItem]:
     """Calculate the payload with friction on both sides of the object, and compare it with the printed payload."""
-    fingers = src.FINGER_COUNT * src.GRIP_FINGER_N
+    fingers = src.FINGER_COUNT * src.FINGER_GRIP_FORCE_N
     both = 2 * src.payload_kg(fingers)
-    limited = 2 * src.payload_kg(src.GRIP_THUMB_N)
+    limited = 2 * src.payload_kg(src.THUMB_GRIP_FORCE_N)
     return [
         ErrataItem(
             "payload.both_sides", "Sec. 5", f"m = {src.PAYLOAD_KG} kg", float(both), "kg",
@@ -122,17 +123,19 @@ def _payload_of_both_sides() -> list[ErrataItem]:
 
 def _check_bending() -> ErrataItem:
     """Check the ratio of pulley diameter to wire diameter, which determines how much the wire is bent."""
-    diameter = src.wire_diameter_mm(src.GRIP_FINGER_N * src.tension_per_newton(src.paper_finger()))
-    ratio = float(2 * src.PULLEY_MM) / diameter
+    diameter = src.wire_diameter_mm(
+        src.FINGER_GRIP_FORCE_N * src.tension_per_newton(src.paper_finger())
+    )
+    ratio = float(2 * src.PULLEY_RADIUS_MM) / diameter
     return ErrataItem(
-        "wire.bending", "Sec. 5", "r_p = 3 mm, wire 0.86 mm", ratio, "", verdict_of_statement(ratio >= BEND_RATIO),
-        f"Ratio of pulley diameter to rope diameter. Engineering practice requires at least {BEND_RATIO:g}. The paper "
-        "does not consider bending stress, fatigue, friction, return springs and a safety factor. A stress of 190 MPa "
-        "is usual for aluminium, and not for a steel rope.",
+        "wire.bending", "Sec. 5", "r_p = 3 mm, wire 0.86 mm", ratio, "", verdict_of_statement(ratio >= MIN_BEND_RATIO),
+        f"Ratio of pulley diameter to rope diameter. Engineering practice requires at least {MIN_BEND_RATIO:g}. "
+        "The paper does not consider bending stress, fatigue, friction, return springs and a safety factor. A stress "
+        "of 190 MPa is usual for aluminium, and not for a steel rope.",
         ("arithmetic",))  # fmt: skip
 
 
-def contact_forces(tension: float, angles_deg: tuple[float, ...] = WRAP_DEG) -> Array:
+def contact_forces(tension: float, angles_deg: tuple[float, ...] = WRAP_ANGLES_DEG) -> Array:
     """Return the normal forces at the middle of the links that balance a tendon on equal pulleys, (3,) [N]."""
     lengths = np.array(paper_digit("index").lengths)
     absolute = np.cumsum(np.radians(angles_deg))
@@ -142,7 +145,7 @@ def contact_forces(tension: float, angles_deg: tuple[float, ...] = WRAP_DEG) -> 
             # This is the lever about `joint` of a normal force at the middle of `link`.
             inner = lengths[joint:link] @ np.cos(absolute[link] - absolute[joint:link])
             levers[joint, link] = inner + lengths[link] / 2.0
-    return np.linalg.solve(levers, np.full(3, tension * float(src.PULLEY_MM) / 1000.0))
+    return np.linalg.solve(levers, np.full(3, tension * float(src.PULLEY_RADIUS_MM) / 1000.0))
 
 
 def _check_lift_off() -> ErrataItem:

@@ -44,7 +44,7 @@ class Expression:
         names = {node.id for node in ast.walk(self.tree) if isinstance(node, ast.Name)}
         return frozenset(names - FUNCTION_BY_NAME.keys() - {"pi"})
 
-    def value(self, values: Mapping[str, Any]) -> Any:
+    def evaluate(self, values: Mapping[str, Any]) -> Any:
         """Return the value of the formula. For arrays, it is calculated element by element.
 
         Raises:
@@ -60,7 +60,7 @@ class Expression:
         """
         return _dimension_of(self.tree, dimensions)
 
-    def pretty(self) -> str:
+    def as_typeset_text(self) -> str:
         """Return the formula as typeset text without product signs, for example θ̇₁²."""
         return _pretty_text(self.tree)[0]
 

@@ -8,7 +8,7 @@ from handctl.hand.digit import Array, DigitModel
 from handctl.hand.inverse_kinematics import inverse_kinematics
 from handctl.hand.kinematics import from_palm_frame, joint_points
 from handctl.paper import sources as src
-from handctl.paper.item import ErrataItem
+from handctl.paper.errata_item import ErrataItem
 from handctl.paper.model.expression import Expression
 from handctl.paper.model.lagrange import RELATIVE_TOLERANCE, relative_deviation
 from handctl.paper.verdicts import verdict_of_statement
@@ -81,8 +81,8 @@ def _check_paths() -> list[ErrataItem]:
     )
     items_of_path = []
     for id, where, axis, printed, right in rows:
-        off = relative_deviation(printed.value({"theta": SAMPLED_ANGLES_RAD}), right)
-        shown = f"{axis} = {printed.pretty()}"
+        off = relative_deviation(printed.evaluate({"theta": SAMPLED_ANGLES_RAD}), right)
+        shown = f"{axis} = {printed.as_typeset_text()}"
         items_of_path.append(
             ErrataItem(
                 id,
@@ -122,11 +122,11 @@ def _check_general_position() -> list[ErrataItem]:
     components = (("sec4.position", "X", "cos"), ("sec4.position_y", "Y", "sin"))
     for (id, axis, wave), right in zip(components, tips.T, strict=True):
         printed = Expression(f"L1*{wave}(q1) + L2*{wave}(q1 + q2) + L3*{wave}(q1 + q2 + q3)")
-        off = relative_deviation(printed.value({**lengths, **angles}), right)
+        off = relative_deviation(printed.evaluate({**lengths, **angles}), right)
         items_of_components.append(
             ErrataItem(
                 id, "Sec. 4", f"L₁ {wave} θ₁, L₂ {wave}(θ₁ + θ₂), L₃ {wave}(θ₁ + θ₂ + θ₃)",
-                f"{axis} = {printed.pretty()}", "mm", verdict_of_statement(off < RELATIVE_TOLERANCE),
+                f"{axis} = {printed.as_typeset_text()}", "mm", verdict_of_statement(off < RELATIVE_TOLERANCE),
                 "The angles are relative to the link before, as q in this project.", ("forward kinematics",), off,
             )
         )  # fmt: skip

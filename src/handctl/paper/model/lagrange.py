@@ -17,7 +17,7 @@ from handctl.hand import rigid_body
 from handctl.hand.digit import Array, DigitModel
 from handctl.hand.dynamics import inverse_dynamics
 from handctl.hand.hand_loading import load_hand
-from handctl.paper.item import ErrataItem, ErrataVerdict
+from handctl.paper.errata_item import ErrataItem, ErrataVerdict
 from handctl.paper.model import equations
 from handctl.paper.model.equations import EquationTerm
 from handctl.paper.model.expression import Dimension, DimensionError
@@ -91,7 +91,7 @@ def lagrange_torques(states: StateSamples) -> list[Array]:
 
 def _energy_of_terms(terms: Sequence[EquationTerm], states: StateSamples) -> Any:
     """Return the energy as the sum of its correct terms."""
-    return sum(term.right.value(states) for term in terms)
+    return sum(term.correct.evaluate(states) for term in terms)
 
 
 def _momentum_rate(states: StateSamples, i: int) -> Array:
@@ -138,8 +138,10 @@ def term_items() -> list[ErrataItem]:
 def _term_item(term: EquationTerm) -> ErrataItem:
     """Return the item that compares a term with the correct one."""
     states = random_states()
-    correct = term.right.value(random_states())
-    deviations = [relative_deviation(reading.value(states), correct) for reading in term.readings]
+    correct = term.correct.evaluate(random_states())
+    deviations = [
+        relative_deviation(reading.evaluate(states), correct) for reading in term.readings
+    ]
     verdict = verdict_of_readings([value < RELATIVE_TOLERANCE for value in deviations])
     # Wrong dimensions and missing symmetry are evidence that a reader can check by hand.
     faults = (
@@ -148,7 +150,7 @@ def _term_item(term: EquationTerm) -> ErrataItem:
         else [_dimension_evidence(term), _symmetry_evidence(term)]
     )
     return ErrataItem(
-        term.id, term.where, term.printed, term.right.pretty(), "", verdict, term.why,
+        term.id, term.where, term.printed, term.correct.as_typeset_text(), "", verdict, term.why,
         (*filter(None, faults), "Lagrange"), min(deviations),
     )  # fmt: skip
 
@@ -166,15 +168,15 @@ def _dimension_evidence(term: EquationTerm) -> str:
 
 def _symmetry_evidence(term: EquationTerm) -> str:
     """Return a text if the printed coefficient of a term differs from that of its mirror term, else an empty text."""
-    if not term.mirror:
+    if not term.mirror_id:
         return ""
     mirror = next(
-        other for terms in equations.TORQUE_TERMS for other in terms if other.id == term.mirror
+        other for terms in equations.TORQUE_TERMS for other in terms if other.id == term.mirror_id
     )
     unit_states = {**random_states(), **{f"ddth{i}": 1.0 for i in (1, 2, 3)}}
     differs = (
         relative_deviation(
-            term.readings[0].value(unit_states), mirror.readings[0].value(unit_states)
+            term.readings[0].evaluate(unit_states), mirror.readings[0].evaluate(unit_states)
         )
         > RELATIVE_TOLERANCE
     )
@@ -204,12 +206,12 @@ def equation_items() -> list[ErrataItem]:
     ]  # fmt: skip
     for i, terms in enumerate(equations.TORQUE_TERMS):
         off = relative_deviation(printed_sum(terms, states), model[i])
-        rest = relative_deviation(sum(term.right.value(states) for term in terms), model[i])
+        rest = relative_deviation(sum(term.correct.evaluate(states) for term in terms), model[i])
         wrong = [item.id for item in map(_term_item, terms) if item.verdict != ErrataVerdict.EQUAL]
         items.append(
             ErrataItem(
                 f"eq{10 + i}.sum", f"Eq. {10 + i}", f"T{'₁₂₃'[i]} = sum of {len(terms)} terms",
-                " + ".join(term.right.pretty() for term in terms).replace("+ −", "− "), "",
+                " + ".join(term.correct.as_typeset_text() for term in terms).replace("+ −", "− "), "",
                 verdict_of_statement(off < RELATIVE_TOLERANCE),
                 f"These terms are wrong as printed: {', '.join(wrong)}. The corrected equation gives the torque that "
                 f"the control loop of this project computes, {_agreement_text(rest)} at {STATE_COUNT} random states.",
@@ -276,4 +278,4 @@ def _relative_from_absolute(states: StateSamples, name: str) -> Array:
 
 def printed_sum(terms: Sequence[EquationTerm], states: StateSamples) -> Any:
     """Return the value of a printed equation, with the first reading of each term."""
-    return sum(term.readings[0].value(states) for term in terms)
+    return sum(term.readings[0].evaluate(states) for term in terms)

@@ -9,14 +9,14 @@ from handctl.hand import dynamics
 from handctl.hand.digit import Array, DigitModel
 from handctl.hand.tendons import reflected_inertia
 from handctl.paper import sources as src
-from handctl.paper.item import ErrataItem
+from handctl.paper.errata_item import ErrataItem
 from handctl.paper.model import equations
 from handctl.paper.model.lagrange import finger_states, printed_sum
 from handctl.paper.verdicts import verdict_of_readings, verdict_of_statement
 
-CLOSED_DEG = 60.0
+CLOSED_JOINT_ANGLE_DEG = 60.0
 """Angle of each joint at the end of the motion [deg]."""
-DURATIONS_S = (0.6, 0.3, 0.15)
+CLOSING_DURATIONS_S = (0.6, 0.3, 0.15)
 """Durations of the motion for which the torques are drawn [s]."""
 SAMPLE_COUNT = 301
 """Number of samples of a motion."""
@@ -30,22 +30,22 @@ class ClosingTorques:
 
     Attributes:
         digit: name of the digit.
-        duration: duration of the motion [s].
+        duration_s: duration of the motion [s].
         times: (samples,) times of the samples [s].
-        parts: torque at the single coordinate of the digit, by cause, (samples,) each [N m].
-        lever: moment arm of the tendon for this coordinate, which is the sum of the pulley radii
+        torque_by_cause: torque at the single coordinate of the digit, by cause, (samples,) each [N m].
+        lever_m: moment arm of the tendon for this coordinate, which is the sum of the pulley radii
             [m].
     """
 
     digit: str
-    duration: float
+    duration_s: float
     times: Array
-    parts: dict[str, Array]
-    lever: float
+    torque_by_cause: dict[str, Array]
+    lever_m: float
 
-    def tension(self, part: str) -> float:
+    def peak_tension(self, part: str) -> float:
         """Return the largest tension that one cause of the torque requires [N]."""
-        return float(np.abs(self.parts[part]).max()) / self.lever
+        return float(np.abs(self.torque_by_cause[part]).max()) / self.lever_m
 
 
 def upright_digit(name: str) -> DigitModel:
@@ -65,7 +65,7 @@ def closing_torques(name: str, duration: float) -> ClosingTorques:
     """
     digit = upright_digit(name)
     times = np.linspace(0.0, duration, SAMPLE_COUNT)
-    path = MinimumJerk(np.zeros(1), np.radians([CLOSED_DEG]), duration)
+    path = MinimumJerk(np.zeros(1), np.radians([CLOSED_JOINT_ANGLE_DEG]), duration)
     # The digit has one coordinate. Therefore every torque is projected on the coupling.
     rotor = float(reflected_inertia(digit)[0, 0])
     coupling = digit.coupling[:, 0]
@@ -90,14 +90,14 @@ def first_torque(duration: float) -> tuple[Array, Array, Array]:
     """Return times [s], and T_1 of a closing finger by Eq. 10 as printed and as corrected [N m]."""
     digit = upright_digit("index")
     times = np.linspace(0.0, duration, SAMPLE_COUNT)
-    path = MinimumJerk(np.zeros(1), np.radians([CLOSED_DEG]), duration)
+    path = MinimumJerk(np.zeros(1), np.radians([CLOSED_JOINT_ANGLE_DEG]), duration)
     moves = np.array([[value[0] for value in path.motion_at(float(t))] for t in times])
     states = dict(finger_states(digit))
     for order in range(3):
         # With equal joint angles, the absolute angles are multiples of the first one.
         states |= {"d" * order + f"th{i}": i * moves[:, order] for i in (1, 2, 3)}
-    right = sum(term.right.value(states) for term in equations.TORQUE_1)
-    return times, np.asarray(printed_sum(equations.TORQUE_1, states)), np.asarray(right)
+    right = sum(term.correct.evaluate(states) for term in equations.TORQUE_TERMS_1)
+    return times, np.asarray(printed_sum(equations.TORQUE_TERMS_1, states)), np.asarray(right)
 
 
 def motion_items() -> list[ErrataItem]:
@@ -114,7 +114,7 @@ def _check_static_torque() -> ErrataItem:
 
     This torque is the sum of T_1 to T_3 of Eq. 10 to 12, and not T_1 alone.
     """
-    _, printed, right = first_torque(DURATIONS_S[1])
+    _, printed, right = first_torque(CLOSING_DURATIONS_S[1])
     digit = upright_digit("index")
     joint = float(dynamics.gravity_torque(digit, np.zeros(digit.joint_count))[0])
     return ErrataItem(
@@ -130,20 +130,20 @@ def _check_completeness() -> ErrataItem:
 
     The paper does not mention springs or the inertia of the actuator.
     """
-    fast = closing_torques("index", DURATIONS_S[-1])
-    links = sum(fast.parts[part] for part in TORQUE_PARTS[:3])
-    driven = links + fast.parts["motor inertia"]
+    fast = closing_torques("index", CLOSING_DURATIONS_S[-1])
+    links = sum(fast.torque_by_cause[part] for part in TORQUE_PARTS[:3])
+    driven = links + fast.torque_by_cause["motor inertia"]
     links_peak, driven_peak = (
-        float(np.abs(torque).max()) / fast.lever for torque in (links, driven)
+        float(np.abs(torque).max()) / fast.lever_m for torque in (links, driven)
     )
     return ErrataItem(
         "sec7.complete", "Sec. 7", "the torque required to move the fingers", links_peak, "N",
         verdict_of_readings([True, links_peak > 0.5 * driven_peak]),
-        f"Peak tension for closing a finger by {CLOSED_DEG:g}° in {fast.duration:g} s with the dynamics of the links "
-        "only, which Eq. 3 to 12 describe. This tension is complete if the actuator has no inertia, and the paper "
-        f"states no inertia. With the rotor of this project the peak is {driven_peak:.1f} N. The return springs of "
-        f"this project (peak {fast.tension('springs'):.1f} N) are not part "
-        "of the paper's hand.", ("this project's dynamics",))  # fmt: skip
+        f"Peak tension for closing a finger by {CLOSED_JOINT_ANGLE_DEG:g}° in {fast.duration_s:g} s with the dynamics "
+        "of the links only, which Eq. 3 to 12 describe. This tension is complete if the actuator has no inertia, "
+        "and the paper states no inertia. With the rotor of this project the peak is "
+        f"{driven_peak:.1f} N. The return springs of this project (peak {fast.peak_tension('springs'):.1f} N) are not "
+        "part of the paper's hand.", ("this project's dynamics",))  # fmt: skip
 
 
 def _check_torque_value() -> ErrataItem:
@@ -151,8 +151,10 @@ def _check_torque_value() -> ErrataItem:
 
     Eq. 10 to 12 contain only symbols.
     """
-    fast = closing_torques("index", DURATIONS_S[-1])
-    peak = 1000.0 * float(np.abs(sum(fast.parts[part] for part in TORQUE_PARTS[:3])).max())
+    fast = closing_torques("index", CLOSING_DURATIONS_S[-1])
+    peak = 1000.0 * float(
+        np.abs(sum(fast.torque_by_cause[part] for part in TORQUE_PARTS[:3])).max()
+    )
     terms = [
         term
         for terms in equations.TORQUE_TERMS
@@ -165,6 +167,6 @@ def _check_torque_value() -> ErrataItem:
         verdict_of_statement(bool(numbers)),
         f"No value is printed: each of the {len(terms)} terms of Eq. 10 to 12 has symbols, whose values "
         "(masses, centres of mass, inertias, a motion) the paper does not give. With the values of this "
-        f"project, closing by {CLOSED_DEG:g}° in {fast.duration:g} s requires this peak torque, in the only coordinate "
-        "of the finger.",
+        f"project, closing by {CLOSED_JOINT_ANGLE_DEG:g}° in {fast.duration_s:g} s requires this peak torque, in the "
+        "only coordinate of the finger.",
         ("count", "this project's dynamics"))  # fmt: skip

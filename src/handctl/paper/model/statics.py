@@ -4,7 +4,7 @@ import math
 from fractions import Fraction
 
 from handctl.paper import sources as src
-from handctl.paper.item import ErrataItem
+from handctl.paper.errata_item import ErrataItem
 from handctl.paper.model.expression import DIMENSIONLESS, Dimension, DimensionError, Expression
 from handctl.paper.verdicts import (
     rounding_interval,
@@ -138,10 +138,11 @@ def _check_formulas() -> list[ErrataItem]:
     arms = hand.moment_arms[tendons, hand.digit_joints["index"]][0].tolist()
     spool = hand.motor_of(hand.tendon_names[tendons][0]).spool_radius_m
     tension = 110.0
-    newtons = float(src.GRIP_FINGER_N)
+    newtons = float(src.FINGER_GRIP_FORCE_N)
     values = {
-        "T": tension, "F": newtons, "r_p": float(src.PULLEY_MM) / 1000, "r_a": float(src.SPOOL_MM) / 1000,
-        "g": float(src.GRAVITY_M_PER_S2), "mu": float(src.FRICTION_COEFFICIENT), "sigma": 1e6 * float(src.STRESS_MPA),
+        "T": tension, "F": newtons, "r_p": float(src.PULLEY_RADIUS_MM) / 1000, "r_a": float(src.SPOOL_RADIUS_MM) / 1000,
+        "g": float(src.GRAVITY_M_PER_S2), "mu": float(src.FRICTION_COEFFICIENT),
+        "sigma": 1e6 * float(src.ALLOWABLE_STRESS_MPA),
     }  # fmt: skip
     diameter = src.wire_diameter_mm(tension) / 1000
     values["A"] = math.pi * diameter**2 / 4
@@ -151,7 +152,7 @@ def _check_formulas() -> list[ErrataItem]:
          "By virtual work: the tendon's moment arm at each joint is its pulley's radius."),
         ("torque", "T_orque = T r_a", "T*r_a", (1, 2, -2), spool * tension,
          "By virtual work at the spool. The letter T is the tension, T_orque a torque."),
-        ("payload", "m = F μ/g", "F*mu/g", MASS_DIMENSION, float(src.payload_kg(src.GRIP_FINGER_N)),
+        ("payload", "m = F μ/g", "F*mu/g", MASS_DIMENSION, float(src.payload_kg(src.FINGER_GRIP_FORCE_N)),
          "Coulomb's friction at one contact with normal force F, along its tangent."),
         ("stress", "σ = T/A", "T/A", STRESS_DIMENSION, 1e6 * src.wire_stress_mpa(tension, 1000 * diameter),
          "Mean stress of the wire in tension."),
@@ -162,7 +163,7 @@ def _check_formulas() -> list[ErrataItem]:
     for name, printed, text, dimension, right, reason in rows:
         expression = Expression(text)
         holds = expression.dimension(SYMBOL_DIMENSIONS) == dimension and math.isclose(
-            expression.value(values), right, rel_tol=1e-9
+            expression.evaluate(values), right, rel_tol=1e-9
         )
         where = "Sec. 5, Sec. 6" if name in ("moment", "torque") else "Sec. 5"
         evidence = ("dimensions", "statics")
@@ -184,13 +185,13 @@ def _check_formulas() -> list[ErrataItem]:
 def _check_finger() -> list[ErrataItem]:
     """Check the printed tension and torque of the finger."""
     tension = src.tension_per_newton(src.paper_finger())
-    torque = tension * src.SPOOL_MM / 1000
+    torque = tension * src.SPOOL_RADIUS_MM / 1000
     tension_item = number_item(
         "sec5.tension", "Sec. 5", "18.33", tension, "N per N",
         f"55/3. At 6 N: {float(6 * tension):g} N.", " F")  # fmt: skip
     # The paper calculates the torque from the rounded tension. Therefore the torque contains the
     # rounding error.
-    carried = Fraction("18.33") * src.SPOOL_MM / 1000
+    carried = Fraction("18.33") * src.SPOOL_RADIUS_MM / 1000
     verdict = verdict_of_derived_number("0.09165", torque, carried, tension_item.verdict)
     torque_item = ErrataItem(
         "sec5.torque", "Sec. 5", "0.09165 F", float(torque), "N m per N", verdict,
@@ -200,8 +201,8 @@ def _check_finger() -> list[ErrataItem]:
 
 def _check_payload() -> list[ErrataItem]:
     """Check the printed payloads."""
-    one = src.payload_kg(src.GRIP_FINGER_N)
-    three = src.payload_kg(src.FINGER_COUNT * src.GRIP_FINGER_N)
+    one = src.payload_kg(src.FINGER_GRIP_FORCE_N)
+    three = src.payload_kg(src.FINGER_COUNT * src.FINGER_GRIP_FORCE_N)
     first = number_item(
         "sec5.payload",
         "Sec. 5",
@@ -226,10 +227,11 @@ def _check_payload() -> list[ErrataItem]:
 
 def _check_wire() -> list[ErrataItem]:
     """Check the printed diameters of the wire."""
-    tension = src.GRIP_FINGER_N * src.tension_per_newton(src.paper_finger())
+    tension = src.FINGER_GRIP_FORCE_N * src.tension_per_newton(src.paper_finger())
     diameter = src.wire_diameter_mm(tension)
     low, high = (
-        src.STRESS_MPA * Fraction(math.pi) * edge**2 / 4 for edge in rounding_interval("0.866")
+        src.ALLOWABLE_STRESS_MPA * Fraction(math.pi) * edge**2 / 4
+        for edge in rounding_interval("0.866")
     )
     return [
         number_item(
@@ -256,16 +258,18 @@ def _check_area() -> ErrataItem:
     except DimensionError:
         holds = False
     return ErrataItem(
-        "sec5.area", "Sec. 5", "A = π d2/4", right.pretty(), "", verdict_of_statement(holds),
+        "sec5.area", "Sec. 5", "A = π d2/4", right.as_typeset_text(), "", verdict_of_statement(holds),
         "The exponent is printed on the base line. As printed, the result is a length.", ("dimensions",))  # fmt: skip
 
 
 def _check_knee() -> list[ErrataItem]:
     """Check the statements about the knee of the force-displacement curve."""
-    diameter = src.wire_diameter_mm(src.GRIP_FINGER_N * src.tension_per_newton(src.paper_finger()))
-    knee, knee_abstract = src.KNEES_N
+    diameter = src.wire_diameter_mm(
+        src.FINGER_GRIP_FORCE_N * src.tension_per_newton(src.paper_finger())
+    )
+    knee, knee_abstract = src.KNEE_TENSIONS_N
     stress = src.wire_stress_mpa(knee, diameter)
-    claims = [str(value) for value in src.KNEES_N]
+    claims = [str(value) for value in src.KNEE_TENSIONS_N]
     verdict = verdict_of_contradiction(claims, None)
     reason = "Section 5 states 200 N, the abstract 250 N. The paper prints no data and no law that give the knee."
     return [
@@ -274,7 +278,7 @@ def _check_knee() -> list[ErrataItem]:
             ("contradiction",)),
         ErrataItem(
             "fig5.stress", "Sec. 5", f"σ = 190 MPa allowed, wire used up to {knee} N and beyond", stress, "MPa",
-            verdict_of_statement(stress <= src.STRESS_MPA),
+            verdict_of_statement(stress <= src.ALLOWABLE_STRESS_MPA),
             f"In the 0.8586 mm wire 190 MPa are reached at 110 N. 200 N are {stress:.0f} MPa and 250 N "
             f"{src.wire_stress_mpa(knee_abstract, diameter):.0f} MPa: the knee lies far beyond what section 5 allows.",
             ARITHMETIC_TAG),
@@ -284,7 +288,7 @@ def _check_knee() -> list[ErrataItem]:
 def _check_thumb() -> list[ErrataItem]:
     """Check the printed tension and torque of the thumb."""
     tension = src.tension_per_newton(src.paper_thumb())
-    torque = tension * src.SPOOL_MM / 1000
+    torque = tension * src.SPOOL_RADIUS_MM / 1000
     first = number_item(
         "sec6.tension",
         "Sec. 6",
@@ -294,9 +298,9 @@ def _check_thumb() -> list[ErrataItem]:
         f"25/3. At 10 N: {float(10 * tension):.6g} N.",
         " Fₜ",
     )
-    carried = Fraction("8.33") * src.SPOOL_MM / 1000
+    carried = Fraction("8.33") * src.SPOOL_RADIUS_MM / 1000
     verdict = verdict_of_derived_number("0.04165", torque, carried, first.verdict)
-    wire = src.wire_diameter_mm(src.GRIP_THUMB_N * tension)
+    wire = src.wire_diameter_mm(src.THUMB_GRIP_FORCE_N * tension)
     return [
         _missing_radius(),
         first,
@@ -304,7 +308,7 @@ def _check_thumb() -> list[ErrataItem]:
             "sec6.torque", "Sec. 6", "0.04165 Fₜ", float(torque), "N m per N", verdict,
             "Computed from the rounded 8.33.", ARITHMETIC_TAG),
         number_item(
-            "sec6.torque10", "Sec. 6", "0.4166", src.GRIP_THUMB_N * torque, "N m",
+            "sec6.torque10", "Sec. 6", "0.4166", src.THUMB_GRIP_FORCE_N * torque, "N m",
             f"5/12, truncated (rounded it is 0.4167). The thumb's wire, not printed, needs {wire:.4f} mm."),
     ]  # fmt: skip
 

@@ -20,12 +20,12 @@ class UsbAdapter(NamedTuple):
 
     Attributes:
         driver: name of the Linux driver of the adapter, empty if unknown.
-        usb_speed: speed of the USB device [Mbit/s], 0 for an adapter without USB.
+        usb_speed_mbit_s: speed of the USB device [Mbit/s], 0 for an adapter without USB.
         serial: serial number of the USB device, empty if the device has none.
     """
 
     driver: str = ""
-    usb_speed: float = 0.0
+    usb_speed_mbit_s: float = 0.0
     serial: str = ""
 
     @property
@@ -34,7 +34,7 @@ class UsbAdapter(NamedTuple):
 
         It then exchanges CAN frames only once per millisecond.
         """
-        return 0.0 < self.usb_speed <= FULL_SPEED_MBIT_S
+        return 0.0 < self.usb_speed_mbit_s <= FULL_SPEED_MBIT_S
 
 
 def read_adapter(name: str, network: Path = NETWORK_FOLDER) -> UsbAdapter | None:
@@ -53,7 +53,7 @@ def read_adapter(name: str, network: Path = NETWORK_FOLDER) -> UsbAdapter | None
     speed = _read_text(usb / "speed")
     return UsbAdapter(
         driver=driver.resolve().name if driver.exists() else "",
-        usb_speed=float(speed) if speed.replace(".", "", 1).isdigit() else 0.0,
+        usb_speed_mbit_s=float(speed) if speed.replace(".", "", 1).isdigit() else 0.0,
         serial=_read_text(usb / "serial") if speed else "",
     )
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from handctl.drives.frame import ERROR_FLAG, FDF, Frame
 from handctl.drives.frame_records import FRAME_RECORD_DTYPE, Frames, RecordArray
-from handctl.runtime.buses.contract import check_size
+from handctl.runtime.buses.contract import check_payload_size
 
 CANFD_FRAME_DTYPE = np.dtype(
     [
@@ -76,16 +76,16 @@ class ReceivedHeads(NamedTuple):
 
     Attributes:
         heads: (n,) identifier, flags, bus and length of each record.
-        words: number of 8-byte words that hold the longest payload of the batch, at least 1.
-        masks: bits that belong to each payload, (n,) for one word and (n, words) for more. It is
+        payload_words: number of 8-byte words that hold the longest payload of the batch, at least 1.
+        payload_masks: bits that belong to each payload, (n,) for one word and (n, words) for more. It is
             None if every payload fills all its words.
-        errors: True if there is an error frame among the structs.
+        has_error_frames: True if there is an error frame among the structs.
     """
 
     heads: WordArray
-    words: int
-    masks: WordArray | None
-    errors: bool
+    payload_words: int
+    payload_masks: WordArray | None
+    has_error_frames: bool
 
 
 @functools.lru_cache
@@ -126,13 +126,13 @@ class SentHeads(NamedTuple):
 
     Attributes:
         heads: (n,) identifier, length and flags of each struct.
-        words: number of 8-byte words that hold the longest payload of the batch, at least 1.
-        sizes: (n,) bytes to send of each struct: the size of ``can_frame`` or of ``canfd_frame``.
+        payload_words: number of 8-byte words that hold the longest payload of the batch, at least 1.
+        frame_sizes: (n,) bytes to send of each struct: the size of ``can_frame`` or of ``canfd_frame``.
     """
 
     heads: WordArray
-    words: int
-    sizes: WordArray
+    payload_words: int
+    frame_sizes: WordArray
 
 
 @functools.lru_cache(maxsize=CACHED_BATCHES)
@@ -148,7 +148,7 @@ def _convert_sent(raw: bytes) -> SentHeads:
     fd = (records["flags"] & FDF) != 0
     lengths = records["length"]
     for i in np.flatnonzero(lengths > np.where(fd, MAX_PAYLOAD_BYTES, 8))[:1]:
-        check_size(
+        check_payload_size(
             Frame(int(records["can_id"][i]), bytes(int(lengths[i])), int(records["flags"][i]))
         )
     heads = np.zeros(len(records), _HEADER_DTYPE)
@@ -210,15 +210,17 @@ class FrameStructs:
         records: RecordArray = np.zeros(count, FRAME_RECORD_DTYPE)
         records.setfield(t_ns, np.dtype("<i8"), TIME_OFFSET)
         records.setfield(heads.heads, WORD_DTYPE, HEAD_OFFSET)
-        if heads.words == 1:
+        if heads.payload_words == 1:
             first = self._first[:count]
             records.setfield(
-                first if heads.masks is None else first & heads.masks, WORD_DTYPE, DATA_OFFSET
+                first if heads.payload_masks is None else first & heads.payload_masks,
+                WORD_DTYPE,
+                DATA_OFFSET,
             )
         else:
-            data = self._data[:count, : heads.words]
-            payload = records.getfield(PAYLOAD_DTYPE, DATA_OFFSET)[:, : heads.words]
-            payload[...] = data if heads.masks is None else data & heads.masks
+            data = self._data[:count, : heads.payload_words]
+            payload = records.getfield(PAYLOAD_DTYPE, DATA_OFFSET)[:, : heads.payload_words]
+            payload[...] = data if heads.payload_masks is None else data & heads.payload_masks
         return records
 
     def write(self, frames: Frames) -> SentHeads:
@@ -233,15 +235,15 @@ class FrameStructs:
         sent = convert(records.getfield(WORD_DTYPE, HEAD_OFFSET).tobytes())
         self._heads[:count] = sent.heads
         if (
-            sent.words < self._written
+            sent.payload_words < self._written
         ):  # otherwise bytes of longer payloads of the previous batch would remain
-            self._data[:, sent.words :] = 0
-        self._written = sent.words
-        if sent.words == 1:
+            self._data[:, sent.payload_words :] = 0
+        self._written = sent.payload_words
+        if sent.payload_words == 1:
             self._first[:count] = records.getfield(WORD_DTYPE, DATA_OFFSET)
         else:
-            self._data[:count, : sent.words] = records.getfield(PAYLOAD_DTYPE, DATA_OFFSET)[
-                :, : sent.words
+            self._data[:count, : sent.payload_words] = records.getfield(PAYLOAD_DTYPE, DATA_OFFSET)[
+                :, : sent.payload_words
             ]
         return sent
 

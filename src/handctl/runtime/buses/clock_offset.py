@@ -27,14 +27,14 @@ class ClockOffset:
         self._uses_left = 0
         self._offset_ns = 0
 
-    def ns(self) -> int:
+    def offset_ns(self) -> int:
         """Return CLOCK_MONOTONIC minus CLOCK_REALTIME [ns]."""
         if not self._uses_left:
             self._measure()
         self._uses_left -= 1
         return self._offset_ns
 
-    def renew(self) -> None:
+    def request_measurement(self) -> None:
         """Request a new measurement before the next use."""
         self._uses_left = 0
 

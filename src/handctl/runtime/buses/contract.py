@@ -56,7 +56,7 @@ class Bus(Protocol):
         ...
 
 
-def check_size(frame: Frame) -> None:
+def check_payload_size(frame: Frame) -> None:
     """Raise an error for a payload too long for its kind of frame.
 
     Raises:

@@ -11,7 +11,7 @@ Kinds:
 - ``error_frame``, ``error_warning``, ``error_passive``, ``error_active``, ``bus_off``,
   ``restarted``: states reported by the CAN controller of the interface
 
-A lasting state (``bus_off``, ``error_passive``, ``enodev``) is reported at every call of ``take``,
+A lasting state (``bus_off``, ``error_passive``, ``enodev``) is reported at every call of ``take_events``,
 until it ends. The fault detectors count for how many ticks such a state lasts.
 """
 
@@ -76,7 +76,7 @@ transmit bit of OVERFLOW_MASK. Source: Linux ``can/error.h``.
 
 
 class BusEvents:
-    """Event counts and lasting states of one bus since the last ``take``."""
+    """Event counts and lasting states of one bus since the last ``take_events``."""
 
     def __init__(self, where: str) -> None:
         """Start without events. ``where`` names the bus in each event."""
@@ -84,7 +84,7 @@ class BusEvents:
         self._counts: dict[tuple[str, str], int] = {}
         self._lasting: set[str] = set()
 
-    def add(self, kind: str, number: int = 1, detail: str = "") -> None:
+    def add_event(self, kind: str, number: int = 1, detail: str = "") -> None:
         """Add occurrences of an event to its count.
 
         Args:
@@ -111,16 +111,16 @@ class BusEvents:
         if kind == "enetdown":  # an interface that is down has no error states
             self.set_lasting_state("bus_off", False)
             self.set_lasting_state("error_passive", False)
-        self.add(kind, number)
+        self.add_event(kind, number)
 
     def set_lasting_state(self, kind: str, present: bool) -> None:
         """Set or end a lasting state of the bus.
 
-        Each call of ``take`` reports every lasting state.
+        Each call of ``take_events`` reports every lasting state.
         """
         (self._lasting.add if present else self._lasting.discard)(kind)
 
-    def error_frame(self, can_id: int, data: bytes) -> None:
+    def add_error_frame(self, can_id: int, data: bytes) -> None:
         """Decode an error frame from the kernel, and count its events.
 
         Args:
@@ -128,9 +128,9 @@ class BusEvents:
             data: payload of the error frame. data[1] is the state of the CAN controller.
         """
         names = [name for bit, name in enumerate(CLASS_NAMES) if can_id >> bit & 1]
-        self.add("error_frame", 1, ", ".join(names) or "unknown class")
+        self.add_event("error_frame", 1, ", ".join(names) or "unknown class")
         if can_id & CONTROLLER_RESTARTED:
-            self.add("restarted")
+            self.add_event("restarted")
             self.set_lasting_state("bus_off", False)
             self.set_lasting_state("error_passive", False)
         if can_id & BUS_OFF:
@@ -141,17 +141,17 @@ class BusEvents:
     def _count_controller_status(self, status: int) -> None:
         """Count the events that data[1] of an error frame of class CONTROLLER_ERROR reports."""
         if status & OVERFLOW_MASK:
-            self.add("error_frame", 1, "controller overflow")
+            self.add_event("error_frame", 1, "controller overflow")
         if status & TX_OVERFLOW_MASK:
-            self.add("enobufs")
+            self.add_event("enobufs")
         if status & WARNING_MASK:
-            self.add("error_warning")
+            self.add_event("error_warning")
         if status & ACTIVE_MASK:
-            self.add("error_active")
+            self.add_event("error_active")
         if status & (PASSIVE_MASK | WARNING_MASK | ACTIVE_MASK):
             self.set_lasting_state("error_passive", bool(status & PASSIVE_MASK))
 
-    def take(self) -> list[BusEvent]:
+    def take_events(self) -> list[BusEvent]:
         """Return the events since the last call, followed by the lasting states."""
         if not self._counts and not self._lasting:
             return []

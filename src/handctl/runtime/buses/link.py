@@ -18,34 +18,34 @@ class CanLinkState(NamedTuple):
     """State of a CAN interface.
 
     Attributes:
-        up: True if the interface is up.
+        is_up: True if the interface is up.
         kind: kind of the interface, such as ``can`` or ``vcan``.
-        queue: length of the transmit queue (txqueuelen) [frames].
-        fd: True if the interface carries CAN FD.
+        tx_queue_frames: length of the transmit queue (txqueuelen) [frames].
+        is_fd: True if the interface carries CAN FD.
         bitrate: nominal bit rate [bit/s]. None for an interface without bit timing, such as vcan.
         data_bitrate: bit rate of the data phase of CAN FD [bit/s]. None for an interface without
             it.
-        state: state of the CAN controller, such as ``ERROR-ACTIVE``. Empty for an interface without
+        controller_state: state of the CAN controller, such as ``ERROR-ACTIVE``. Empty for an interface without
             a CAN controller.
-        sending: transmit error counter of the CAN controller.
-        receiving: receive error counter of the CAN controller.
+        tx_error_counter: transmit error counter of the CAN controller.
+        rx_error_counter: receive error counter of the CAN controller.
         restart_ms: delay after which the interface restarts from bus-off [ms]. It is 0 if a person
             must restart it, and None without a CAN controller.
-        counts: number of events since the interface was created, by kind: bus_error, error_passive,
+        event_counts: number of events since the interface was created, by kind: bus_error, error_passive,
             bus_off, tx_dropped, ...
     """
 
-    up: bool
+    is_up: bool
     kind: str
-    queue: int
-    fd: bool
+    tx_queue_frames: int
+    is_fd: bool
     bitrate: int | None
     data_bitrate: int | None
-    state: str
-    sending: int
-    receiving: int
+    controller_state: str
+    tx_error_counter: int
+    rx_error_counter: int
     restart_ms: int | None
-    counts: Mapping[str, int]
+    event_counts: Mapping[str, int]
 
 
 class MissingTool(Exception):  # noqa: N818 - tells that a program is missing
@@ -78,17 +78,17 @@ def parse_link(text: str) -> CanLinkState | None:
     data: dict[str, Any] = info.get("info_data", {})
     counters = data.get("berr_counter", {})
     return CanLinkState(
-        up="UP" in link.get("flags", ()),
+        is_up="UP" in link.get("flags", ()),
         kind=str(info.get("info_kind", "")),
-        queue=int(link.get("txqlen", 0)),
-        fd=int(link.get("mtu", 0)) >= CANFD_MTU_BYTES,
+        tx_queue_frames=int(link.get("txqlen", 0)),
+        is_fd=int(link.get("mtu", 0)) >= CANFD_MTU_BYTES,
         bitrate=data.get("bittiming", {}).get("bitrate"),
         data_bitrate=data.get("data_bittiming", {}).get("bitrate"),
-        state=str(data.get("state", "")),
-        sending=int(counters.get("tx", 0)),
-        receiving=int(counters.get("rx", 0)),
+        controller_state=str(data.get("state", "")),
+        tx_error_counter=int(counters.get("tx", 0)),
+        rx_error_counter=int(counters.get("rx", 0)),
         restart_ms=data.get("restart_ms") if data else None,
-        counts={**info.get("info_xstats", {}), **_count_dropped(link.get("stats64", {}))},
+        event_counts={**info.get("info_xstats", {}), **_count_dropped(link.get("stats64", {}))},
     )
 
 

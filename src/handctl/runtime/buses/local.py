@@ -18,16 +18,16 @@ from handctl.drives.frame import ERROR_FLAG, Frame
 from handctl.drives.frame_records import NO_FRAMES, Frames, join_frames
 from handctl.errors import BusError
 from handctl.runtime.buses.canfd import CANFD_FRAME_BYTES, FrameStructs, without_errors
-from handctl.runtime.buses.contract import TimeConversion, check_size
+from handctl.runtime.buses.contract import TimeConversion, check_payload_size
 from handctl.runtime.buses.events import BusEvent, BusEvents
 from handctl.runtime.paths import local_bus_path
-from handctl.runtime.peers import is_served_by_us
+from handctl.runtime.socket_peers import is_served_by_us
 
 FRAME_RECORD_STRUCT = struct.Struct("<IBBH64s")
 """One record: identifier with flag bits, length, flags, number of dropped frames modulo 65536, payload."""
 SOCKET_BUFFER_BYTES = 1 << 20
 """Size of the socket buffer requested for each direction [bytes]."""
-MAX_RECORDS = 4096
+MAX_RECORDS_PER_READ = 4096
 """Largest number of records per read."""
 INITIAL_SEND_RECORDS = 64
 """Initial size of the send buffer [records]. The buffer grows for larger batches."""
@@ -38,7 +38,7 @@ A hub that simulates no wire sends no queue report, and limits no queue.
 """
 QUEUE_REPORT_STRUCT = struct.Struct("<II")
 """Payload of a queue report: number of this client's frames that have left the queue (modulo 2**32), queue capacity."""
-MAX_READS = 4
+MAX_READS_PER_DRAIN = 4
 """Largest number of reads in one ``drain``.
 
 The limit keeps a flood of frames from delaying a tick.
@@ -78,11 +78,15 @@ class LocalBus:
 
     Attributes:
         name: specification of the bus.
-        early: frames read during a ``send``. The next ``drain`` returns these first.
+        early_frames: frames read during a ``send``. The next ``drain`` returns these first.
     """
 
     def __init__(
-        self, channel: str, index: int, stamp: TimeConversion, max_records: int = MAX_RECORDS
+        self,
+        channel: str,
+        index: int,
+        stamp: TimeConversion,
+        max_records: int = MAX_RECORDS_PER_READ,
     ) -> None:
         """Connect to the hub.
 
@@ -105,12 +109,12 @@ class LocalBus:
         self._buffer = memoryview(memory)
         self._structs = FrameStructs(memory)
         self._allocate(INITIAL_SEND_RECORDS)
-        self._reads = min(MAX_READS, max_records)
-        self._partial = 0
-        self._rest = b""
+        self._reads = min(MAX_READS_PER_DRAIN, max_records)
+        self._partial_record_bytes = 0
+        self._unsent_bytes = b""
         self._dropped = 0
-        self.early = NO_FRAMES
-        self._sent = self._left_queue = self._depth = 0
+        self.early_frames = NO_FRAMES
+        self._sent_count = self._transmitted_count = self._queue_frames = 0
         self._closed = False
 
     def _allocate(self, count: int) -> None:
@@ -121,10 +125,10 @@ class LocalBus:
 
     def drain(self) -> Frames:
         """Return all received frames, see ``contract.Bus``."""
-        parts = [self.early] if self.early else []
-        self.early = NO_FRAMES
+        parts = [self.early_frames] if self.early_frames else []
+        self.early_frames = NO_FRAMES
         for _ in range(self._reads):
-            partial = self._partial
+            partial = self._partial_record_bytes
             size = self._read(self._buffer[partial:] if partial else self._buffer)
             if size:
                 parts.append(self._complete_records(partial + size))
@@ -159,19 +163,21 @@ class LocalBus:
 
         If the last record is incomplete, its beginning stays in the buffer for the next read.
         """
-        count, self._partial = divmod(filled, CANFD_FRAME_BYTES)
+        count, self._partial_record_bytes = divmod(filled, CANFD_FRAME_BYTES)
         if not count:
             return NO_FRAMES
         structs = self._structs
         heads = structs.converted_heads(count, self._index)
         frames = Frames(structs.read(count, heads, self._stamp(time.monotonic_ns())))
-        if heads.errors:
+        if heads.has_error_frames:
             frames, errors = without_errors(frames.records)
             for frame in errors:
                 self._take_control(frame.can_id, frame.data)
         self._count_dropped(structs.reserved_bits(count - 1))
-        if self._partial:
-            self._buffer[: self._partial] = self._buffer[filled - self._partial : filled]
+        if self._partial_record_bytes:
+            self._buffer[: self._partial_record_bytes] = self._buffer[
+                filled - self._partial_record_bytes : filled
+            ]
         return frames
 
     def receive_one(self) -> Frame | None:
@@ -179,12 +185,14 @@ class LocalBus:
 
         This method is for programs that process one message at a time.
         """
-        if self.early:
-            frame = self.early[0]
-            self.early = self.early[1:]
+        if self.early_frames:
+            frame = self.early_frames[0]
+            self.early_frames = self.early_frames[1:]
             return frame
-        filled = self._partial + self._read(self._buffer[self._partial : CANFD_FRAME_BYTES])
-        self._partial = filled % CANFD_FRAME_BYTES
+        filled = self._partial_record_bytes + self._read(
+            self._buffer[self._partial_record_bytes : CANFD_FRAME_BYTES]
+        )
+        self._partial_record_bytes = filled % CANFD_FRAME_BYTES
         if filled < CANFD_FRAME_BYTES:
             return None
         can_id, length, flags, lost, data = FRAME_RECORD_STRUCT.unpack_from(self._buffer)
@@ -200,15 +208,15 @@ class LocalBus:
         ``lost`` is the hub's counter, modulo 65536.
         """
         if lost != self._dropped:
-            self._events.add("dropped", (lost - self._dropped) & 0xFFFF)
+            self._events.add_event("dropped", (lost - self._dropped) & 0xFFFF)
             self._dropped = lost
 
     def _take_control(self, can_id: int, data: bytes) -> None:
         """Process a frame that carries no data: a queue report from the hub, or an error frame."""
         if can_id == QUEUE_REPORT_ID:
-            self._left_queue, self._depth = QUEUE_REPORT_STRUCT.unpack(data)
+            self._transmitted_count, self._queue_frames = QUEUE_REPORT_STRUCT.unpack(data)
         else:
-            self._events.error_frame(can_id, data)
+            self._events.add_error_frame(can_id, data)
 
     def _frames_that_fit(self, frames: Sequence[Frame]) -> Sequence[Frame]:
         """Return the first frames, as many as fit in the queue.
@@ -216,23 +224,25 @@ class LocalBus:
         The others are counted as refused.
         """
         if len(frames) > self._free_queue_places():
-            self.early = self.drain()  # a queue report may have arrived since the last read
+            self.early_frames = self.drain()  # a queue report may have arrived since the last read
         free = self._free_queue_places()
         if len(frames) > free:
-            self._events.add("enobufs", len(frames) - free)
+            self._events.add_event("enobufs", len(frames) - free)
         return frames[:free]
 
     def _free_queue_places(self) -> int:
         """Return the number of frames that still fit in the queue of the simulated wire."""
-        waiting = self._sent - self._left_queue & 0xFFFFFFFF  # the hub counts modulo 2**32
-        return max(0, self._depth - waiting)
+        waiting = (
+            self._sent_count - self._transmitted_count & 0xFFFFFFFF
+        )  # the hub counts modulo 2**32
+        return max(0, self._queue_frames - waiting)
 
     def send(self, frames: Sequence[Frame]) -> int:
         """Send a batch and return the number of accepted frames, see ``contract.Bus``."""
-        if self._depth:
+        if self._queue_frames:
             frames = self._frames_that_fit(frames)
         records = self._pack_records(frames)
-        waiting = self._rest + records if self._rest else records
+        waiting = self._unsent_bytes + records if self._unsent_bytes else records
         if self._closed or not waiting:
             return 0
         try:
@@ -243,18 +253,18 @@ class LocalBus:
             self._report_lost_hub()
             return 0
         if sent == len(waiting):
-            self._rest = b""
+            self._unsent_bytes = b""
             accepted = len(frames)
         else:
             accepted = self._keep_partial_record(waiting, sent, len(frames))
-        self._sent += accepted
+        self._sent_count += accepted
         return accepted
 
     def _pack_records(self, frames: Sequence[Frame]) -> bytes | memoryview:
         """Return the frames packed into records of the hub."""
         if not isinstance(frames, Frames):
             for frame in frames:
-                check_size(frame)
+                check_payload_size(frame)
             return b"".join(
                 [
                     FRAME_RECORD_STRUCT.pack(can_id, len(data), flags, 0, data)
@@ -277,16 +287,16 @@ class LocalBus:
         Returns:
             the number of accepted frames. A partly sent frame counts as accepted.
         """
-        before = len(self._rest)
+        before = len(self._unsent_bytes)
         accepted = max(0, -((before - sent) // CANFD_FRAME_BYTES))  # rounded up
-        self._rest = bytes(waiting[sent : before + accepted * CANFD_FRAME_BYTES])
+        self._unsent_bytes = bytes(waiting[sent : before + accepted * CANFD_FRAME_BYTES])
         if frames > accepted:
-            self._events.add("enobufs", frames - accepted)
+            self._events.add_event("enobufs", frames - accepted)
         return accepted
 
     def take_events(self) -> list[BusEvent]:
         """Return the events since the last call, see ``contract.Bus``."""
-        return self._events.take()
+        return self._events.take_events()
 
     def fileno(self) -> int:
         """Return the file descriptor of the socket."""

@@ -140,7 +140,7 @@ class DatagramSlots:
         at = STAMP_OFFSET // longs.itemsize
         self._seconds = longs[:, at]
         self._nanoseconds = longs[:, at + 1]
-        self._fresh = bytes(self._view)
+        self._initial_headers = bytes(self._view)
         self._last_size: tuple[bytes, int] = (b"", 0)
 
     def common_size(self, count: int) -> int:
@@ -178,12 +178,12 @@ class DatagramSlots:
             )
         return result
 
-    def renew(self, count: int) -> None:
+    def reset_headers(self, count: int) -> None:
         """Reset the first ``count`` headers for the next reception."""
         end = count * _HEADER_STRUCT.size
-        self._view[:end] = self._fresh[:end]
+        self._view[:end] = self._initial_headers[:end]
 
-    def stamps(self, count: int) -> NDArray[np.int64]:
+    def reception_stamps(self, count: int) -> NDArray[np.int64]:
         """Return the CLOCK_REALTIME stamps of the first ``count`` datagrams [ns].
 
         Each must have a stamp.
@@ -200,7 +200,7 @@ class DatagramSlots:
 def receive_datagrams(fd: int, slots: DatagramSlots) -> int:
     """Receive the waiting datagrams, at most one per slot, and return the number received.
 
-    Call ``DatagramSlots.renew`` before the slots receive again.
+    Call ``DatagramSlots.reset_headers`` before the slots receive again.
 
     Raises:
         OSError: ``recvmmsg`` failed. If no datagram waits, no error is raised.

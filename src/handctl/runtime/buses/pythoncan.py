@@ -14,10 +14,10 @@ import can
 from handctl.drives.frame import BRS, ERROR_FLAG, ESI, EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
 from handctl.drives.frame_records import Frames, frames_as_records
 from handctl.errors import BusError
-from handctl.runtime.buses.contract import TimeConversion, check_size
+from handctl.runtime.buses.contract import TimeConversion, check_payload_size
 from handctl.runtime.buses.events import BusEvent, BusEvents
 
-MAX_FRAMES = 4096
+MAX_FRAMES_PER_DRAIN = 4096
 """Largest number of frames in one ``drain``.
 
 The limit keeps a flood of frames from delaying a tick.
@@ -135,7 +135,7 @@ class PythonCanBus:
     def drain(self) -> Frames:
         """Return all received frames, see ``contract.Bus``."""
         frames: list[Frame] = []
-        for _ in range(MAX_FRAMES):
+        for _ in range(MAX_FRAMES_PER_DRAIN):
             try:
                 message = self._bus.recv(0)
             except (can.CanError, OSError) as error:
@@ -145,7 +145,7 @@ class PythonCanBus:
                 ValueError,
                 IndexError,
             ):  # slcan raises these errors if it cannot decode the received characters
-                self._events.add("error_frame", 1, "garbled")
+                self._events.add_event("error_frame", 1, "garbled")
                 continue
             if message is None:
                 break
@@ -155,7 +155,7 @@ class PythonCanBus:
     def _take_message(self, frames: list[Frame], message: can.Message) -> None:
         """Append a received message to ``frames``, or count it as an event if it is an error frame."""
         if message.is_error_frame:
-            self._events.error_frame(message.arbitration_id, bytes(message.data))
+            self._events.add_error_frame(message.arbitration_id, bytes(message.data))
         elif (
             message.is_rx
         ):  # the interfaces gs_usb and cantact also return the frames that this host sent
@@ -164,7 +164,7 @@ class PythonCanBus:
     def send(self, frames: Sequence[Frame]) -> int:
         """Send a batch and return the number of accepted frames, see ``contract.Bus``."""
         for number, frame in enumerate(frames):
-            check_size(frame)
+            check_payload_size(frame)
             try:
                 self._bus.send(message_of_frame(frame), 0)
             except (can.CanError, OSError) as error:
@@ -174,7 +174,7 @@ class PythonCanBus:
 
     def take_events(self) -> list[BusEvent]:
         """Return the events since the last call, see ``contract.Bus``."""
-        return self._events.take()
+        return self._events.take_events()
 
     def fileno(self) -> int:
         """Return a file descriptor that becomes readable when a frame arrives, or -1 if the interface has none."""

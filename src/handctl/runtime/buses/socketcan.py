@@ -25,7 +25,7 @@ from handctl.runtime.buses.interface import wrong_rate_text
 
 MAX_FRAMES_PER_CALL = 128
 """Largest number of frames per system call."""
-MAX_READS = 64
+MAX_READS_PER_DRAIN = 64
 """Largest number of reads in one ``drain``.
 
 The limit keeps a flood of frames from delaying a tick.
@@ -94,7 +94,7 @@ class SocketCanBus:
     def drain(self) -> Frames:
         """Return all received frames, see ``contract.Bus``."""
         parts: list[Frames] = []
-        for _ in range(MAX_READS):
+        for _ in range(MAX_READS_PER_DRAIN):
             try:
                 count = mmsg.receive_datagrams(self._socket.fileno(), self._in)
             except OSError as error:
@@ -102,7 +102,7 @@ class SocketCanBus:
                 break
             if count:
                 parts.append(self._convert_datagrams(count))
-                self._in.renew(count)
+                self._in.reset_headers(count)
             if count < MAX_FRAMES_PER_CALL:
                 break
         return join_frames(parts)
@@ -117,7 +117,7 @@ class SocketCanBus:
         size = self._in.common_size(count)
         frames = self._take_batch(count, FDF if size == CANFD_FRAME_BYTES else 0) if size else None
         if frames is None:
-            self._offset.renew()
+            self._offset.request_measurement()
             frames = self._take_each(self._in.datagrams(count), time.monotonic_ns())
         return frames
 
@@ -127,10 +127,10 @@ class SocketCanBus:
         A batch with an error frame or a doubtful time stamp is converted individually.
         """
         heads = self._structs.converted_heads(count, self._index, 0xFF if fd_flag else 0, fd_flag)
-        if heads.errors:
+        if heads.has_error_frames:
             return None
-        times = self._in.stamps(count)
-        times += self._offset.ns()
+        times = self._in.reception_stamps(count)
+        times += self._offset.offset_ns()
         each = times.tolist()
         earliest = self._latest
         first = min(each)
@@ -155,7 +155,7 @@ class SocketCanBus:
         """
         stamp = self._stamp
         earliest = self._latest
-        offset = self._offset.ns()
+        offset = self._offset.offset_ns()
         count = len(datagrams)
         stamps = []
         frames = Frames(
@@ -164,10 +164,10 @@ class SocketCanBus:
         is_data = np.ones(count, bool)
         for i, ((size, realtime, dropped), frame) in enumerate(zip(datagrams, frames, strict=True)):
             if dropped != self._dropped and dropped:  # 0 means that the kernel reported no count
-                self._events.add("dropped", (dropped - self._dropped) & 0xFFFFFFFF)
+                self._events.add_event("dropped", (dropped - self._dropped) & 0xFFFFFFFF)
                 self._dropped = dropped
             if frame.can_id & ERROR_FLAG:
-                self._events.error_frame(frame.can_id, frame.data)
+                self._events.add_error_frame(frame.can_id, frame.data)
                 is_data[i] = False
                 continue
             frames.records["flags"][i] = frame.flags | FDF if size == CANFD_FRAME_BYTES else 0
@@ -190,7 +190,7 @@ class SocketCanBus:
                 if len(frames) > MAX_FRAMES_PER_CALL
                 else frames
             )
-            self._out.set_lengths(self._out_structs.write(batch).sizes)
+            self._out.set_lengths(self._out_structs.write(batch).frame_sizes)
             sent, code = mmsg.send_datagrams(self._socket.fileno(), self._out, 0, len(batch))
             accepted += sent
             if code:
@@ -200,7 +200,7 @@ class SocketCanBus:
 
     def take_events(self) -> list[BusEvent]:
         """Return the events since the last call, see ``contract.Bus``."""
-        return self._events.take()
+        return self._events.take_events()
 
     def fileno(self) -> int:
         """Return the file descriptor of the socket."""

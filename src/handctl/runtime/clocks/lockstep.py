@@ -24,7 +24,7 @@ SIMULATED_HAND_ENTRY = "firmware_sim.lockstep_hand:LockstepHand"
 """Entry ``module:Class`` of the simulator in the handctl repository."""
 
 
-class LockstepPeer(Protocol):
+class LockstepSimulator(Protocol):
     """Interface of a simulator in lockstep."""
 
     def step(self, t_ns: int, frames: list[Any]) -> list[Any]:
@@ -36,14 +36,14 @@ class LockstepPeer(Protocol):
         ...
 
 
-def _exchange_objects(peer: LockstepPeer, t_ns: int, records: RecordArray) -> RecordArray:
+def _exchange_objects(peer: LockstepSimulator, t_ns: int, records: RecordArray) -> RecordArray:
     """Exchange records with a simulator that has no ``exchange``, by converting them to frame objects and back."""
     return frames_as_records(
         Frame(*reply) for reply in peer.step(t_ns, list(Frames(records)))
     ).records
 
 
-def load_entry(entry: str, user: str) -> Callable[..., Any]:
+def load_simulator_object(entry: str, user: str) -> Callable[..., Any]:
     """Return a class or function of the simulator by its name ``module:name``.
 
     Args:
@@ -64,15 +64,15 @@ def load_entry(entry: str, user: str) -> Callable[..., Any]:
     return loaded
 
 
-def load_peer(entry: str, **options: object) -> LockstepPeer:
+def load_simulator(entry: str, **options: object) -> LockstepSimulator:
     """Load a simulator class from ``module:Class``, and return an object of the class.
 
     Raises:
         ConfigError: the module or class does not exist, or the class refuses the options.
     """
-    factory = load_entry(entry, "the simulated hand")
+    factory = load_simulator_object(entry, "the simulated hand")
     try:
-        peer: LockstepPeer = factory(**options)
+        peer: LockstepSimulator = factory(**options)
     except (ValueError, OSError) as error:
         raise ConfigError(str(error), "the simulated hand") from None
     return peer
@@ -84,22 +84,22 @@ class LockstepClock:
     The call that waits for a tick advances the simulator by one control period.
 
     Attributes:
-        peer: the simulator.
+        simulator: the simulator.
         period_ns: control period [ns].
-        outgoing: frames from the host for the next step of the simulator.
-        incoming: answers of the simulator not yet returned by ``LockstepBus.drain``.
+        frames_to_simulator: frames from the host for the next step of the simulator.
+        frames_from_simulator: answers of the simulator not yet returned by ``LockstepBus.drain``.
         k: number of the present tick.
         offset_ns: time of the simulator at t = 0 of this run [ns].
     """
 
-    def __init__(self, peer: LockstepPeer, period_ns: int) -> None:
+    def __init__(self, peer: LockstepSimulator, period_ns: int) -> None:
         """Start at tick 0, at time 0 of the simulator. ``period_ns`` is the control period [ns]."""
-        self.peer = peer
+        self.simulator = peer
         self.period_ns = period_ns
         self._exchange: Callable[[int, RecordArray], RecordArray]
         self._exchange = getattr(peer, "exchange", None) or partial(_exchange_objects, peer)
-        self.outgoing: list[Frames] = []
-        self.incoming: list[Frames] = []
+        self.frames_to_simulator: list[Frames] = []
+        self.frames_from_simulator: list[Frames] = []
         self.k = 0
         self.offset_ns = 0
 
@@ -109,11 +109,11 @@ class LockstepClock:
         The simulator receives these frames, because they disable the drives. Its answers are
         discarded, because no bus is open between two runs.
         """
-        if self.outgoing:
+        if self.frames_to_simulator:
             self.wait(self.k + 1)
         self.offset_ns += self.k * self.period_ns
         self.k = 0
-        self.incoming = []
+        self.frames_from_simulator = []
 
     def start(self) -> None:
         """Do nothing. The simulator's time begins with the first step."""
@@ -124,13 +124,13 @@ class LockstepClock:
         Returns 0, because virtual time is never late.
         """
         if k > 0:
-            frames = join_frames(self.outgoing)
+            frames = join_frames(self.frames_to_simulator)
             replies = self._exchange(self.offset_ns + (k - 1) * self.period_ns, frames.records)
             if self.offset_ns:
                 replies = replies.copy()
                 replies["t_ns"] -= self.offset_ns
-            self.incoming.append(Frames(replies))
-            self.outgoing = []
+            self.frames_from_simulator.append(Frames(replies))
+            self.frames_to_simulator = []
         self.k = k
         return 0
 
@@ -155,8 +155,8 @@ class LockstepBus:
 
     def drain(self) -> Frames:
         """Return the answers of the simulator. Error frames become events."""
-        frames = join_frames(self.clock.incoming)
-        self.clock.incoming = []
+        frames = join_frames(self.clock.frames_from_simulator)
+        self.clock.frames_from_simulator = []
         # One OR over all identifiers shows if there is an error frame. Usually there is none, and
         # no frame has to be examined.
         if not len(frames) or not int(np.bitwise_or.reduce(frames.records["can_id"])) & ERROR_FLAG:
@@ -164,17 +164,17 @@ class LockstepBus:
         frames, errors = without_errors(frames.records)
         for frame in errors:
             events = self._events.setdefault(frame.bus, BusEvents(f"{self.name}:{frame.bus}"))
-            events.error_frame(frame.can_id, frame.data)
+            events.add_error_frame(frame.can_id, frame.data)
         return frames
 
     def send(self, frames: Sequence[Frame]) -> int:
         """Queue frames for the next step of the simulator, and return their number."""
-        self.clock.outgoing.append(frames_as_records(frames))
+        self.clock.frames_to_simulator.append(frames_as_records(frames))
         return len(frames)
 
     def take_events(self) -> list[tuple[str, str, int]]:
         """Return the events of the simulated wires. A simulator without wires has no events."""
-        return [event for events in self._events.values() for event in events.take()]
+        return [event for events in self._events.values() for event in events.take_events()]
 
     def close(self) -> None:
         """Do nothing. The owner of the simulator closes it."""

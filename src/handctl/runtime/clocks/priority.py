@@ -18,22 +18,22 @@ class GrantedPriority:
 
     Attributes:
         realtime: True if the system granted SCHED_FIFO, the real-time priority.
-        locked: True if the memory of the process is locked against paging.
-        awake: True if idle processors stay awake while the ticks run.
+        memory_locked: True if the memory of the process is locked against paging.
+        processors_awake: True if idle processors stay awake while the ticks run.
     """
 
     realtime: bool
-    locked: bool
-    awake: bool = False
+    memory_locked: bool
+    processors_awake: bool = False
 
     def __str__(self) -> str:
         """List in one line the permissions that the system has granted and refused."""
         granted = "SCHED_FIFO" if self.realtime else "no real-time priority (not permitted)"
-        memory = ", memory locked" if self.locked else ", memory not locked"
-        return granted + memory + (", processors kept awake" if self.awake else "")
+        memory = ", memory locked" if self.memory_locked else ", memory not locked"
+        return granted + memory + (", processors kept awake" if self.processors_awake else "")
 
 
-def take_priority(level: int = 60) -> GrantedPriority:
+def request_priority(level: int = 60) -> GrantedPriority:
     """Request SCHED_FIFO and locked memory.
 
     The result tells which of them the system refused. No error is raised.

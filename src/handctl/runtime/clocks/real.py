@@ -42,58 +42,58 @@ class RealClock:
 
     Attributes:
         period_ns: control period [ns of the run's time].
-        scale: the run's time divided by wall time.
-        spin: True to spin before each deadline. This is useful only with real-time priority.
+        time_scale: the run's time divided by wall time.
+        busy_wait: True to spin before each deadline. This is useful only with real-time priority.
         start_ns: reading of the clock at tick 0 [ns of wall time].
         pauses: number of pauses so far. Only the shared clock can pause.
         paused_ns: total duration of these pauses [ns of wall time].
     """
 
     period_ns: int
-    scale: float = 1.0
-    spin: bool = False
+    time_scale: float = 1.0
+    busy_wait: bool = False
     start_ns: int = 0
     pauses: int = 0
     paused_ns: int = 0
 
     def start(self) -> None:
         """Start the run's time. The deadline of tick 0 is one period from now."""
-        self.start_ns = self._read_ns() + int(self.period_ns / self.scale)
+        self.start_ns = self._read_ns() + int(self.period_ns / self.time_scale)
 
     def wait(self, k: int) -> int:
         """Wait for the deadline of tick k, and return the time since the deadline [ns], see ``TickClock``."""
         return int(
-            self._wait_until(self._deadline(k)) * self.scale
+            self._wait_until(self._deadline_ns(k)) * self.time_scale
         )  # from wall time to the run's time
 
     def now_ns(self) -> int:
         """Return the time since the start of the run [ns]."""
-        return self.of(time.monotonic_ns())
+        return self.run_time_of(time.monotonic_ns())
 
     def clock_facts(self) -> dict[str, str]:
         """Return facts about the clock, see ``TickClock``."""
         return {}
 
-    def of(self, monotonic_ns: int) -> int:
+    def run_time_of(self, monotonic_ns: int) -> int:
         """Convert a CLOCK_MONOTONIC time stamp to the run's time [ns]."""
-        return int((monotonic_ns - self.start_ns) * self.scale)
+        return int((monotonic_ns - self.start_ns) * self.time_scale)
 
     def _read_ns(self) -> int:
         """Return the reading of the clock [ns of wall time]."""
         return time.monotonic_ns()
 
-    def _deadline(self, k: int) -> int:
+    def _deadline_ns(self, k: int) -> int:
         """Return the deadline of tick k as a reading of the clock [ns of wall time]."""
-        return self.start_ns + int(k * self.period_ns / self.scale)
+        return self.start_ns + int(k * self.period_ns / self.time_scale)
 
     def _wait_until(self, deadline: int) -> int:
         """Wait until the clock reads the deadline, and return the time since then [ns of wall time]."""
-        early = deadline - self._read_ns() - (BUSY_WAIT_NS if self.spin else 0)
+        early = deadline - self._read_ns() - (BUSY_WAIT_NS if self.busy_wait else 0)
         if early > 0:
             time.sleep(early / 1e9)
         while (
             now := self._read_ns()
         ) < deadline:  # sleep may return early, and the same loop spins
-            if not self.spin:
+            if not self.busy_wait:
                 time.sleep((deadline - now) / 1e9)
         return now - deadline

@@ -39,20 +39,20 @@ OPEN_GATE_NS = 2**63 - 1
 """Gate while no controller uses the clock: the simulator may always advance."""
 TOLERATED_LATENESS_FRACTION = 0.1
 """Lateness of a tick that causes no pause yet, as a fraction of the control period."""
-CONTROLLER_LIMIT_NS = 100_000_000
+MAX_CONTROLLER_PAUSE_NS = 100_000_000
 """Longest lateness of the controller that the clock turns into a pause [ns].
 
 If the controller is later, the ticks that it has missed count as missed.
 """
-SIMULATOR_LIMIT_NS = 250_000_000
+MAX_SIMULATOR_WAIT_NS = 250_000_000
 """Longest wait of the clock for the simulator [ns].
 
 After this time the run continues without the frames of the simulator. They count as missing, as on
 a real bus.
 """
-POLL_S = 50e-6
+SIMULATOR_POLL_PERIOD_S = 50e-6
 """Time between two checks of the simulator's progress [s]."""
-MAX_LAG_NS = 1_500_000
+MAX_SIMULATOR_LAG_NS = 1_500_000
 """Time by which a simulator may be behind the clock without being late [ns of the run's time].
 
 The simulator advances every millisecond.
@@ -99,12 +99,12 @@ class SharedClock(RealClock):
 
     file: ClockFile = field(kw_only=True)
     _last_pause: tuple[int, int] = (0, 0)
-    _given_up: int = -1
+    _abandoned_answer: int = -1
 
     def start(self) -> None:
         """Start the run's time, see ``RealClock``."""
         super().start()
-        self._let_pass(0)
+        self._move_gate(0)
 
     def wait(self, k: int) -> int:
         """Wait for the deadline of tick k and for the simulator.
@@ -112,29 +112,29 @@ class SharedClock(RealClock):
         Return the time since the deadline [ns].
         """
         self._numbers[SENT_INDEX] += 1
-        deadline = self._deadline(k)
+        deadline = self._deadline_ns(k)
         late = self._wait_until(deadline)
-        if late <= CONTROLLER_LIMIT_NS:
+        if late <= MAX_CONTROLLER_PAUSE_NS:
             paused_ns = self._numbers[PAUSED_INDEX]
             self._stop_at_gate()
             self._wait_for_simulator(deadline)
             self._count_pause(self._numbers[PAUSED_INDEX] - paused_ns)
             late = min(self._read_ns(), self._numbers[GATE_INDEX]) - deadline
-        self._let_pass(k + 1 + int(late * self.scale) // self.period_ns)
-        return int(late * self.scale)
+        self._move_gate(k + 1 + int(late * self.time_scale) // self.period_ns)
+        return int(late * self.time_scale)
 
     def clock_facts(self) -> dict[str, str]:
         """Return the number of pauses and their total duration, see ``TickClock``."""
         return {"clock_pauses": str(self.pauses), "clock_paused_ms": f"{self.paused_ns / 1e6:.1f}"}
 
-    def of(self, monotonic_ns: int) -> int:
+    def run_time_of(self, monotonic_ns: int) -> int:
         """Convert a CLOCK_MONOTONIC time stamp to the run's time [ns].
 
         The result is right for time stamps since the end of the last pause but one.
         """
         end_ns, pause_ns = self._last_pause
         since_pause = self._numbers[PAUSED_INDEX] - min(max(end_ns - monotonic_ns, 0), pause_ns)
-        return int((monotonic_ns - since_pause - self.start_ns) * self.scale)
+        return int((monotonic_ns - since_pause - self.start_ns) * self.time_scale)
 
     def _read_ns(self) -> int:
         return time.monotonic_ns() - self._numbers[PAUSED_INDEX]
@@ -143,10 +143,10 @@ class SharedClock(RealClock):
     def _numbers(self) -> "memoryview[int]":
         return self.file.numbers
 
-    def _let_pass(self, k: int) -> None:
+    def _move_gate(self, k: int) -> None:
         """Move the gate, so that the simulator may advance until shortly after the deadline of tick k."""
-        self._numbers[GATE_INDEX] = self._deadline(k) + int(
-            TOLERATED_LATENESS_FRACTION * self.period_ns / self.scale
+        self._numbers[GATE_INDEX] = self._deadline_ns(k) + int(
+            TOLERATED_LATENESS_FRACTION * self.period_ns / self.time_scale
         )
 
     def _stop_at_gate(self) -> None:
@@ -159,24 +159,24 @@ class SharedClock(RealClock):
     def _wait_for_simulator(self, deadline: int) -> None:
         """Stop the clock at the gate until the simulator has answered the frames of the previous tick.
 
-        After ``SIMULATOR_LIMIT_NS`` without an answer, the clock continues, and no longer waits in
+        After ``MAX_SIMULATOR_WAIT_NS`` without an answer, the clock continues, and no longer waits in
         later ticks until the simulator answers again.
         """
         numbers = self._numbers
-        if numbers[ANSWERED_INDEX] == self._given_up:
+        if numbers[ANSWERED_INDEX] == self._abandoned_answer:
             return
-        end = time.monotonic_ns() + SIMULATOR_LIMIT_NS
+        end = time.monotonic_ns() + MAX_SIMULATOR_WAIT_NS
         while not self._is_answered(deadline):
-            time.sleep(POLL_S)
+            time.sleep(SIMULATOR_POLL_PERIOD_S)
             self._stop_at_gate()
             if time.monotonic_ns() > end:
-                self._given_up = numbers[ANSWERED_INDEX]
+                self._abandoned_answer = numbers[ANSWERED_INDEX]
                 return
 
     def _is_answered(self, deadline: int) -> bool:
-        """Return True if the simulator has answered all frames, and is at most ``MAX_LAG_NS`` behind the deadline."""
+        """Return True if the simulator has answered all frames, and lags by at most ``MAX_SIMULATOR_LAG_NS``."""
         numbers = self._numbers
-        behind_ns = int(MAX_LAG_NS / self.scale)
+        behind_ns = int(MAX_SIMULATOR_LAG_NS / self.time_scale)
         return bool(
             numbers[ANSWERED_INDEX] >= numbers[SENT_INDEX]
             and numbers[REACHED_INDEX] >= deadline - behind_ns

@@ -27,7 +27,7 @@ def read_boot_clock_ns() -> int:
 
 
 class SuspendWatch:
-    """Detector of suspends. Each call of ``events`` compares the two clocks."""
+    """Detector of suspends. Each call of ``take_events`` compares the two clocks."""
 
     def __init__(
         self,
@@ -50,7 +50,7 @@ class SuspendWatch:
         boot = self._boot()
         return boot - before if self._monotonic() - before < MAX_READING_NS else None
 
-    def events(self) -> list[IoEvent]:
+    def take_events(self) -> list[IoEvent]:
         """Return an event with the duration [ms] if the machine was suspended since the last call."""
         difference_ns = self._clock_difference()
         if difference_ns is None:

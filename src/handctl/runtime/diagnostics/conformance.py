@@ -22,7 +22,7 @@ MAX_FEEDBACK_AGE_NS = 50_000_000
 """Largest age at which feedback still counts as fresh [ns]."""
 MAX_LATE_TICKS_OF_100 = 5
 """Number of ticks in 100 in which feedback may be older, because other processes delay this one."""
-SILENCE_S = 0.3
+HOST_SILENCE_S = 0.3
 """Shortest time without commands in the check of the watchdog [s]."""
 COUNTED_TICKS = 60
 """Number of ticks in which answers are counted, or torque commands are sent to a disabled drive."""
@@ -70,12 +70,12 @@ class DeviceUnderTest(NamedTuple):
 
     Attributes:
         rig: the drive on its bus.
-        limit: largest torque of the test [N m].
+        torque_limit_N_m: largest torque of the test [N m].
         watchdog_s: timeout of the drive's watchdog [s].
     """
 
     rig: DriveRig
-    limit: float
+    torque_limit_N_m: float
     watchdog_s: float
 
 
@@ -96,16 +96,20 @@ def run_checks(device: DeviceUnderTest) -> Iterator[ConformanceCheck]:
     reversed_turn = False
     for name, requirement, turns in CHECKED_REQUIREMENTS:
         if not usable or (turns and reversed_turn):
-            yield _not_run(device, name, requirement)
+            yield _omitted_check(device, name, requirement)
             continue
         check = _run_check(device, name, requirement)
         yield check
         failed = check.verdict is CheckVerdict.FAILED
         reversed_turn |= turns and failed
-        usable = device.rig.rest() and not (failed and requirement is _check_alone)
+        usable = device.rig.bring_to_ready() and not (
+            failed and requirement is _check_single_answers
+        )
 
 
-def _not_run(device: DeviceUnderTest, name: str, requirement: RequirementCheck) -> ConformanceCheck:
+def _omitted_check(
+    device: DeviceUnderTest, name: str, requirement: RequirementCheck
+) -> ConformanceCheck:
     """Return the result of a check that is not run, because an earlier check has failed.
 
     The check of the disable command fails if the drive is still enabled. The drive has then not
@@ -135,20 +139,20 @@ def _run_check(
 def _check_configures(device: DeviceUnderTest) -> str:
     """Check that the drive accepts its settings, and reaches the phase READY."""
     rig = device.rig
-    if not rig.until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0):
+    if not rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0):
         raise CheckFailed(rig.state.error_text or f"stays in {rig.state.phase.name}")
     return "; ".join(rig.drive.unverified_protections or ("settings read back",))
 
 
 def _enable_drive(rig: DriveRig) -> None:
-    """Enable the drive. Raises Failed if the drive does not report the state enabled."""
-    if not rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 2.0):
+    """Enable the drive. Raises CheckFailed if the drive does not report the state enabled."""
+    if not rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 2.0):
         raise CheckFailed(
             rig.state.error_text or "does not report that it is enabled within 2 s of the command"
         )
 
 
-def _check_alone(device: DeviceUnderTest) -> str:
+def _check_single_answers(device: DeviceUnderTest) -> str:
     """Check that each request to the drive gets one answer.
 
     A second drive with the same number would also answer.
@@ -175,7 +179,7 @@ def _feedback_frames(rig: DriveRig, target: DriveTarget) -> int:
     """Return the number of feedback frames received in COUNTED_TICKS ticks."""
     before = rig.state.feedback_count
     for _ in range(COUNTED_TICKS):
-        rig.tick(target)
+        rig.run_tick(target)
     return rig.state.feedback_count - before
 
 
@@ -183,11 +187,11 @@ def _check_no_torque_when_ready(device: DeviceUnderTest) -> str:
     """Check that a drive in the phase READY makes no torque, even if it receives torque commands."""
     rig = device.rig
     before = rig.state.feedback_count
-    rig.keep(DriveTarget.POLL, 0.3)
+    rig.run_for(DriveTarget.POLL, 0.3)
     if rig.state.phase != DrivePhase.READY:
         raise CheckFailed(rig.state.error_text or f"went to {rig.state.phase.name}")
-    if math.isfinite(rig.velocity) and abs(rig.velocity) > MAX_REST_VELOCITY_RAD_S:
-        raise CheckNotApplicable(f"the shaft turns by itself, {rig.velocity:.2g} rad/s")
+    if math.isfinite(rig.velocity_rad_s) and abs(rig.velocity_rad_s) > MAX_REST_VELOCITY_RAD_S:
+        raise CheckNotApplicable(f"the shaft turns by itself, {rig.velocity_rad_s:.2g} rad/s")
     seen = _check_ignores_torque(device)
     if rig.state.phase != DrivePhase.READY:
         raise CheckFailed(
@@ -199,32 +203,32 @@ def _check_no_torque_when_ready(device: DeviceUnderTest) -> str:
 def _check_ignores_torque(device: DeviceUnderTest) -> str:
     """Send torque commands up to the limit to a disabled drive.
 
-    Raises Failed if the drive follows them.
+    Raises CheckFailed if the drive follows them.
     """
     rig = device.rig
     if not rig.drive.torque_frames(0.0):
         return "without torque commands, because each of them enables"
     start = rig.state.position
     reported_before = rig.state.torque
-    coasting = abs(rig.velocity) if math.isfinite(rig.velocity) else 0.0
+    coasting = abs(rig.velocity_rad_s) if math.isfinite(rig.velocity_rad_s) else 0.0
     reported: list[float] = []
     for i in range(COUNTED_TICKS):
-        torque = device.limit * (i + 1) / COUNTED_TICKS
-        rig.tick(DriveTarget.POLL, extra=rig.drive.torque_frames(torque))
+        torque = device.torque_limit_N_m * (i + 1) / COUNTED_TICKS
+        rig.run_tick(DriveTarget.POLL, extra=rig.drive.torque_frames(torque))
         reported.append(rig.state.torque - reported_before)
         moved = rig.state.position - start
         if abs(moved) > MIN_MOTION_RAD + coasting * (i + 1) * PERIOD_NS * 1e-9:
-            rig.tick(DriveTarget.POLL, extra=rig.drive.torque_frames(0.0))
+            rig.run_tick(DriveTarget.POLL, extra=rig.drive.torque_frames(0.0))
             raise CheckFailed(
                 f"follows torque commands while disabled: {torque:+.3f} N m turned it by {moved:+.3f} rad"
             )
     # A drive may store its last command and follow it once it is enabled, so the last command is
     # zero.
-    rig.tick(DriveTarget.POLL, extra=rig.drive.torque_frames(0.0))
+    rig.run_tick(DriveTarget.POLL, extra=rig.drive.torque_frames(0.0))
     mean = sum(reported[len(reported) // 2 :]) / (len(reported) - len(reported) // 2)
-    if abs(mean) > REPORTED_FRACTION * device.limit:
+    if abs(mean) > REPORTED_FRACTION * device.torque_limit_N_m:
         raise CheckFailed(f"reports {mean:+.3f} N m at torque commands while disabled")
-    return f"ignores torque commands up to {device.limit:+.3f} N m"
+    return f"ignores torque commands up to {device.torque_limit_N_m:+.3f} N m"
 
 
 def _check_enables(device: DeviceUnderTest) -> str:
@@ -240,7 +244,7 @@ def _check_feedback(device: DeviceUnderTest) -> str:
     _enable_drive(rig)
     start = rig.state.feedback_count
     ticks = 100
-    ages = sorted(rig.t_ns - rig.tick(DriveTarget.ENABLE).feedback_t_ns for _ in range(ticks))
+    ages = sorted(rig.t_ns - rig.run_tick(DriveTarget.ENABLE).feedback_t_ns for _ in range(ticks))
     count = rig.state.feedback_count - start
     late = ages[-MAX_LATE_TICKS_OF_100]
     seen = f"{count} feedback frames in {ticks} ticks, at most {max(ages[-1], 0) / 1e6:.0f} ms old"
@@ -255,20 +259,24 @@ def _rotation_check(sign: int) -> RequirementCheck:
     def check_rotation(device: DeviceUnderTest) -> str:
         rig = device.rig
         _enable_drive(rig)
-        if not brake_shaft(rig, device.limit):
-            raise CheckNotApplicable(f"the shaft turns by itself, {rig.velocity:.2g} rad/s")
-        step = apply_torque_step(rig, sign, device.limit)
+        if not brake_shaft(rig, device.torque_limit_N_m):
+            raise CheckNotApplicable(f"the shaft turns by itself, {rig.velocity_rad_s:.2g} rad/s")
+        step = apply_torque_step(rig, sign, device.torque_limit_N_m)
         if not step.enabled:
             raise CheckFailed(rig.state.error_text or "was no longer enabled")
         if step.moved_rad < -MIN_MOTION_RAD:
             raise CheckFailed(
-                f"{step.torque:+.3f} N m turned it by {sign * step.moved_rad:+.3f} rad, the wrong way"
+                f"{step.commanded_torque_N_m:+.3f} N m turned it by {sign * step.moved_rad:+.3f} rad, the wrong way"
             )
         if step.moved_rad > MIN_MOTION_RAD:
-            brake_shaft(rig, device.limit)
-            reported = "no torque" if math.isnan(step.reported) else f"{step.reported:+.3f} N m"
-            return f"at {step.torque:+.3f} N m; the drive reports {reported}"
-        raise _explain_no_motion(device, sign, step.reported)
+            brake_shaft(rig, device.torque_limit_N_m)
+            reported = (
+                "no torque"
+                if math.isnan(step.reported_torque_N_m)
+                else f"{step.reported_torque_N_m:+.3f} N m"
+            )
+            return f"at {step.commanded_torque_N_m:+.3f} N m; the drive reports {reported}"
+        raise _explain_no_motion(device, sign, step.reported_torque_N_m)
 
     return check_rotation
 
@@ -276,8 +284,8 @@ def _rotation_check(sign: int) -> RequirementCheck:
 def _explain_no_motion(device: DeviceUnderTest, sign: int, torque: float) -> Exception:
     """Explain why a shaft did not turn at the torque limit, from the torque reported by the drive [N m]."""
     reported = sign * torque
-    limit = f"{sign * device.limit:+.3f} N m"
-    if math.isfinite(reported) and reported < 0.3 * device.limit:
+    limit = f"{sign * device.torque_limit_N_m:+.3f} N m"
+    if math.isfinite(reported) and reported < 0.3 * device.torque_limit_N_m:
         return CheckFailed(
             f"{limit} did not turn it, and the drive reports {sign * reported:+.3f} N m"
         )
@@ -288,13 +296,18 @@ def _check_torque_limit(device: DeviceUnderTest) -> str:
     """Check that the driver refuses a torque above the limit and a non-finite torque, and sends neither."""
     rig = device.rig
     _enable_drive(rig)
-    for torque in (1.01 * device.limit, -1.01 * device.limit, math.nan, math.inf):
+    for torque in (
+        1.01 * device.torque_limit_N_m,
+        -1.01 * device.torque_limit_N_m,
+        math.nan,
+        math.inf,
+    ):
         try:
             rig.drive.advance(rig.state, rig.t_ns, DriveTarget.ENABLE, torque)
         except ValueError:
             continue
         raise CheckFailed(f"{torque:g} N m would have been sent")
-    return f"more than {device.limit:g} N m, NaN and infinity are refused before they are sent"
+    return f"more than {device.torque_limit_N_m:g} N m, NaN and infinity are refused before they are sent"
 
 
 def _check_disables(device: DeviceUnderTest) -> str:
@@ -302,14 +315,14 @@ def _check_disables(device: DeviceUnderTest) -> str:
     rig = device.rig
     _enable_drive(rig)
     start = rig.t_ns
-    if not rig.until(DriveTarget.DISABLE, lambda state: state.phase != DrivePhase.ENABLED, 1.0):
+    if not rig.run_until(DriveTarget.DISABLE, lambda state: state.phase != DrivePhase.ENABLED, 1.0):
         raise CheckFailed("does not report within 1 s of the command that it is disabled")
     if rig.state.phase == DrivePhase.FAULT:
         raise CheckFailed(f"reports a fault after the disable command: {rig.state.error_text}")
     took = f"after {(rig.t_ns - start) / 1e6:.0f} ms"
     # Some drives do not report whether they are enabled. Torque commands show if such a drive has
     # ignored the command.
-    rig.keep(DriveTarget.DISABLE, 0.05)
+    rig.run_for(DriveTarget.DISABLE, 0.05)
     return f"{took}; {_check_ignores_torque(device)}"
 
 
@@ -317,15 +330,15 @@ def _check_watchdog(device: DeviceUnderTest) -> str:
     """Check that the watchdog disables the drive when the host sends nothing, and that the drive then stays off."""
     rig = device.rig
     _enable_drive(rig)
-    silence = max(SILENCE_S, 3.0 * device.watchdog_s)
-    rig.keep(DriveTarget.LISTEN, silence)
-    if not rig.until(DriveTarget.ENABLE, lambda state: state.phase != DrivePhase.ENABLED, 0.5):
+    silence = max(HOST_SILENCE_S, 3.0 * device.watchdog_s)
+    rig.run_for(DriveTarget.LISTEN, silence)
+    if not rig.run_until(DriveTarget.ENABLE, lambda state: state.phase != DrivePhase.ENABLED, 0.5):
         hint = (
             f" ({rig.drive.unverified_protections[0]})" if rig.drive.unverified_protections else ""
         )
         raise CheckFailed(f"still enabled after {silence * 1e3:.0f} ms without a command{hint}")
     text = rig.state.error_text
-    rig.keep(DriveTarget.ENABLE, 0.3)
+    rig.run_for(DriveTarget.ENABLE, 0.3)
     if rig.state.phase != DrivePhase.FAULT:
         raise CheckFailed(f"{text}, and then enabled again without being cleared")
     return text
@@ -335,13 +348,13 @@ def _check_clears(device: DeviceUnderTest) -> str:
     """Check that the cut disables the drive, and that the drive becomes ready again after a clear."""
     rig = device.rig
     _enable_drive(rig)
-    rig.cut()
-    rig.keep(DriveTarget.LISTEN, 0.3)
-    if not rig.until(DriveTarget.ENABLE, lambda state: state.phase != DrivePhase.ENABLED, 0.5):
+    rig.cut_torque()
+    rig.run_for(DriveTarget.LISTEN, 0.3)
+    if not rig.run_until(DriveTarget.ENABLE, lambda state: state.phase != DrivePhase.ENABLED, 0.5):
         raise CheckFailed("still enabled after the cut")
     text = rig.state.error_text
-    rig.clear()
-    if not rig.until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 3.0):
+    rig.clear_faults()
+    if not rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 3.0):
         raise CheckFailed(rig.state.error_text or "does not become ready after the clear")
     return f"{text or 'off'}, and ready again after a clear"
 
@@ -373,16 +386,16 @@ def release_drive(rig: DriveRig, watchdog_s: float, restoring: Drive | None = No
     if not rig.confirm_off(watchdog_s):
         return False
     if restoring is not None:
-        rig.take(restoring)
-    rig.clear()
-    rig.until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 3.0)
-    rig.release()
+        rig.replace_drive(restoring)
+    rig.clear_faults()
+    rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 3.0)
+    rig.send_release()
     return True
 
 
 CHECKED_REQUIREMENTS: tuple[tuple[str, RequirementCheck, bool], ...] = (
     ("identifies itself, takes its settings and reads them back", _check_configures, False),
-    ("is the only drive with its number", _check_alone, False),
+    ("is the only drive with its number", _check_single_answers, False),
     ("makes no torque until it is enabled", _check_no_torque_when_ready, False),
     ("enables on command, and reports it", _check_enables, False),
     ("gives feedback in every tick", _check_feedback, False),

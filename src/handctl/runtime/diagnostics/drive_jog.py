@@ -44,16 +44,16 @@ class JogGoal(NamedTuple):
             start [rad].
         duration_s: duration of the motion [s].
         limits: largest speed and acceleration of the shaft.
-        torque: torque limit of the drive [N m].
-        travel: largest permitted distance of the shaft from its start [rad].
+        max_torque_N_m: torque limit of the drive [N m].
+        max_travel_rad: largest permitted distance of the shaft from its start [rad].
     """
 
     mode: DriveMode
     target: float
     duration_s: float
     limits: MotionLimits
-    torque: float
-    travel: float
+    max_torque_N_m: float
+    max_travel_rad: float
 
 
 class JogResult(NamedTuple):
@@ -61,17 +61,17 @@ class JogResult(NamedTuple):
 
     Attributes:
         failure: reason of an early stop in one line, empty for a complete motion.
-        moved: angle of the shaft at the end, relative to its start [rad].
-        fastest: largest measured speed [rad/s].
-        strongest: largest reported torque [N m], NaN if the drive reports none.
-        final_speed: speed at the end, shortly before the drive is disabled [rad/s].
+        moved_rad: angle of the shaft at the end, relative to its start [rad].
+        max_speed_rad_s: largest measured speed [rad/s].
+        max_torque_N_m: largest reported torque [N m], NaN if the drive reports none.
+        final_speed_rad_s: speed at the end, shortly before the drive is disabled [rad/s].
     """
 
     failure: str
     moved_rad: float = 0.0
-    fastest: float = 0.0
-    strongest: float = math.nan
-    final_speed: float = math.nan
+    max_speed_rad_s: float = 0.0
+    max_torque_N_m: float = math.nan
+    final_speed_rad_s: float = math.nan
 
 
 def distance_at(t_s: float, distance: float, speed: float, acceleration: float) -> float:
@@ -106,9 +106,9 @@ class _JogExecution:
         self._goal = goal
         self._start = 0.0
         self._command = 0.0
-        self._beyond = 0
-        self.fastest = 0.0
-        self.strongest = math.nan
+        self._ticks_beyond_limit = 0
+        self.max_speed_rad_s = 0.0
+        self.max_torque_N_m = math.nan
 
     @property
     def moved_rad(self) -> float:
@@ -119,20 +119,20 @@ class _JogExecution:
     def _position_mode(self) -> bool:
         return COMMAND_UNITS[self._goal.mode] == "rad"
 
-    def hold(self, state: DriveState) -> float:
+    def hold_command(self, state: DriveState) -> float:
         """Return the command that keeps the shaft still: the last position, or zero velocity, or zero torque."""
         if not self._position_mode:
             return 0.0
         return self._command if state.phase == DrivePhase.ENABLED else state.position
 
-    def begin(self) -> str:
+    def enable_at_rest(self) -> str:
         """Enable the drive at rest. Returns the problem in words, empty if the drive is enabled."""
         rig = self._rig
-        if not rig.until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0):
+        if not rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0):
             return rig.state.error_text or f"stays in {rig.state.phase.name}"
         # The start is read from feedback of the ready drive. A position that was sent before the
         # settings may have another scale.
-        rig.keep(DriveTarget.POLL, HOLD_TIME_S)
+        rig.run_for(DriveTarget.POLL, HOLD_TIME_S)
         self._start = rig.state.position
         if not math.isfinite(self._start):
             return "reports no position"
@@ -140,24 +140,26 @@ class _JogExecution:
         if self._position_mode and furthest > rig.drive.torque_limit:
             return f"is at {self._start:+.2f} rad, the target is beyond its range of {rig.drive.torque_limit:g} rad"
         self._command = self._start if self._position_mode else 0.0
-        if not rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 2.0):
+        if not rig.run_until(
+            DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 2.0
+        ):
             return (
                 rig.state.error_text
                 or "does not report that it is enabled within 2 s of the command"
             )
         return ""
 
-    def move(self) -> str:
+    def execute_motion(self) -> str:
         """Move for the duration of the goal.
 
         Returns the reason for an early stop, empty if there was none.
         """
         for i in range(round(self._goal.duration_s / PERIOD_S)):
-            if problem := self._tick(self._next((i + 1) * PERIOD_S)):
+            if problem := self._run_tick(self._command_at((i + 1) * PERIOD_S)):
                 return problem
         return ""
 
-    def settle(self) -> str:
+    def bring_to_rest(self) -> str:
         """Ramp velocity or torque to zero, or hold the position, for at least HOLD_TIME_S.
 
         Returns the reason for an early stop, empty if there was none.
@@ -168,62 +170,68 @@ class _JogExecution:
         elif self._goal.mode == DriveMode.TORQUE:
             ramp_s = TORQUE_RAMP_S
         for _ in range(math.ceil((ramp_s + HOLD_TIME_S) / PERIOD_S)):
-            if problem := self._tick(self._command if self._position_mode else self._towards(0.0)):
+            if problem := self._run_tick(
+                self._command if self._position_mode else self._ramped_command(0.0)
+            ):
                 return problem
         return ""
 
-    def _next(self, t_s: float) -> float:
+    def _command_at(self, t_s: float) -> float:
         """Return the command at a time since the start of the motion [s]."""
         goal = self._goal
         if not self._position_mode:
-            return self._towards(goal.target)
+            return self._ramped_command(goal.target)
         speed = HOST_LIMIT_FRACTION * goal.limits.speed
         return self._start + distance_at(
             t_s, goal.target, speed, HOST_LIMIT_FRACTION * goal.limits.acceleration
         )
 
-    def _towards(self, target: float) -> float:
+    def _ramped_command(self, target: float) -> float:
         """Return the last command, moved one step of the ramp towards a target velocity or torque."""
         goal = self._goal
-        rate = goal.torque / TORQUE_RAMP_S
+        rate = goal.max_torque_N_m / TORQUE_RAMP_S
         if goal.mode == DriveMode.VELOCITY:
             rate = HOST_LIMIT_FRACTION * goal.limits.acceleration
         step = rate * PERIOD_S
         return self._command + min(step, max(-step, target - self._command))
 
-    def _tick(self, command: float) -> str:
+    def _run_tick(self, command: float) -> str:
         """Send a command and judge the drive's answer.
 
         Returns the reason to stop, empty if there is none.
         """
         self._command = command
-        state = self._rig.tick(DriveTarget.ENABLE, command)
+        state = self._rig.run_tick(DriveTarget.ENABLE, command)
         if state.phase != DrivePhase.ENABLED:
             return state.error_text or f"went to {state.phase.name}"
         # The rig's time is already that of the next tick, so the age is one period larger than at
         # the tick itself.
         if self._rig.t_ns - state.feedback_t_ns > SILENCE_TIMEOUT_NS:
             return f"no feedback for {SILENCE_TIMEOUT_NS / 1e6:.0f} ms"
-        return self._judge(state)
+        return self._violated_limit(state)
 
-    def _judge(self, state: DriveState) -> str:
+    def _violated_limit(self, state: DriveState) -> str:
         """Return the reason to stop if speed, torque or travel exceed their limits, empty otherwise."""
         goal = self._goal
-        speed = abs(self._rig.velocity)
+        speed = abs(self._rig.velocity_rad_s)
         torque = abs(state.torque)
-        self.fastest = max(self.fastest, speed) if math.isfinite(speed) else self.fastest
+        self.max_speed_rad_s = (
+            max(self.max_speed_rad_s, speed) if math.isfinite(speed) else self.max_speed_rad_s
+        )
         if math.isfinite(torque):
-            self.strongest = torque if math.isnan(self.strongest) else max(self.strongest, torque)
-        if abs(self.moved_rad) > goal.travel:
-            return f"moved {self.moved_rad:+.2f} rad, expected at most {goal.travel:g}"
+            self.max_torque_N_m = (
+                torque if math.isnan(self.max_torque_N_m) else max(self.max_torque_N_m, torque)
+            )
+        if abs(self.moved_rad) > goal.max_travel_rad:
+            return f"moved {self.moved_rad:+.2f} rad, expected at most {goal.max_travel_rad:g}"
         too_fast = speed > OVERSPEED_FACTOR * goal.limits.speed + OVERSPEED_MARGIN_RAD_S
-        too_strong = torque > OVERTORQUE_FACTOR * goal.torque
-        self._beyond = self._beyond + 1 if too_fast or too_strong else 0
-        if self._beyond < MAX_TICKS_BEYOND_LIMIT:
+        too_strong = torque > OVERTORQUE_FACTOR * goal.max_torque_N_m
+        self._ticks_beyond_limit = self._ticks_beyond_limit + 1 if too_fast or too_strong else 0
+        if self._ticks_beyond_limit < MAX_TICKS_BEYOND_LIMIT:
             return ""
         if too_fast:
             return f"turns at {speed:.2f} rad/s, expected at most {goal.limits.speed:g}"
-        return f"reports {torque:.3g} N m, expected at most {goal.torque:g}"
+        return f"reports {torque:.3g} N m, expected at most {goal.max_torque_N_m:g}"
 
 
 def jog_drive(rig: DriveRig, goal: JogGoal) -> JogResult:
@@ -234,11 +242,17 @@ def jog_drive(rig: DriveRig, goal: JogGoal) -> JogResult:
         goal: motion to execute.
     """
     motion = _JogExecution(rig, goal)
-    rig.idle_command = motion.hold
-    failure = motion.begin()
+    rig.idle_command = motion.hold_command
+    failure = motion.enable_at_rest()
     if failure:
         return JogResult(failure)
-    failure = motion.move() or motion.settle()
+    failure = motion.execute_motion() or motion.bring_to_rest()
     if failure:
-        rig.cut()
-    return JogResult(failure, motion.moved_rad, motion.fastest, motion.strongest, abs(rig.velocity))
+        rig.cut_torque()
+    return JogResult(
+        failure,
+        motion.moved_rad,
+        motion.max_speed_rad_s,
+        motion.max_torque_N_m,
+        abs(rig.velocity_rad_s),
+    )

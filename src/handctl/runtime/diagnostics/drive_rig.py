@@ -28,7 +28,7 @@ class DriveRig:
         state: state of the drive after the last tick.
         k: number of the next tick.
         torque: last commanded torque [N m].
-        events: all events of the bus so far.
+        drive_events: all events of the bus so far.
         inertia: measured inertia of the shaft [kg m2]. NaN before the measurement.
         idle_command: function from the state of the drive to the command that moves nothing. In
             position mode this command is the present position.
@@ -51,12 +51,12 @@ class DriveRig:
         self.k = 0
         self.torque = 0.0
         self.inertia = math.nan
-        self.events: list[tuple[str, str, int]] = []
+        self.drive_events: list[tuple[str, str, int]] = []
         self.idle_command: Callable[[DriveState], float] = _no_torque
         self._positions = [math.nan] * (VELOCITY_TICKS + 1)
         clock.start()
 
-    def take(self, drive: Drive) -> None:
+    def replace_drive(self, drive: Drive) -> None:
         """Continue with another description of the same drive, and with its initial state."""
         self.drive = drive
         self.state = drive.initial_state()
@@ -67,14 +67,14 @@ class DriveRig:
         return self.k * PERIOD_NS
 
     @property
-    def velocity(self) -> float:
+    def velocity_rad_s(self) -> float:
         """Return the velocity of the shaft, from its last positions [rad/s].
 
         NaN while there are too few positions.
         """
         return (self._positions[-1] - self._positions[0]) / (VELOCITY_TICKS * PERIOD_NS * 1e-9)
 
-    def tick(
+    def run_tick(
         self, target: DriveTarget, torque: float | None = None, extra: Sequence[Frame] = ()
     ) -> DriveState:
         """Run one tick and return the state after it.
@@ -93,43 +93,45 @@ class DriveRig:
         self.state, frames = self.drive.advance(self.state, self.t_ns, target, torque)
         self.torque = torque
         self._bus.send((*frames, *extra))
-        self.events += self._bus.take_events()
+        self.drive_events += self._bus.take_events()
         self._positions = [*self._positions[1:], self.state.position]
         self.k += 1
         return self.state
 
-    def until(
+    def run_until(
         self, target: DriveTarget, reached: Callable[[DriveState], bool], for_s: float
     ) -> bool:
         """Run ticks with the idle command until ``reached`` returns True for the state of the drive.
 
         Returns False if the time ``for_s`` [s] passes before.
         """
-        return any(reached(self.tick(target)) for _ in range(math.ceil(for_s * 1e9 / PERIOD_NS)))
+        return any(
+            reached(self.run_tick(target)) for _ in range(math.ceil(for_s * 1e9 / PERIOD_NS))
+        )
 
-    def keep(self, target: DriveTarget, for_s: float) -> None:
+    def run_for(self, target: DriveTarget, for_s: float) -> None:
         """Run ticks with the idle command for a time [s]."""
-        self.until(target, lambda state: False, for_s)
+        self.run_until(target, lambda state: False, for_s)
 
-    def clear(self) -> None:
+    def clear_faults(self) -> None:
         """Clear the latched faults of the drive."""
         self.state, frames = self.drive.clear(self.state)
-        self.tick(DriveTarget.POLL, extra=frames)
+        self.run_tick(DriveTarget.POLL, extra=frames)
 
-    def cut(self) -> None:
+    def cut_torque(self) -> None:
         """Run a tick that sends only the frames that remove the torque of the drive."""
-        self.tick(DriveTarget.LISTEN, extra=self.drive.cut_frames())
+        self.run_tick(DriveTarget.LISTEN, extra=self.drive.cut_frames())
 
-    def release(self) -> None:
+    def send_release(self) -> None:
         """Run a tick that sends only the frames for the regular end of a run."""
-        self.tick(DriveTarget.LISTEN, extra=self.drive.release_frames(self.state))
+        self.run_tick(DriveTarget.LISTEN, extra=self.drive.release_frames(self.state))
 
-    def rest(self) -> bool:
+    def bring_to_ready(self) -> bool:
         """Bring the drive to READY from any phase. Returns True if the drive has reached READY."""
-        self.until(DriveTarget.DISABLE, lambda state: state.phase != DrivePhase.ENABLED, 1.0)
+        self.run_until(DriveTarget.DISABLE, lambda state: state.phase != DrivePhase.ENABLED, 1.0)
         if self.state.phase == DrivePhase.FAULT:
-            self.clear()
-        return self.until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 3.0)
+            self.clear_faults()
+        return self.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 3.0)
 
     def confirm_off(self, watchdog_s: float) -> bool:
         """Disable the drive, and return True if the drive reports that it is off.
@@ -138,8 +140,8 @@ class DriveRig:
         expired. It then disables the drive again.
         """
         for silence in (0.0, 3.0 * watchdog_s + 0.2):
-            self.keep(DriveTarget.LISTEN, silence)
-            if self.until(
+            self.run_for(DriveTarget.LISTEN, silence)
+            if self.run_until(
                 DriveTarget.DISABLE, lambda state: state.phase != DrivePhase.ENABLED, 1.0
             ):
                 return True

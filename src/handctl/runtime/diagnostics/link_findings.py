@@ -20,8 +20,8 @@ ERROR_COUNTER_TEXTS = {
     "bus_off": "times bus-off", "arbitration_lost": "arbitrations lost", "restarts": "restarts",
     "rx_dropped": "received frames dropped", "tx_dropped": "dropped transmit frames",
 }  # fmt: skip
-"""Text for each reported counter of ``CanLinkState.counts``."""
-FULL_SPEED_HZ = 333
+"""Text for each reported counter of ``CanLinkState.event_counts``."""
+MAX_RATE_AT_FULL_SPEED_HZ = 333
 """Highest control rate of a hand behind a USB full-speed adapter [Hz].
 
 Source: docs/how-to/adapters.md.
@@ -73,13 +73,17 @@ def interface_findings(
     """
     set_up = setup_command(name, bitrate, data_bitrate, exists=True)
     result = [
-        LinkFinding(f"{name} is {'up' if link.up else 'down'}", link.up, set_up, fatal=not link.up)
+        LinkFinding(
+            f"{name} is {'up' if link.is_up else 'down'}", link.is_up, set_up, fatal=not link.is_up
+        )
     ]
     if link.bitrate is not None or link.kind == "can":
         result.append(_rate_finding("bit rate", link.bitrate, bitrate, set_up))
     if data_bitrate is not None:
         result.append(
-            LinkFinding("carries CAN FD" if link.fd else "does not carry CAN FD", link.fd, set_up)
+            LinkFinding(
+                "carries CAN FD" if link.is_fd else "does not carry CAN FD", link.is_fd, set_up
+            )
         )
         if link.kind == "can":
             result.append(
@@ -87,7 +91,11 @@ def interface_findings(
             )
     queue = f"sudo ip link set {name} txqueuelen 128; for good, in {UDEV_FILE}: {UDEV_QUEUE_RULE.format(name)}"
     result.append(
-        LinkFinding(f"transmit queue of {link.queue} frames", link.queue >= MIN_QUEUE_FRAMES, queue)
+        LinkFinding(
+            f"transmit queue of {link.tx_queue_frames} frames",
+            link.tx_queue_frames >= MIN_QUEUE_FRAMES,
+            queue,
+        )
     )
     return [*result, *_controller_findings(name, link), *_counter_findings(link)]
 
@@ -108,10 +116,12 @@ def adapter_findings(
         return [LinkFinding(what, False, "flash candleLight firmware for the driver gs_usb")]
     if adapter is None:
         return []
-    usb = f", USB {adapter.usb_speed:g} Mbit/s" if adapter.usb_speed else ""
+    usb = f", USB {adapter.usb_speed_mbit_s:g} Mbit/s" if adapter.usb_speed_mbit_s else ""
     what = f"adapter of driver {adapter.driver or 'unknown'}{usb}"
     if adapter.is_full_speed:
-        what += f": one exchange each millisecond, at most {FULL_SPEED_HZ} Hz for a hand"
+        what += (
+            f": one exchange each millisecond, at most {MAX_RATE_AT_FULL_SPEED_HZ} Hz for a hand"
+        )
     rows = [LinkFinding(what, True)]
     if adapter.driver == "mcp251x":
         what = "MCP2515 has two receive buffers and loses frames of a bus at 1 Mbit/s"
@@ -138,12 +148,18 @@ def _rate_finding(what: str, has: int | None, required: int, fix: str) -> LinkFi
 
 def _controller_findings(name: str, link: CanLinkState) -> list[LinkFinding]:
     """Return the findings about the CAN controller: state, error counters, and restart after bus-off."""
-    if not link.state:
+    if not link.controller_state:
         return []
-    restart = f"sudo ip link set {name} type can restart; " if link.state == "BUS-OFF" else ""
-    counters = f"{link.state}, error counters {link.sending} sending, {link.receiving} receiving"
-    good = link.state == "ERROR-ACTIVE" and link.sending + link.receiving == 0
-    result = [LinkFinding(counters, good or not link.up, restart + WIRING_ADVICE)]
+    restart = (
+        f"sudo ip link set {name} type can restart; " if link.controller_state == "BUS-OFF" else ""
+    )
+    errors = f"{link.tx_error_counter} sending, {link.rx_error_counter} receiving"
+    counters = f"{link.controller_state}, error counters {errors}"
+    good = (
+        link.controller_state == "ERROR-ACTIVE"
+        and link.tx_error_counter + link.rx_error_counter == 0
+    )
+    result = [LinkFinding(counters, good or not link.is_up, restart + WIRING_ADVICE)]
     if link.restart_ms is not None:
         command = (
             f"sudo ip link set {name} down; sudo ip link set {name} up type can restart-ms 100"
@@ -160,12 +176,12 @@ def _counter_findings(link: CanLinkState) -> list[LinkFinding]:
     """Return the findings about the event counters of an interface."""
     counted = [
         f"{number} {ERROR_COUNTER_TEXTS[key]}"
-        for key, number in link.counts.items()
+        for key, number in link.event_counts.items()
         if number and key in ERROR_COUNTER_TEXTS
     ]
     bad = any(
         number
-        for key, number in link.counts.items()
+        for key, number in link.event_counts.items()
         if key in ERROR_COUNTER_TEXTS and key not in HARMLESS_COUNTERS
     )
     fix = f"since it was created; {WIRING_ADVICE}; repeat this check after a run"

@@ -24,25 +24,25 @@ class RoundTrip(NamedTuple):
 
     Attributes:
         answers: number of requests with an answer.
-        asked: number of requests sent.
-        shortest: shortest round-trip time [s], NaN without an answer.
-        median: median round-trip time [s], NaN without an answer.
-        longest: longest round-trip time [s], NaN without an answer.
-        twice: number of requests with more than one answer. This happens if two drives have the
+        requests: number of requests sent.
+        shortest_s: shortest round-trip time [s], NaN without an answer.
+        median_s: median round-trip time [s], NaN without an answer.
+        longest_s: longest round-trip time [s], NaN without an answer.
+        double_answers: number of requests with more than one answer. This happens if two drives have the
             same number.
     """
 
     answers: int
-    asked: int
-    shortest: float
-    median: float
-    longest: float
-    twice: int = 0
+    requests: int
+    shortest_s: float
+    median_s: float
+    longest_s: float
+    double_answers: int = 0
 
     @property
-    def twins(self) -> bool:
+    def is_number_shared(self) -> bool:
         """Return True if most requests had more than one answer, because two drives have the same number."""
-        return self.twice > self.asked / 2
+        return self.double_answers > self.requests / 2
 
 
 def measure_round_trips(bus: Bus, node: DiscoveredNode, times: int = REQUEST_COUNT) -> RoundTrip:

@@ -41,18 +41,18 @@ class BusScan(NamedTuple):
     """Result of a scan of a bus.
 
     Attributes:
-        found: discovered drives and other nodes, by protocol and number.
-        foreign: received frames from another host. If there are any, the scan has sent no request.
-        omitted: requests not sent, because a drive on the bus would have obeyed them as commands.
-        events: events of the bus during the scan.
-        frames: number of received frames.
+        found_nodes: discovered drives and other nodes, by protocol and number.
+        foreign_frames: received frames from another host. If there are any, the scan has sent no request.
+        omitted_requests: requests not sent, because a drive on the bus would have obeyed them as commands.
+        bus_events: events of the bus during the scan.
+        frame_count: number of received frames.
     """
 
-    found: tuple[DiscoveredNode, ...]
-    foreign: tuple[Frame, ...]
-    omitted: tuple[Frame, ...]
-    events: tuple[tuple[str, str, int], ...]
-    frames: int
+    found_nodes: tuple[DiscoveredNode, ...]
+    foreign_frames: tuple[Frame, ...]
+    omitted_requests: tuple[Frame, ...]
+    bus_events: tuple[tuple[str, str, int], ...]
+    frame_count: int
 
 
 def collect_frames(bus: Bus, for_s: float, seen: list[Frame]) -> None:

@@ -34,35 +34,35 @@ class TorqueStep(NamedTuple):
     """Response of a shaft to a torque ramp.
 
     Attributes:
-        moved: angle in the direction of the torque, minus the angle by which the shaft would have
+        moved_rad: angle in the direction of the torque, minus the angle by which the shaft would have
             coasted anyway [rad].
-        torque: last commanded torque [N m].
-        reported: torque reported by the drive at the end of the ramp [N m].
+        commanded_torque_N_m: last commanded torque [N m].
+        reported_torque_N_m: torque reported by the drive at the end of the ramp [N m].
         enabled: True if the drive was enabled until the end.
     """
 
     moved_rad: float
-    torque: float
-    reported: float
+    commanded_torque_N_m: float
+    reported_torque_N_m: float
     enabled: bool
 
 
-def apply_torque_step(rig: DriveRig, sign: int, limit: float) -> TorqueStep:
+def apply_torque_step(rig: DriveRig, sign: int, torque_limit: float) -> TorqueStep:
     """Raise the torque until the shaft has moved by MIN_MOTION_RAD or the limit is reached, then let the shaft coast.
 
     Args:
         rig: rig with an enabled drive.
         sign: sign of the torque.
-        limit: largest torque [N m].
+        torque_limit: largest torque [N m].
     """
     start = rig.state.position
-    coasting = rig.velocity
+    coasting = rig.velocity_rad_s
     impulse = 0.0
     ticks = round(TORQUE_RAMP_S / PERIOD_S)
     moved = torque = 0.0
     for i in range(ticks):
-        torque = sign * limit * (i + 1) / ticks
-        rig.tick(DriveTarget.ENABLE, torque)
+        torque = sign * torque_limit * (i + 1) / ticks
+        rig.run_tick(DriveTarget.ENABLE, torque)
         impulse += torque * PERIOD_S
         if rig.state.phase != DrivePhase.ENABLED:
             return TorqueStep(moved, torque, rig.state.torque, False)
@@ -76,8 +76,8 @@ def apply_torque_step(rig: DriveRig, sign: int, limit: float) -> TorqueStep:
         if abs(moved) > MIN_MOTION_RAD:
             break
     reported = rig.state.torque
-    rig.keep(DriveTarget.ENABLE, COAST_TICKS * PERIOD_S)
-    gained = rig.velocity - (coasting if math.isfinite(coasting) else 0.0)
+    rig.run_for(DriveTarget.ENABLE, COAST_TICKS * PERIOD_S)
+    gained = rig.velocity_rad_s - (coasting if math.isfinite(coasting) else 0.0)
     if (
         impulse * gained > 0.0
     ):  # the inertia is the angular impulse [N m s] divided by the change of velocity
@@ -85,24 +85,24 @@ def apply_torque_step(rig: DriveRig, sign: int, limit: float) -> TorqueStep:
     return TorqueStep(moved, torque, reported, True)
 
 
-def brake_shaft(rig: DriveRig, limit: float) -> bool:
+def brake_shaft(rig: DriveRig, torque_limit: float) -> bool:
     """Brake the shaft, and return True if the shaft is at rest.
 
     If the inertia has not been measured, the function waits until friction has stopped the shaft.
 
     Args:
         rig: rig with an enabled drive.
-        limit: largest torque [N m].
+        torque_limit: largest torque [N m].
     """
     gain = rig.inertia / BRAKE_TIME_CONSTANT_S if math.isfinite(rig.inertia) else 0.0
     still = 0
     for _ in range(round(MAX_BRAKE_S / PERIOD_S)):
-        speed = rig.velocity
+        speed = rig.velocity_rad_s
         still = still + 1 if abs(speed) < MAX_REST_VELOCITY_RAD_S else 0
         if still > COAST_TICKS:
             return True
-        rig.tick(
+        rig.run_tick(
             DriveTarget.ENABLE,
-            max(-limit, min(limit, -gain * speed)) if math.isfinite(speed) else 0.0,
+            max(-torque_limit, min(torque_limit, -gain * speed)) if math.isfinite(speed) else 0.0,
         )
-    return not abs(rig.velocity) > MAX_REST_VELOCITY_RAD_S
+    return not abs(rig.velocity_rad_s) > MAX_REST_VELOCITY_RAD_S

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handctl.tune.identify.data import Array
+from handctl.tune.identify.tendon_data import Array
 
 CONTACT_SCORE = 4.5
 """Smallest score of a ramp that counts as a contact, for a digit with one tendon."""
@@ -37,9 +37,9 @@ MAX_CLEAR_MEAN_SQUARE = 1.5
 """Largest mean square of the residuals in a fit that proves that the digit was not blocked."""
 MAX_CLEAR_OUTLIERS = 0.005
 """Largest fraction of outliers in a fit that proves that the digit was not blocked."""
-RAMP_STARTS = 40
+RAMP_START_COUNT = 40
 """Number of angles at which a ramp is tried to begin."""
-END_FRACTION = 0.04
+SWEEP_END_FRACTION = 0.04
 """Fraction of the sweep at each end in which no ramp may begin.
 
 Too few rows would determine such a ramp.
@@ -112,8 +112,8 @@ def steepest_ramp(
     low = float(angle.min())
     high = float(angle.max())
     best = (0.0, high, 0.0)
-    for start in np.linspace(low, high, RAMP_STARTS + 2)[1:-1].tolist():
-        if not END_FRACTION < (start - low) / (high - low) < 1.0 - END_FRACTION:
+    for start in np.linspace(low, high, RAMP_START_COUNT + 2)[1:-1].tolist():
+        if not SWEEP_END_FRACTION < (start - low) / (high - low) < 1.0 - SWEEP_END_FRACTION:
             continue
         shape = (
             np.repeat(np.maximum(0.0, angle - start) / (high - start), count // len(angle)) * used

@@ -18,7 +18,7 @@ SWEEP_TOP_DEG = 32.0
 
 At larger angles, the fingers of the packaged hands touch thumb or palm.
 """
-SWING_DEG = 9.0
+SWING_AMPLITUDE_DEG = 9.0
 """Amplitude of the sinusoidal swing of the joints [deg]."""
 SWING_LOW_HZ = 0.7
 """Lowest frequency of the swing [Hz]."""
@@ -45,7 +45,7 @@ MIN_STRETCH_RANGE_N = 0.5
 
 A smaller difference would be hidden in the noise of the load cell.
 """
-STRETCH_S = 0.9
+STRETCH_DURATION_S = 0.9
 """Duration of a stretch up or down [s].
 
 The friction of the motor is larger than the tension, and the gains may be low. On faster ramps, the
@@ -53,7 +53,7 @@ tension would change by only a third of the commanded range.
 """
 STRETCH_COUNT = 4
 """Number of stretches up and down."""
-SWEEP_S = (0.8, 0.3, 0.55, 0.8)
+SWEEP_DURATIONS_S = (0.8, 0.3, 0.55, 0.8)
 """Durations of the free sweeps [s]."""
 
 
@@ -117,7 +117,7 @@ def _digit_steps(hand: Hand, digit: str) -> list[ExciteStep]:
     floor = max(tendon.tension_floor_N for tendon in tendons)
     low, high = (math.radians(angle) for angle in _sweep_range(hand, digit))
     middle = 0.5 * (low + high)
-    swing = math.radians(SWING_DEG)
+    swing = math.radians(SWING_AMPLITUDE_DEG)
     lift = LIFT_FRACTION * lift_off_tension(hand, digit)
     released, soft, hard = (fraction * max_tension for fraction in PRESS_FRACTIONS)
 
@@ -139,7 +139,9 @@ def _digit_steps(hand: Hand, digit: str) -> list[ExciteStep]:
         update={"amplitude": swing, "low_Hz": SWING_LOW_HZ, "high_Hz": SWING_HIGH_HZ}
     )
     sweeps = [
-        excite_step("sweep", "move", duration, goal) for duration in SWEEP_S for goal in (high, low)
+        excite_step("sweep", "move", duration, goal)
+        for duration in SWEEP_DURATIONS_S
+        for goal in (high, low)
     ]
     presses = [
         excite_step("press", "tension", 0.22, goal, 250.0, held=True)
@@ -147,7 +149,13 @@ def _digit_steps(hand: Hand, digit: str) -> list[ExciteStep]:
         for goal in (hard, soft)
     ]
     stretch = [
-        excite_step("stretch", "tension", STRETCH_S, goal, (lift - MIN_TENSION_N) / STRETCH_S)
+        excite_step(
+            "stretch",
+            "tension",
+            STRETCH_DURATION_S,
+            goal,
+            (lift - MIN_TENSION_N) / STRETCH_DURATION_S,
+        )
         for _ in range(STRETCH_COUNT)
         for goal in (lift, MIN_TENSION_N)
     ]

@@ -15,25 +15,25 @@ from handctl.hand.digit import Array, DigitModel
 from handctl.hand.hand_tree import HandTree
 from handctl.programs.excitation import ExciteStep
 
-LOWEST_DEG = 0.0
+LOWEST_SWEEP_ANGLE_DEG = 0.0
 """Smallest joint angle of the sweeps [deg]. At smaller angles, a thumb may touch the palm."""
-HIGHEST_DEG = 32.0
+HIGHEST_SWEEP_ANGLE_DEG = 32.0
 """Largest joint angle of the sweeps [deg].
 
 At larger angles, the fingers of the packaged hands touch thumb or palm.
 """
 STOP_MARGIN_DEG = 6.0
 """Smallest distance of the sweeps from the joint limits [deg]."""
-SIDEWAYS_DEG = (-2.0, 12.0)
+SIDEWAYS_SWEEP_RANGE_DEG = (-2.0, 12.0)
 """Ends of sweeps that move a digit sideways [deg].
 
 The range is small because neighbouring digits are close.
 """
-SWEEP_S = (0.8, 0.45, 0.45)
+SWEEP_DURATIONS_S = (0.8, 0.45, 0.45)
 """Durations of the motions from one end of a sweep to the other [s]."""
-SWING_DEG = 9.0
+SWING_AMPLITUDE_DEG = 9.0
 """Largest amplitude of the sinusoidal swing of the joints [deg]."""
-SWING_S = 3.0
+SWING_DURATION_S = 3.0
 """Duration of the swing [s]."""
 SWING_LOW_HZ = 0.7
 """Lowest frequency of the swing [Hz]."""
@@ -52,12 +52,12 @@ PAIR_LOW_FRACTION = 0.07
 """Smallest net tension while a spool pair is stretched, as a fraction of ``tension_max_N``."""
 CLOSE_FRACTION = 0.12
 """Net tension with which spool pairs move their digit to its lower stops, as a fraction of ``tension_max_N``."""
-CLOSE_S = 2.5
+CLOSING_DURATION_S = 2.5
 """Time in which spool pairs move their digit to its lower stops [s].
 
 The control law damps this motion.
 """
-OPEN_S = 1.5
+OPENING_DURATION_S = 1.5
 """Time in which the digit moves back from its lower stops [s]."""
 MAX_TORQUE_RATIO = 0.7
 """Largest joint torque of a stretched closing tendon, as a fraction of the opening torque of the other tendons."""
@@ -68,7 +68,7 @@ COUNTER_MOTION_FRACTION = 0.5
 
 At full amplitude, a tendon that crosses both joints would not move.
 """
-RATE_N_PER_S = 250.0
+TENSION_RATE_N_PER_S = 250.0
 """Rate at which the tension changes while a tendon is stretched [N/s].
 
 At this rate, the spool turns fast enough that the direction of its friction is known.
@@ -102,7 +102,7 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
     middle = 0.5 * (low + high)
     half = 0.5 * (high - low)
 
-    def step(
+    def excite_step(
         step_name: str, kind: str, duration_s: float, targets: Array | None = None, **more: object
     ) -> ExciteStep:
         angles_or_tensions = () if targets is None else tuple(targets.tolist())
@@ -111,17 +111,17 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
 
     sweeps = []
     for signs in _sign_patterns(len(middle)):
-        sweeps.append(step("approach", "move", 0.4, middle - signs * half))
-        for duration in SWEEP_S:
+        sweeps.append(excite_step("approach", "move", 0.4, middle - signs * half))
+        for duration in SWEEP_DURATIONS_S:
             sweeps += [
-                step("sweep", "move", duration, middle + side * signs * half)
+                excite_step("sweep", "move", duration, middle + side * signs * half)
                 for side in (1.0, -1.0)
             ]
     amplitudes = tuple(_swing_amplitudes(hand, digit, middle, half).tolist())
-    swing = step(
+    swing = excite_step(
         "swing",
         "chirp",
-        SWING_S,
+        SWING_DURATION_S,
         middle,
         amplitudes=amplitudes,
         low_Hz=SWING_LOW_HZ,
@@ -129,41 +129,45 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
     )
     rest, stretches = _stretched_tensions(hand, digit)
     pairs = bool(hand.is_pair[digit.tendons].any())
-    _, largest = _limits(hand, digit)
+    _, largest = _tension_limits(hand, digit)
     onto_stop = -CLOSE_FRACTION / STRETCH_FRACTION * largest if pairs else stretches[0][0]
     stretch_steps = []
     for lower, upper in stretches:
-        duration = float(np.abs(upper - lower).max()) / RATE_N_PER_S + SETTLE_S
-        stretch_steps.append(step("close", "tension", 0.5, lower, rate=80.0, held=True))
+        duration = float(np.abs(upper - lower).max()) / TENSION_RATE_N_PER_S + SETTLE_S
+        stretch_steps.append(excite_step("close", "tension", 0.5, lower, rate=80.0, held=True))
         for _ in range(PAIR_STRETCHES if pairs else STRETCH_COUNT):
             for goal in (upper, lower):
                 stretch_steps.append(
-                    step("stretch", "tension", duration, goal, rate=RATE_N_PER_S, held=True)
+                    excite_step(
+                        "stretch", "tension", duration, goal, rate=TENSION_RATE_N_PER_S, held=True
+                    )
                 )
     return [
-        step(
+        excite_step(
             "taut",
             "tension" if pairs else "taut",
             0.4,
-            rest if pairs else _balance(hand, digit),
+            rest if pairs else _balanced_tensions(hand, digit),
             rate=40.0,
         ),
         *sweeps,
-        step("approach", "move", 0.4, middle),
+        excite_step("approach", "move", 0.4, middle),
         swing,
-        step("approach", "move", 0.6, low),
-        step(
+        excite_step("approach", "move", 0.6, low),
+        excite_step(
             "close",
             "tension",
-            CLOSE_S if pairs else 0.8,
+            CLOSING_DURATION_S if pairs else 0.8,
             onto_stop,
             rate=20.0 if pairs else 60.0,
             held=True,
         ),
         *stretch_steps,
-        step("open", "tension", 0.4, rest if pairs else stretches[0][0], rate=100.0, held=True),
-        step("open", "move", OPEN_S, low),
-        step("rest", "limp", 0.1),
+        excite_step(
+            "open", "tension", 0.4, rest if pairs else stretches[0][0], rate=100.0, held=True
+        ),
+        excite_step("open", "move", OPENING_DURATION_S, low),
+        excite_step("rest", "limp", 0.1),
     ]
 
 
@@ -171,9 +175,9 @@ def sweep_range(digit: DigitModel) -> tuple[Array, Array]:
     """Return the smallest and the largest reduced coordinates (n_c,) of the sweeps of a digit [rad]."""
     least, most = digit.reach
     margin = math.radians(STOP_MARGIN_DEG)
-    low = np.maximum(least + margin, math.radians(LOWEST_DEG))
-    high = np.minimum(most - margin, math.radians(HIGHEST_DEG))
-    near, far = np.radians(SIDEWAYS_DEG)
+    low = np.maximum(least + margin, math.radians(LOWEST_SWEEP_ANGLE_DEG))
+    high = np.minimum(most - margin, math.radians(HIGHEST_SWEEP_ANGLE_DEG))
+    near, far = np.radians(SIDEWAYS_SWEEP_RANGE_DEG)
     sideways = digit.sideways_coordinates & (least + margin < near) & (most - margin > far)
     return np.where(sideways, near, low), np.where(sideways, far, high)
 
@@ -209,17 +213,17 @@ def _swing_amplitudes(hand: Hand, digit: DigitModel, middle: Array, half: Array)
         [motor.torque_max_N_m / motor.spool_radius_m for motor in motors]
     )
     largest = float((available / (force * (2.0 * math.pi * SWING_HIGH_HZ) ** 2)).min())
-    return np.minimum(np.minimum(math.radians(SWING_DEG), 0.7 * half), largest)
+    return np.minimum(np.minimum(math.radians(SWING_AMPLITUDE_DEG), 0.7 * half), largest)
 
 
-def _limits(hand: Hand, digit: DigitModel) -> tuple[Array, Array]:
+def _tension_limits(hand: Hand, digit: DigitModel) -> tuple[Array, Array]:
     """Return the tension floors of a digit's tendons and their largest tensions while stretched, (n_t,) each [N]."""
     tendons = hand.tendon[digit.tendons]
     floor = np.array([tendon.tension_floor_N for tendon in tendons])
     return floor, STRETCH_FRACTION * np.array([tendon.tension_max_N for tendon in tendons])
 
 
-def _balance(hand: Hand, digit: DigitModel) -> Array:
+def _balanced_tensions(hand: Hand, digit: DigitModel) -> Array:
     """Return tensions (n_t,) above the tension floors whose joint torques cancel each other [N]."""
     floor = np.array([tendon.tension_floor_N for tendon in hand.tendon])
     ceiling = np.array([tendon.tension_max_N for tendon in hand.tendon])
@@ -235,7 +239,7 @@ def _stretched_tensions(hand: Hand, digit: DigitModel) -> tuple[Array, list[tupl
     stretched at once. Then each tendon that closes the digit is stretched alone. Its torque stays
     small enough that the opening tendons hold the digit open.
     """
-    floor, largest = _limits(hand, digit)
+    floor, largest = _tension_limits(hand, digit)
     if hand.is_pair[digit.tendons].any():
         whole = largest / STRETCH_FRACTION
         return np.zeros(len(whole)), [(-PAIR_LOW_FRACTION * whole, -PAIR_HIGH_FRACTION * whole)]

@@ -9,7 +9,7 @@ from handctl.core.identified_parameters import PARAMETER_UNITS
 from handctl.output import save_figure
 from handctl.tune.identify.fit import LOAD_PARAMETERS, PARAMETER_NAMES, stop_stiffness
 from handctl.tune.identify.fit_load import LoadParameters
-from handctl.tune.identify.identify import BAND_HZ, TendonResult
+from handctl.tune.identify.identify import EXCITATION_BAND_HZ, TendonResult
 
 MEASURED_COLOR = "#3b6fb6"
 MODEL_COLOR = "#d9822b"
@@ -50,12 +50,12 @@ def _draw_time(axis: Any, result: TendonResult) -> None:
 
 
 def _drift_at(result: TendonResult, t: Any) -> Any:
-    return np.interp(t, result.fit.problem.knots, result.fit.z[len(PARAMETER_NAMES) :])
+    return np.interp(t, result.fit.problem.drift_knots, result.fit.z[len(PARAMETER_NAMES) :])
 
 
 def _draw_stop(axis: Any, result: TendonResult) -> None:
-    bins = result.fit.problem.stop
-    values = result.fit.values
+    bins = result.fit.problem.stop_bins
+    values = result.fit.parameter_values
     axis.set(title="tendon, on the open stop", xlabel="tendon travel [um]", ylabel="tension [N]")
     if not len(bins.t):
         axis.text(0.5, 0.5, "no such data", ha="center", transform=axis.transAxes)
@@ -63,7 +63,7 @@ def _draw_stop(axis: Any, result: TendonResult) -> None:
     order = np.argsort(bins.travel)
     # The tendon and the open stop are springs in series.
     slope = stop_stiffness(
-        values["tendon_stiffness"], values["stop_softness"], result.fit.problem.nominal
+        values["tendon_stiffness"], values["stop_softness"], result.fit.problem.parameter_scales
     )
     axis.plot(
         1e6 * bins.travel,
@@ -80,17 +80,17 @@ def _draw_stop(axis: Any, result: TendonResult) -> None:
 
 def _draw_free(axis: Any, result: TendonResult) -> None:
     problem = result.fit.problem
-    bins = problem.free
+    bins = problem.free_bins
     axis.set(
         title="springs and friction, in free sweeps",
         xlabel="tendon travel [mm]",
         ylabel="tension [N]",
     )
-    if not len(bins.t) or problem.load is None:
+    if not len(bins.t) or problem.digit_load is None:
         axis.text(0.5, 0.5, "no such data", ha="center", transform=axis.transAxes)
         return
-    p = result.fit.z[: len(PARAMETER_NAMES)] * problem.nominal
-    model = problem.load.tension(LoadParameters(*p[LOAD_PARAMETERS].tolist()), bins)
+    p = result.fit.z[: len(PARAMETER_NAMES)] * problem.parameter_scales
+    model = problem.digit_load.expected_tension(LoadParameters(*p[LOAD_PARAMETERS].tolist()), bins)
     axis.plot(
         1e3 * bins.travel,
         bins.tension - _drift_at(result, bins.t),
@@ -104,10 +104,10 @@ def _draw_free(axis: Any, result: TendonResult) -> None:
 
 
 def _draw_motor(axis: Any, result: TendonResult) -> None:
-    windows = result.fit.problem.motor
-    values = result.fit.values
-    r = result.fit.problem.spool
-    drive = values["torque_gain"] * windows.command(values["delay"]) - (
+    windows = result.fit.problem.motor_windows
+    values = result.fit.parameter_values
+    r = result.fit.problem.spool_radius_m
+    drive = values["torque_gain"] * windows.delayed_command(values["delay"]) - (
         windows.tension - _drift_at(result, windows.t)
     )
     friction = (
@@ -131,7 +131,7 @@ def _draw_motor(axis: Any, result: TendonResult) -> None:
 def _draw_coherence(axis: Any, result: TendonResult) -> None:
     f, c = result.spectrum
     axis.plot(f, c, color=MEASURED_COLOR)
-    axis.axvspan(*BAND_HZ, color=MODEL_COLOR, alpha=0.15, label="swing")
+    axis.axvspan(*EXCITATION_BAND_HZ, color=MODEL_COLOR, alpha=0.15, label="swing")
     axis.set(
         title="coherence of motor force and speed",
         xlabel="f [Hz]",
@@ -144,9 +144,9 @@ def _draw_coherence(axis: Any, result: TendonResult) -> None:
 def _draw_parameters(axis: Any, result: TendonResult) -> None:
     """Draw every identified parameter as a ratio to the value of the hand file, with its confidence interval."""
     names = [name for name in PARAMETER_UNITS if name != "delay"]
-    values = result.fit.values
+    values = result.fit.parameter_values
     widths = result.fit.half_widths
-    nominal = result.fit.problem.nominal
+    nominal = result.fit.problem.parameter_scales
     low = 0.4
     high = 1.6
     for row, name in enumerate(names):

@@ -16,10 +16,10 @@ from handctl.errors import LogError
 from handctl.hand.description import Hand
 from handctl.hand.dynamics import DigitModel
 from handctl.tune.identify.contact_detection import ResidualRamp, steepest_ramp
-from handctl.tune.identify.data import Array, TendonData
 from handctl.tune.identify.fit_load import DigitLoad, LoadParameters, SignalBins, average_in_bins
 from handctl.tune.identify.fit_motor import MotorWindows, motor_windows
-from handctl.tune.identify.solve import FitSolution, solve_least_squares
+from handctl.tune.identify.least_squares import FitSolution, solve_least_squares
+from handctl.tune.identify.tendon_data import Array, TendonData
 
 PARAMETER_NAMES = (
     "torque_gain", "motor_inertia", "motor_viscous", "motor_coulomb", "delay",
@@ -66,9 +66,9 @@ STOP_BIN_S = 0.05
 At the stop, the travel changes slowly. In a bin of this duration, it passes enough encoder counts
 for the quantisation to average out.
 """
-MIN_SCALE = 0.02
+MIN_SCALED_PARAMETER = 0.02
 """Lower bound of scaled parameters that must be positive."""
-MAX_SCALE = 20.0
+MAX_SCALED_PARAMETER = 20.0
 """Upper bound of scaled parameters that must be positive."""
 CONFIDENCE_LEVEL = 0.95
 """Confidence level of all intervals."""
@@ -81,31 +81,31 @@ class TendonFitProblem:
     """Input of the fit of a tendon.
 
     Attributes:
-        spool: radius of the spool [m].
-        nominal: (15,) scale of each parameter, mostly its value in the hand file.
-        load: model of the digit, None if the digit has several tendons or no springs.
-        motor: time windows of the motor equation.
-        free: bins of data in which the digit moves freely.
-        stop: bins of data in which the digit is on the open stop.
-        slack: bins of data in which the tendon is slack.
-        knots: (k,) times of the knots of the load cell's drift [s].
-        sigma: standard deviation of a load-cell sample [N].
-        step: standard deviation of the change of the drift from knot to knot [N].
+        spool_radius_m: radius of the spool [m].
+        parameter_scales: (15,) scale of each parameter, mostly its value in the hand file.
+        digit_load: model of the digit, None if the digit has several tendons or no springs.
+        motor_windows: time windows of the motor equation.
+        free_bins: bins of data in which the digit moves freely.
+        stop_bins: bins of data in which the digit is on the open stop.
+        slack_bins: bins of data in which the tendon is slack.
+        drift_knots: (k,) times of the knots of the load cell's drift [s].
+        cell_noise_N: standard deviation of a load-cell sample [N].
+        drift_step_N: standard deviation of the change of the drift from knot to knot [N].
     """
 
-    spool: float
-    nominal: Array
-    load: DigitLoad | None
-    motor: MotorWindows
-    free: SignalBins
-    stop: SignalBins
-    slack: SignalBins
-    knots: Array
-    sigma: float
-    step: float
+    spool_radius_m: float
+    parameter_scales: Array
+    digit_load: DigitLoad | None
+    motor_windows: MotorWindows
+    free_bins: SignalBins
+    stop_bins: SignalBins
+    slack_bins: SignalBins
+    drift_knots: Array
+    cell_noise_N: float
+    drift_step_N: float
 
     @staticmethod
-    def of(data: TendonData, hand: Hand) -> "TendonFitProblem":
+    def from_data(data: TendonData, hand: Hand) -> "TendonFitProblem":
         """Return the input of the fit for the data of a tendon.
 
         Raises:
@@ -126,40 +126,43 @@ class TendonFitProblem:
         # `fit_travel`.
         stop = data.stop & sprung
         return TendonFitProblem(
-            spool=spool,
-            nominal=parameter_scales(hand, data.tendon),
-            load=DigitLoad.of(digit) if single and sprung else None,
-            motor=windows,
-            free=average_in_bins(data, data.free, moving=True),
-            stop=average_in_bins(data, stop, moving=False, bin_s=STOP_BIN_S),
-            slack=average_in_bins(data, data.slack, moving=False, bin_s=STOP_BIN_S),
-            knots=np.linspace(data.t[0], data.t[-1], max(2, round(span / DRIFT_KNOT_S) + 1)),
-            sigma=_cell_noise(data.tension[data.slack | stop], hand.sensor_node.tension_noise_N),
+            spool_radius_m=spool,
+            parameter_scales=parameter_scales(hand, data.tendon),
+            digit_load=DigitLoad.from_digit(digit) if single and sprung else None,
+            motor_windows=windows,
+            free_bins=average_in_bins(data, data.free, moving=True),
+            stop_bins=average_in_bins(data, stop, moving=False, bin_s=STOP_BIN_S),
+            slack_bins=average_in_bins(data, data.slack, moving=False, bin_s=STOP_BIN_S),
+            drift_knots=np.linspace(data.t[0], data.t[-1], max(2, round(span / DRIFT_KNOT_S) + 1)),
+            cell_noise_N=_cell_noise(
+                data.tension[data.slack | stop], hand.sensor_node.tension_noise_N
+            ),
             # The drift is a random walk. Its standard deviation increases with the square root of
             # time, and the hand file has the value after 100 s.
-            step=max(hand.sensor_node.tension_bias_drift_N, 1e-3) * (DRIFT_KNOT_S / 100.0) ** 0.5,
+            drift_step_N=max(hand.sensor_node.tension_bias_drift_N, 1e-3)
+            * (DRIFT_KNOT_S / 100.0) ** 0.5,
         )
 
-    def start(self) -> Array:
+    def start_parameters(self) -> Array:
         """Return the initial scaled parameters (15 + k,), taken from the hand file."""
         first = np.ones(len(PARAMETER_NAMES))
         first[PARAMETER_NAMES.index("delay")] = 1.0
         first[PARAMETER_NAMES.index("stretch_offset")] = self._first_offset() / SCALE_OFFSET_M
-        return np.append(first, np.zeros(len(self.knots)))
+        return np.append(first, np.zeros(len(self.drift_knots)))
 
-    def bounds(self) -> tuple[Array, Array]:
+    def parameter_bounds(self) -> tuple[Array, Array]:
         """Return lower and upper bounds of the scaled parameters.
 
         Only delay and stretch offset may be negative.
         """
-        free = np.full(len(PARAMETER_NAMES) + len(self.knots), np.inf)
+        free = np.full(len(PARAMETER_NAMES) + len(self.drift_knots), np.inf)
         low = -free
         high = free
         sized = [
             i for i, name in enumerate(PARAMETER_NAMES) if name not in ("delay", "stretch_offset")
         ]
-        low[sized] = MIN_SCALE
-        high[sized] = MAX_SCALE
+        low[sized] = MIN_SCALED_PARAMETER
+        high[sized] = MAX_SCALED_PARAMETER
         return low, high
 
     def _first_offset(self) -> float:
@@ -167,35 +170,35 @@ class TendonFitProblem:
 
         It comes from the data at the stop, or else is the smallest travel in free motion.
         """
-        stiffness = self.nominal[PARAMETER_NAMES.index("tendon_stiffness")]
-        if len(self.stop.t):
-            return float(np.mean(self.stop.travel - self.stop.tension / stiffness))
-        return float(self.free.travel.min()) if len(self.free.t) else 0.0
+        stiffness = self.parameter_scales[PARAMETER_NAMES.index("tendon_stiffness")]
+        if len(self.stop_bins.t):
+            return float(np.mean(self.stop_bins.travel - self.stop_bins.tension / stiffness))
+        return float(self.free_bins.travel.min()) if len(self.free_bins.t) else 0.0
 
     def residuals(self, z: Array) -> Array:
         """Return the residuals (rows,) in standard deviations, in the order motor, stop, slack, free, drift, priors."""
-        p = z[: len(PARAMETER_NAMES)] * self.nominal
+        p = z[: len(PARAMETER_NAMES)] * self.parameter_scales
         drift = z[len(PARAMETER_NAMES) :]
         return np.concatenate([*self._data_residuals(p, drift), *self._prior_residuals(z, drift)])
 
     def _data_residuals(self, p: Array, drift: Array) -> list[Array]:
         """Return the residuals of the measured data in standard deviations: motor, stop, slack, free."""
         gain, inertia, viscous, coulomb, delay, stiffness = p[:6].tolist()
-        m = self.motor
-        r = self.spool
+        m = self.motor_windows
+        r = self.spool_radius_m
         # By the motor equation, the tension is the driving force minus the forces of inertia and
         # friction.
-        driven = gain * m.command(delay)
+        driven = gain * m.delayed_command(delay)
         losses = (inertia / r * m.acceleration + viscous / r * m.speed) / r + coulomb / r * m.sign
         rows = [
             (driven - losses - (m.tension - self._cell_offset(m.t, drift)))
-            / (self.sigma * m.spread)
+            / (self.cell_noise_N * m.noise_ratio)
         ]
         for bin_means, model in self._expected_tensions(p, stiffness):
             rows.append(
                 # The mean of n samples has 1/sqrt(n) of their standard deviation.
                 (bin_means.tension - self._cell_offset(bin_means.t, drift) - model)
-                / (self.sigma / bin_means.count**0.5)
+                / (self.cell_noise_N / bin_means.count**0.5)
             )
         return rows
 
@@ -203,24 +206,28 @@ class TendonFitProblem:
         """Return the bins of data with the tensions that the model expects."""
         rows = [
             (
-                self.stop,
-                stop_stiffness(stiffness, p[PARAMETER_NAMES.index("stop_softness")], self.nominal)
-                * (self.stop.travel - p[PARAMETER_NAMES.index("stretch_offset")]),
+                self.stop_bins,
+                stop_stiffness(
+                    stiffness, p[PARAMETER_NAMES.index("stop_softness")], self.parameter_scales
+                )
+                * (self.stop_bins.travel - p[PARAMETER_NAMES.index("stretch_offset")]),
             ),
-            (self.slack, np.zeros_like(self.slack.t)),
+            (self.slack_bins, np.zeros_like(self.slack_bins.t)),
         ]
-        if self.load is not None and len(self.free.t):
+        if self.digit_load is not None and len(self.free_bins.t):
             rows.append(
                 (
-                    self.free,
-                    self.load.tension(LoadParameters(*p[LOAD_PARAMETERS].tolist()), self.free),
+                    self.free_bins,
+                    self.digit_load.expected_tension(
+                        LoadParameters(*p[LOAD_PARAMETERS].tolist()), self.free_bins
+                    ),
                 )
             )
         return rows
 
     def _cell_offset(self, t: Array, drift: Array) -> Array:
         """Return the offset of the load cell at the given times [N]."""
-        return np.asarray(np.interp(t, self.knots, drift))
+        return np.asarray(np.interp(t, self.drift_knots, drift))
 
     def _prior_residuals(self, z: Array, drift: Array) -> list[Array]:
         """Return the residuals of the load cell's drift and of the prior knowledge."""
@@ -228,7 +235,7 @@ class TendonFitProblem:
             [PRIOR_DEVIATIONS.get(name, DEFAULT_PRIOR_DEVIATION) for name in PARAMETER_NAMES]
         )
         return [
-            np.diff(drift) / self.step,
+            np.diff(drift) / self.drift_step_N,
             drift[:1] / TARE_SIGMA_N,
             (z[: len(PARAMETER_NAMES)] - 1.0) / spread,
         ]
@@ -263,7 +270,7 @@ class TendonFit:
         problem: input of the fit.
         z: scaled parameters, followed by the drift.
         covariance: covariance of the scaled parameters.
-        freedom: degrees of freedom of the variance of each parameter.
+        degrees_of_freedom: degrees of freedom of the variance of each parameter.
         sensitivity: (rows, 15) weighted Jacobian of the data rows.
         residual: (rows,) residuals, including those of the priors.
         ramp: ramp of tension in the residuals of the free sweeps, None without free sweeps.
@@ -272,13 +279,13 @@ class TendonFit:
     problem: TendonFitProblem
     z: Array
     covariance: Array
-    freedom: Array
+    degrees_of_freedom: Array
     sensitivity: Array
     residual: Array
     ramp: ResidualRamp | None = None
 
     @property
-    def values(self) -> dict[str, float]:
+    def parameter_values(self) -> dict[str, float]:
         """Return the parameters by name, in SI units.
 
         Factors that multiply a value of the hand file have no unit.
@@ -286,7 +293,7 @@ class TendonFit:
         return dict(
             zip(
                 PARAMETER_NAMES,
-                (self.z[: len(PARAMETER_NAMES)] * self.problem.nominal).tolist(),
+                (self.z[: len(PARAMETER_NAMES)] * self.problem.parameter_scales).tolist(),
                 strict=True,
             )
         )
@@ -302,9 +309,13 @@ class TendonFit:
         Source: Sidak (1967). The intervals are wider than necessary if parameters are not
             independent.
         """
-        spread = np.sqrt(np.diag(self.covariance))[: len(PARAMETER_NAMES)] * self.problem.nominal
+        spread = (
+            np.sqrt(np.diag(self.covariance))[: len(PARAMETER_NAMES)]
+            * self.problem.parameter_scales
+        )
         wide = student.ppf(
-            0.5 + 0.5 * CONFIDENCE_LEVEL ** (1.0 / count), self.freedom[: len(PARAMETER_NAMES)]
+            0.5 + 0.5 * CONFIDENCE_LEVEL ** (1.0 / count),
+            self.degrees_of_freedom[: len(PARAMETER_NAMES)],
         )
         return dict(zip(PARAMETER_NAMES, (wide * spread).tolist(), strict=True))
 
@@ -312,14 +323,16 @@ class TendonFit:
 def fit_tendon(problem: TendonFitProblem) -> TendonFit:
     """Fit all parameters of a tendon, and search a contact in the residuals."""
     times = _row_times(problem)
-    solution = solve_least_squares(problem.residuals, problem.start(), problem.bounds(), times)
+    solution = solve_least_squares(
+        problem.residuals, problem.start_parameters(), problem.parameter_bounds(), times
+    )
     sensitivity = solution.jacobian[: len(times), : len(PARAMETER_NAMES)]
     ramp = _unexplained_ramp(problem, solution)
     return TendonFit(
         problem,
         solution.z,
         solution.covariance,
-        solution.freedom,
+        solution.degrees_of_freedom,
         sensitivity,
         solution.residual,
         ramp,
@@ -328,26 +341,26 @@ def fit_tendon(problem: TendonFitProblem) -> TendonFit:
 
 def _unexplained_ramp(problem: TendonFitProblem, solution: FitSolution) -> ResidualRamp | None:
     """Return the ramp of tension with the largest score in the residuals of the free sweeps, None without sweeps."""
-    free = problem.free
-    load = problem.load
+    free = problem.free_bins
+    load = problem.digit_load
     if load is None or not len(free.t):
         return None
-    first = len(problem.motor.t) + len(problem.stop.t) + len(problem.slack.t)
+    first = len(problem.motor_windows.t) + len(problem.stop_bins.t) + len(problem.slack_bins.t)
     offset = float(solution.z[PARAMETER_NAMES.index("stretch_offset")]) * SCALE_OFFSET_M
     stiffness = float(
         solution.z[PARAMETER_NAMES.index("tendon_stiffness")]
-        * problem.nominal[PARAMETER_NAMES.index("tendon_stiffness")]
+        * problem.parameter_scales[PARAMETER_NAMES.index("tendon_stiffness")]
     )
     angle = load.mean_angle(free.travel - offset - free.tension / stiffness)
-    unit = np.full(len(free.t), free.count**0.5 / problem.sigma)
+    unit = np.full(len(free.t), free.count**0.5 / problem.cell_noise_N)
     return steepest_ramp(solution.jacobian, solution.residual, first, np.asarray(angle), (unit,))
 
 
 def _row_times(problem: TendonFitProblem) -> Array:
     """Return the time of every row of measured data, in the order of the residuals."""
-    parts = [problem.motor.t, problem.stop.t, problem.slack.t]
-    if problem.load is not None and len(problem.free.t):
-        parts.append(problem.free.t)
+    parts = [problem.motor_windows.t, problem.stop_bins.t, problem.slack_bins.t]
+    if problem.digit_load is not None and len(problem.free_bins.t):
+        parts.append(problem.free_bins.t)
     return np.concatenate(parts)
 
 
@@ -381,9 +394,9 @@ def merge_solution(
     target = [PARAMETER_NAMES.index(name) for name in names]
     z = fit.z.copy()
     covariance = fit.covariance.copy()
-    freedom = fit.freedom.copy()
+    freedom = fit.degrees_of_freedom.copy()
     z[target] = solution.z[source]
-    freedom[target] = solution.freedom[source]
+    freedom[target] = solution.degrees_of_freedom[source]
     # The two fits are independent, so their parameters have no covariance with each other.
     covariance[target, :] = covariance[:, target] = 0.0
     covariance[np.ix_(target, target)] = solution.covariance[np.ix_(source, source)]
@@ -393,7 +406,7 @@ def merge_solution(
         fit,
         z=z,
         covariance=covariance,
-        freedom=freedom,
+        degrees_of_freedom=freedom,
         sensitivity=np.vstack([fit.sensitivity, rows_added]),
     )
 

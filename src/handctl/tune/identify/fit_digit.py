@@ -18,18 +18,18 @@ from numpy.typing import NDArray
 from handctl.hand.digit import DigitModel
 from handctl.hand.dynamics import inverse_dynamics
 from handctl.tune.identify.contact_detection import ResidualRamp, steepest_ramp
-from handctl.tune.identify.data import Array, TendonData, average_samples
 from handctl.tune.identify.fit import (
     DEFAULT_PRIOR_DEVIATION,
-    MAX_SCALE,
-    MIN_SCALE,
+    MAX_SCALED_PARAMETER,
+    MIN_SCALED_PARAMETER,
     PARAMETER_NAMES,
     PRIOR_DEVIATIONS,
     TendonFit,
     merge_solution,
 )
 from handctl.tune.identify.fit_load import MAX_FRICTION_EXPONENT
-from handctl.tune.identify.solve import FitSolution, solve_least_squares
+from handctl.tune.identify.least_squares import FitSolution, solve_least_squares
+from handctl.tune.identify.tendon_data import Array, TendonData, average_samples
 
 SHARED_PARAMETERS = ("spring_stiffness", "spring_preload", "joint_damping", "link_mass")
 """Names of the parameters that a digit has once. They are factors that multiply values of the hand file.
@@ -60,7 +60,7 @@ class TorqueBalance:
         dq: (m, joints) joint rates [rad/s].
         rigid_body_torque: (m, joints) torque of inertia and weight [N m].
         tension: (m, tendons) load-cell tension, corrected for drift [N].
-        side: (m, tendons) signs of the tendons' speeds.
+        speed_sign: (m, tendons) signs of the tendons' speeds.
         noise: (tendons,) noise of the averaged load cells [N].
         drift_sigma: (tendons,) standard deviation of the load-cell drift that remains after the
             correction [N].
@@ -72,12 +72,12 @@ class TorqueBalance:
     dq: Array
     rigid_body_torque: Array
     tension: Array
-    side: Array
+    speed_sign: Array
     noise: Array
     drift_sigma: Array
 
     @staticmethod
-    def of(
+    def from_fits(
         digit: DigitModel, data: Sequence[TendonData], fits: Sequence[TendonFit]
     ) -> "TorqueBalance | None":
         """Return the data of a digit for the fit, from data and fits of its tendons.
@@ -121,12 +121,12 @@ class TorqueBalance:
             dq=dq,
             rigid_body_torque=np.array(rigid_body_torque),
             tension=tension[selected],
-            side=np.sign(speed[selected]),
-            noise=np.array([f.problem.sigma for f in fits]) / (2 * reach + 1) ** 0.5,
+            speed_sign=np.sign(speed[selected]),
+            noise=np.array([f.problem.cell_noise_N for f in fits]) / (2 * reach + 1) ** 0.5,
             drift_sigma=np.array([_drift_deviation(f, first_tendon.t[selected]) for f in fits]),
         )
 
-    def pull(self, friction: Array, offset: Array) -> Array:
+    def tendon_torque(self, friction: Array, offset: Array) -> Array:
         """Return the torque of the tendons at the joints (m, joints) [N m].
 
         Args:
@@ -143,7 +143,7 @@ class TorqueBalance:
                 angle = angle + self.q[:, i] * (mean_arm != 0.0)
                 # The direction of the friction follows the motion of the tendon.
                 lost = np.clip(
-                    -friction[j] * self.side[:, j] * angle,
+                    -friction[j] * self.speed_sign[:, j] * angle,
                     -MAX_FRICTION_EXPONENT,
                     MAX_FRICTION_EXPONENT,
                 )
@@ -151,7 +151,7 @@ class TorqueBalance:
         return torque
 
     @property
-    def whiten(self) -> Array:
+    def whitening_matrix(self) -> Array:
         """Return the whitening matrix (joints, joints) for the joint torques.
 
         Whitened torques of one sample time are independent, with a standard deviation of 1.
@@ -161,7 +161,7 @@ class TorqueBalance:
             np.linalg.inv(np.linalg.cholesky(arms.T @ np.diag(self.noise**2) @ arms)).T
         )
 
-    def load(self, spring: float, preload: float, damping: float, mass: float) -> Array:
+    def required_torque(self, spring: float, preload: float, damping: float, mass: float) -> Array:
         """Return the torque (m, joints) that springs, damping, inertia and weight need [N m].
 
         The arguments are factors that multiply the values of the hand file.
@@ -208,7 +208,7 @@ def fit_digit(balance: TorqueBalance) -> FitSolution:
     n = len(SHARED_PARAMETERS)
     tendons = len(balance.noise)
     arms = balance.digit.moment_arms
-    whiten = balance.whiten
+    whiten = balance.whitening_matrix
     spread = np.array(
         [
             *(PRIOR_DEVIATIONS.get(name, DEFAULT_PRIOR_DEVIATION) for name in SHARED_PARAMETERS),
@@ -219,9 +219,9 @@ def fit_digit(balance: TorqueBalance) -> FitSolution:
 
     def residuals(z: Array) -> Array:
         offset = z[n + tendons :]
-        imbalance = balance.pull(z[n : n + tendons] * friction, offset) - balance.load(
-            *z[:n].tolist()
-        )
+        imbalance = balance.tendon_torque(
+            z[n : n + tendons] * friction, offset
+        ) - balance.required_torque(*z[:n].tolist())
         return np.concatenate(
             [
                 (imbalance @ whiten).ravel(),
@@ -231,8 +231,8 @@ def fit_digit(balance: TorqueBalance) -> FitSolution:
         )
 
     start = np.append(np.ones(n + tendons), np.zeros(tendons))
-    low = np.append(np.full(n + tendons, MIN_SCALE), np.full(tendons, -np.inf))
-    high = np.append(np.full(n + tendons, MAX_SCALE), np.full(tendons, np.inf))
+    low = np.append(np.full(n + tendons, MIN_SCALED_PARAMETER), np.full(tendons, -np.inf))
+    high = np.append(np.full(n + tendons, MAX_SCALED_PARAMETER), np.full(tendons, np.inf))
     return solve_least_squares(residuals, start, (low, high), np.repeat(balance.t, arms.shape[1]))
 
 
@@ -255,7 +255,7 @@ def fits_with_digit(
 
 def _unexplained_ramp(solution: FitSolution, balance: TorqueBalance) -> ResidualRamp | None:
     """Return the ramp of the torque at a single joint with the largest score in the residuals of the sweeps."""
-    units = [np.tile(row, len(balance.t)) for row in balance.whiten]
+    units = [np.tile(row, len(balance.t)) for row in balance.whitening_matrix]
     return steepest_ramp(
         solution.jacobian, solution.residual, 0, np.asarray(balance.q.mean(axis=1)), units
     )
@@ -294,12 +294,12 @@ def _tendon_rates(data: TendonData, reach: int) -> tuple[Array, Array]:
 
 def _cell_drift(data: TendonData, fit: TendonFit) -> Array:
     """Return the drift of a tendon's load cell at each sample [N]."""
-    return np.asarray(np.interp(data.t, fit.problem.knots, fit.z[len(PARAMETER_NAMES) :]))
+    return np.asarray(np.interp(data.t, fit.problem.drift_knots, fit.z[len(PARAMETER_NAMES) :]))
 
 
 def _drift_deviation(fit: TendonFit, t: Array) -> float:
     """Return the standard deviation of a load cell's drift during the times `t` [N]."""
-    knots = fit.problem.knots
+    knots = fit.problem.drift_knots
     used = np.flatnonzero((knots >= t.min() - 1.0) & (knots <= t.max() + 1.0)) + len(
         PARAMETER_NAMES
     )

@@ -21,7 +21,7 @@ import numpy as np
 from handctl.hand.digit import DigitModel
 from handctl.hand.dynamics import gravity_torque, mass_matrix
 from handctl.hand.moment_arms import arms_at, excursions_at
-from handctl.tune.identify.data import Array, Mask, TendonData
+from handctl.tune.identify.tendon_data import Array, Mask, TendonData
 
 BIN_DURATION_S = 0.01
 """Duration of a bin of samples [s].
@@ -107,23 +107,28 @@ def average_in_bins(
     reach = max(2, round(BIN_DURATION_S / data.period))
     speed, acceleration = _central_rates(data.travel, data.period, reach)
 
-    def table(values: Array) -> Array:
+    def values_in_bins(values: Array) -> Array:
         return values[: n * count].reshape(n, count)
 
-    complete = table(mask.astype(float)).all(axis=1) & np.isfinite(
-        table(data.tension + data.travel)
+    complete = values_in_bins(mask.astype(float)).all(axis=1) & np.isfinite(
+        values_in_bins(data.tension + data.travel)
     ).all(axis=1)
     if moving:
-        speeds = table(speed)
+        speeds = values_in_bins(speed)
         complete &= np.abs(speeds).min(axis=1) > MIN_SPEED_M_S
         # The signs in a bin are equal if the absolute value of their sum is the number of samples.
         complete &= np.abs(np.sign(speeds).sum(axis=1)) == count
 
-    def mean(values: Array) -> Array:
-        return np.asarray(table(values).mean(axis=1)[complete])
+    def mean_of_bins(values: Array) -> Array:
+        return np.asarray(values_in_bins(values).mean(axis=1)[complete])
 
     return SignalBins(
-        mean(data.t), mean(data.travel), mean(data.tension), mean(speed), mean(acceleration), count
+        mean_of_bins(data.t),
+        mean_of_bins(data.travel),
+        mean_of_bins(data.tension),
+        mean_of_bins(speed),
+        mean_of_bins(acceleration),
+        count,
     )
 
 
@@ -165,7 +170,7 @@ class DigitLoad:
     varying: DigitModel | None = None
 
     @staticmethod
-    def of(digit: DigitModel) -> "DigitLoad":
+    def from_digit(digit: DigitModel) -> "DigitLoad":
         """Return the constants of a digit for the load model."""
         n = digit.joint_count
         return DigitLoad(
@@ -207,7 +212,7 @@ class DigitLoad:
             excursions_at(polynomial, limits, angle)[:, 0, 0],
         )
 
-    def tension(self, p: LoadParameters, means: SignalBins) -> Array:
+    def expected_tension(self, p: LoadParameters, means: SignalBins) -> Array:
         """Return the load-cell tension (m,) expected for a freely moving digit [N]."""
         total = self.arms.sum()
         mean = np.clip(self.mean_angle(means.travel - p.offset), 0.0, TABLE_ANGLES_RAD[-1])

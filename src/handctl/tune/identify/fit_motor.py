@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.tune.identify.data import Array, TendonData
+from handctl.tune.identify.tendon_data import Array, TendonData
 
 HALF_WINDOW_S = 0.022
 """Half the length of a window [s].
@@ -45,8 +45,8 @@ class MotorWindows:
         commands: (m, taps) commanded forces during each window and shortly before and after [N].
         offsets: (taps + 1,) times at which the commands change, relative to the centre of the
             window [s].
-        half_s: half the length of a window [s].
-        spread: standard deviation of a windowed tension divided by that of a sample [1].
+        half_window_s: half the length of a window [s].
+        noise_ratio: standard deviation of a windowed tension divided by that of a sample [1].
     """
 
     t: Array
@@ -56,12 +56,12 @@ class MotorWindows:
     sign: Array
     commands: Array
     offsets: Array
-    half_s: float
-    spread: float
+    half_window_s: float
+    noise_ratio: float
 
-    def command(self, delay: float) -> Array:
+    def delayed_command(self, delay: float) -> Array:
         """Return the windowed command (m,) [N], if commands take effect after a delay [s]."""
-        weights = np.diff(_cumulative((self.offsets + delay) / self.half_s))
+        weights = np.diff(_window_integral((self.offsets + delay) / self.half_window_s))
         return np.asarray(self.commands @ weights)
 
 
@@ -81,7 +81,7 @@ class WindowWeights(NamedTuple):
     second: Array
 
     @staticmethod
-    def of(period: float) -> "WindowWeights":
+    def from_period(period: float) -> "WindowWeights":
         """Return the weights for a control period [s]."""
         half = max(MIN_HALF_SAMPLES, round(HALF_WINDOW_S / period))
         half_s = half * period
@@ -89,12 +89,12 @@ class WindowWeights(NamedTuple):
         s = np.asarray(samples / half, np.float64)
         return WindowWeights(
             samples,
-            _window(s) / half,
+            _window_value(s) / half,
             _window_slope(s) / half_s / half,
             _window_curvature(s) / half_s**2 / half,
         )
 
-    def rates(self, values: Array) -> tuple[Array, Array, Array]:
+    def derivatives(self, values: Array) -> tuple[Array, Array, Array]:
         """Return mean, first and second derivative (...) of a signal, given its samples in windows (..., n)."""
         # Integration by parts moves the derivative to the window and changes its sign.
         return values @ self.mean, -values @ self.first, values @ self.second
@@ -106,13 +106,13 @@ def motor_windows(data: TendonData, spool: float) -> MotorWindows:
     Windows in which the tendon is too slow, changes its direction, or lacks a sample are left out.
     """
     period = data.period
-    weights = WindowWeights.of(period)
+    weights = WindowWeights.from_period(period)
     samples = weights.samples
     half = len(samples) // 2
     centres = np.arange(half + 3, len(data.t) - half - 3, max(1, round(SPACING_FRACTION * half)))
     rows = centres[:, None] + samples
     travel = data.travel[rows]
-    _, speed, acceleration = weights.rates(travel)
+    _, speed, acceleration = weights.derivatives(travel)
     quick = quick_speed(data.travel, period)
     complete = data.acting[rows].all(axis=1) & np.isfinite(travel + data.tension[rows]).all(axis=1)
     moving = np.abs(quick[rows]).min(axis=1) > MIN_SPEED_RAD_S * spool
@@ -127,8 +127,8 @@ def motor_windows(data: TendonData, spool: float) -> MotorWindows:
         sign=np.sign(speed[selected]),
         commands=data.command[centres[selected][:, None] + taps],
         offsets=np.append(taps, taps[-1] + 1) * period,
-        half_s=half * period,
-        spread=float(np.sqrt((weights.mean**2).sum())),
+        half_window_s=half * period,
+        noise_ratio=float(np.sqrt((weights.mean**2).sum())),
     )
 
 
@@ -139,7 +139,7 @@ def quick_speed(travel: Array, period: float, reach: int = 3) -> Array:
     return np.asarray(np.nan_to_num(speed))
 
 
-def _window(s: Array) -> Array:
+def _window_value(s: Array) -> Array:
     """Return the window function: cos^4 with area 1 over [-1, 1], and 0 outside."""
     # The first three derivatives of the window are 0 at its ends. Therefore integration by parts
     # leaves no boundary terms.
@@ -159,7 +159,7 @@ def _window_curvature(s: Array) -> Array:
     return np.asarray(np.where(np.abs(s) < 1.0, inside, 0.0))
 
 
-def _cumulative(s: Array) -> Array:
+def _window_integral(s: Array) -> Array:
     """Return the integral of the window function from -1 to s."""
     c = np.clip(s, -1.0, 1.0)
     return np.asarray(

@@ -26,11 +26,10 @@ from handctl.hand.description import Hand
 from handctl.hand.digit import Array, DigitModel
 from handctl.hand.hand_tree import HandTree
 from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED_M_S
-from handctl.tune.identify.data import TendonData
 from handctl.tune.identify.fit import (
     DEFAULT_PRIOR_DEVIATION,
-    MAX_SCALE,
-    MIN_SCALE,
+    MAX_SCALED_PARAMETER,
+    MIN_SCALED_PARAMETER,
     PARAMETER_NAMES,
     SCALE_OFFSET_M,
     TendonFit,
@@ -40,13 +39,14 @@ from handctl.tune.identify.fit import (
 )
 from handctl.tune.identify.fit_load import SignalBins
 from handctl.tune.identify.fit_motor import MotorWindows, WindowWeights, motor_windows, quick_speed
-from handctl.tune.identify.fit_travel import SKEW_S, excursions
-from handctl.tune.identify.solve import (
-    MIN_FREEDOM,
+from handctl.tune.identify.fit_travel import SENSOR_SKEW_S, tendon_excursions
+from handctl.tune.identify.least_squares import (
+    MIN_DEGREES_OF_FREEDOM,
     OUTLIER_RESIDUAL,
     FitSolution,
     solve_least_squares,
 )
+from handctl.tune.identify.tendon_data import TendonData
 
 PAIR_PARAMETERS = (
     "motor_inertia", "motor_viscous", "motor_coulomb", "delay", "tendon_stiffness", "capstan", "moment_arm",
@@ -57,7 +57,7 @@ PAIR_PARAMETERS = (
 In the vector of the fit, two parameters follow: the error of the model's link inertia, and the time
 difference of the encoders.
 """
-PAIR_PRIOR = {
+PAIR_PRIOR_DEVIATIONS = {
     "link_mass": 0.5, "joint_damping": 0.4, "pretension": 0.5, "tendon_stiffness": 1.0, "stretch_offset": 100.0,
 }  # fmt: skip
 """Prior standard deviation of parameters of a spool pair, divided by the scale of the parameter.
@@ -88,7 +88,7 @@ The second fit uses the standard deviation that the residuals of the first fit s
 """
 MIN_NOISE_N = 0.02
 """Smallest standard deviation that is used for the motor equation's residuals [N]."""
-START_FACTORS = (1.0, 1.5, 2.2)
+PRETENSION_START_FACTORS = (1.0, 1.5, 2.2)
 """The fit starts several times, with the pretension of the hand file multiplied by each of these factors."""
 MIN_READINGS = 3
 """The stretch in a window is used only if the window contains at least this number of joint readings."""
@@ -104,26 +104,26 @@ class PairWindows:
             stop.
         inertial: net tension that the joints need for inertia and weight [N].
         damping: net tension that the joints need for joint damping [N].
-        angle: wrap angle of the pair [rad].
-        developed: friction of the tendons divided by its full value at high speed, with its sign.
+        wrap_angle: wrap angle of the pair [rad].
+        friction_fraction: friction of the tendons divided by its full value at high speed, with its sign.
         travel: mean travel of the spool at the times of the joint readings [m].
         excursion: mean excursion at the joint readings, with the moment arms of the hand file [m].
             It is NaN if there are too few readings.
-        readings: effective number of joint readings in the window.
+        reading_count: effective number of joint readings in the window.
     """
 
     motor: MotorWindows
     free: NDArray[np.bool_]
     inertial: Array
     damping: Array
-    angle: Array
-    developed: Array
+    wrap_angle: Array
+    friction_fraction: Array
     travel: Array
     excursion: Array
-    readings: Array
+    reading_count: Array
 
     @staticmethod
-    def of(
+    def from_data(
         hand: Hand, digit: DigitModel, tendon: int, data: Sequence[TendonData], rest: Array
     ) -> "PairWindows":
         """Return the windowed signals of a spool pair.
@@ -141,11 +141,11 @@ class PairWindows:
         own = data[tendon]
         spool = hand.motor_of(own.tendon).spool_radius_m
         windows = motor_windows(replace(own, tension=np.zeros_like(own.travel)), spool)
-        weights = WindowWeights.of(own.period)
+        weights = WindowWeights.from_period(own.period)
         rows = np.rint((windows.t - own.t[0]) / own.period).astype(int)[:, None] + weights.samples
         stretched = own.stop[rows]
         clear = np.asarray(stretched.all(axis=1) | ~stretched.any(axis=1))
-        means = np.array([weights.rates(pair.travel[rows]) for pair in data])
+        means = np.array([weights.derivatives(pair.travel[rows]) for pair in data])
         clear &= np.isfinite(means).all(axis=(0, 1))
         windows, rows = select_windows(windows, clear), rows[clear]
         if len(windows.t) < 20:
@@ -164,11 +164,11 @@ class PairWindows:
             free=~own.stop[rows].any(axis=1),
             inertial=rigid @ to_tension,
             damping=(dq * np.array(digit.joint_damping)) @ to_tension,
-            angle=digit.wrap[tendon] + q[:, passed].sum(axis=1),
-            developed=np.tanh(quick / CAPSTAN_FRICTION_SPEED_M_S) @ weights.mean,
+            wrap_angle=digit.wrap[tendon] + q[:, passed].sum(axis=1),
+            friction_fraction=np.tanh(quick / CAPSTAN_FRICTION_SPEED_M_S) @ weights.mean,
             travel=travel,
             excursion=excursion,
-            readings=readings,
+            reading_count=readings,
         )
 
 
@@ -221,7 +221,7 @@ def _stretch_readings(
     window, the travel is averaged over all samples, and not only at the readings.
     """
     read: NDArray[np.bool_] = np.asarray(np.isfinite(data.joints).all(axis=1))
-    excursion = np.where(read, excursions(digit, tendon, np.nan_to_num(data.joints)), 0.0)
+    excursion = np.where(read, tendon_excursions(digit, tendon, np.nan_to_num(data.joints)), 0.0)
     weight = weights.mean * read[rows]
     total = np.maximum(weight.sum(axis=1), 1e-12)
     travel = (data.travel[rows] * weight).sum(axis=1) / total
@@ -261,44 +261,59 @@ class PairProblem:
 
     Attributes:
         windows: windowed signals of the pair.
-        spool: radius of the spool [m].
-        nominal: (15,) scale of each parameter of `fit.PARAMETER_NAMES`.
+        spool_radius_m: radius of the spool [m].
+        parameter_scales: (15,) scale of each parameter of `fit.PARAMETER_NAMES`.
         motor_noise: standard deviation of the residuals of the motor equation [N].
         reading_noise: standard deviation of the excursion that follows from one joint reading [m].
-        start: scaled parameters at which the fit starts, taken from the hand file.
+        start_parameters: scaled parameters at which the fit starts, taken from the hand file.
     """
 
     windows: PairWindows
-    spool: float
-    nominal: Array
+    spool_radius_m: float
+    parameter_scales: Array
     motor_noise: float
     reading_noise: float
-    start: Array
+    start_parameters: Array
 
-    def value(self, z: Array, name: str) -> float:
+    def parameter_value(self, z: Array, name: str) -> float:
         """Return a parameter in SI units, or as a factor that multiplies a value of the hand file."""
-        return float(z[PAIR_PARAMETERS.index(name)] * self.nominal[PARAMETER_NAMES.index(name)])
+        return float(
+            z[PAIR_PARAMETERS.index(name)] * self.parameter_scales[PARAMETER_NAMES.index(name)]
+        )
 
     def measured_tension(self, z: Array) -> Array:
         """Return the net tension (m,) that follows from the motor equation [N]."""
         m = self.windows.motor
-        r = self.spool
-        inertia = self.value(z, "motor_inertia") * m.acceleration
-        viscous = self.value(z, "motor_viscous") * m.speed
-        coulomb = self.value(z, "motor_coulomb") * m.sign
+        r = self.spool_radius_m
+        inertia = self.parameter_value(z, "motor_inertia") * m.acceleration
+        viscous = self.parameter_value(z, "motor_viscous") * m.speed
+        coulomb = self.parameter_value(z, "motor_coulomb") * m.sign
         return np.asarray(
-            m.command(self.value(z, "delay")) - (inertia + viscous) / r**2 - coulomb / r
+            m.delayed_command(self.parameter_value(z, "delay"))
+            - (inertia + viscous) / r**2
+            - coulomb / r
         )
 
     def free_tension(self, z: Array) -> Array:
         """Return the net tension (m,) that links and tendon friction need in free motion [N]."""
         w = self.windows
-        load = self.value(z, "link_mass") * w.inertial + self.value(z, "joint_damping") * w.damping
-        rotor = self.nominal[PARAMETER_NAMES.index("motor_inertia")] / self.spool**2
+        load = (
+            self.parameter_value(z, "link_mass") * w.inertial
+            + self.parameter_value(z, "joint_damping") * w.damping
+        )
+        rotor = (
+            self.parameter_scales[PARAMETER_NAMES.index("motor_inertia")] / self.spool_radius_m**2
+        )
         load = load + z[-2] * LOAD_INERTIA_SIGMA * rotor * w.motor.acceleration
-        passed = np.exp(np.clip(-self.value(z, "capstan") * w.developed * w.angle, -3.0, 3.0))
+        passed = np.exp(
+            np.clip(
+                -self.parameter_value(z, "capstan") * w.friction_fraction * w.wrap_angle, -3.0, 3.0
+            )
+        )
         return tension_of_pair(
-            load / self.value(z, "moment_arm"), self.value(z, "pretension"), passed
+            load / self.parameter_value(z, "moment_arm"),
+            self.parameter_value(z, "pretension"),
+            passed,
         )
 
     def stretch(self, z: Array) -> Array:
@@ -307,38 +322,51 @@ class PairProblem:
         It is NaN in windows without enough joint readings.
         """
         w = self.windows
-        skew = np.where(w.free, z[-1] * SKEW_S * w.motor.speed, 0.0)
+        skew = np.where(w.free, z[-1] * SENSOR_SKEW_S * w.motor.speed, 0.0)
         return np.asarray(
             w.travel
-            - self.value(z, "moment_arm") * w.excursion
-            - self.value(z, "stretch_offset")
+            - self.parameter_value(z, "moment_arm") * w.excursion
+            - self.parameter_value(z, "stretch_offset")
             - skew
         )
 
     def residuals(self, z: Array) -> Array:
         """Return the residuals (rows,) in standard deviations, in the order motor, stretch, priors."""
         w = self.windows
-        stiffness = self.value(z, "tendon_stiffness")
-        pretension = self.value(z, "pretension")
+        stiffness = self.parameter_value(z, "tendon_stiffness")
+        pretension = self.parameter_value(z, "pretension")
         measured = self.measured_tension(z)
         needed = self.free_tension(z)
         by_tension = stretch_of_pair(np.where(w.free, needed, measured), stiffness, pretension)
         motor = np.where(w.free, measured - needed, 0.0) / self.motor_noise
-        softest = self.motor_noise / self.nominal[PARAMETER_NAMES.index("tendon_stiffness")]
-        noise = np.hypot(self.reading_noise / np.sqrt(w.readings), np.where(w.free, 0.0, softest))
+        softest = (
+            self.motor_noise / self.parameter_scales[PARAMETER_NAMES.index("tendon_stiffness")]
+        )
+        noise = np.hypot(
+            self.reading_noise / np.sqrt(w.reading_count), np.where(w.free, 0.0, softest)
+        )
         known = np.isfinite(w.excursion)
         second = np.where(known, self.stretch(z) - by_tension, 0.0) / noise
         spread = np.array(
-            [*(PAIR_PRIOR.get(name, DEFAULT_PRIOR_DEVIATION) for name in PAIR_PARAMETERS), 1.0, 1.0]
+            [
+                *(
+                    PAIR_PRIOR_DEVIATIONS.get(name, DEFAULT_PRIOR_DEVIATION)
+                    for name in PAIR_PARAMETERS
+                ),
+                1.0,
+                1.0,
+            ]
         )
-        return np.concatenate([motor, second, (z - self.start) / spread])
+        return np.concatenate([motor, second, (z - self.start_parameters) / spread])
 
-    def bounds(self) -> tuple[Array, Array]:
+    def parameter_bounds(self) -> tuple[Array, Array]:
         """Return lower and upper bounds of the scaled parameters."""
         signed = np.array(
             [name in ("delay", "stretch_offset") for name in PAIR_PARAMETERS] + [True, True]
         )
-        return np.where(signed, -np.inf, MIN_SCALE), np.where(signed, np.inf, MAX_SCALE)
+        return np.where(signed, -np.inf, MIN_SCALED_PARAMETER), np.where(
+            signed, np.inf, MAX_SCALED_PARAMETER
+        )
 
     def with_noise_of(self, z: Array) -> "PairProblem":
         """Return the input of the fit with a new noise of the motor equation.
@@ -365,7 +393,7 @@ def fit_pair(hand: Hand, digit: DigitModel, tendon: int, data: Sequence[TendonDa
     """
     own = data[tendon]
     rest = np.clip(np.zeros(len(hand.joints)), hand.joint_limits[0], hand.joint_limits[1])
-    windows = PairWindows.of(hand, digit, tendon, data, rest)
+    windows = PairWindows.from_data(hand, digit, tendon, data, rest)
     reading = hand.sensor_node.joint_noise_rad * float(np.linalg.norm(digit.moment_arms[tendon]))
     motor = hand.motor_of(own.tendon)
     scales = parameter_scales(hand, own.tendon)
@@ -374,13 +402,13 @@ def fit_pair(hand: Hand, digit: DigitModel, tendon: int, data: Sequence[TendonDa
     )
     times = np.tile(windows.motor.t, 2)
     tried = [
-        solve_least_squares(problem.residuals, start, problem.bounds(), times)
-        for start in _start_candidates(problem.start)
+        solve_least_squares(problem.residuals, start, problem.parameter_bounds(), times)
+        for start in _start_candidates(problem.start_parameters)
     ]
     first = min(tried, key=lambda solution: _robust_cost(problem.residuals(solution.z)))
     problem = problem.with_noise_of(first.z)
-    solution = solve_least_squares(problem.residuals, first.z, problem.bounds(), times)
-    return with_model_error(_as_fit(hand, problem, solution), PAIR_MODEL_ERROR)
+    solution = solve_least_squares(problem.residuals, first.z, problem.parameter_bounds(), times)
+    return with_model_error(_as_tendon_fit(hand, problem, solution), PAIR_MODEL_ERROR)
 
 
 def _start_parameters(windows: PairWindows) -> Array:
@@ -403,7 +431,7 @@ def _start_candidates(first: Array) -> list[Array]:
     parameters.
     """
     starts = []
-    for factor in START_FACTORS:
+    for factor in PRETENSION_START_FACTORS:
         start = first.copy()
         start[PAIR_PARAMETERS.index("pretension")] *= factor
         starts.append(start)
@@ -415,7 +443,7 @@ def _robust_cost(residual: Array) -> float:
     return float((np.sqrt(1.0 + (residual / OUTLIER_RESIDUAL) ** 2) - 1.0).sum())
 
 
-def _as_fit(hand: Hand, problem: PairProblem, solution: FitSolution) -> TendonFit:
+def _as_tendon_fit(hand: Hand, problem: PairProblem, solution: FitSolution) -> TendonFit:
     """Return the result for a spool pair in the form of the fit of a single tendon."""
     windows = problem.windows
     count = len(PARAMETER_NAMES)
@@ -425,8 +453,8 @@ def _as_fit(hand: Hand, problem: PairProblem, solution: FitSolution) -> TendonFi
     z[target] = solution.z[:own]
     covariance = np.eye(count + 2) * DEFAULT_PRIOR_DEVIATION**2
     covariance[np.ix_(target, target)] = solution.covariance[:own, :own]
-    freedom = np.full(count + 2, MIN_FREEDOM)
-    freedom[target] = solution.freedom[:own]
+    freedom = np.full(count + 2, MIN_DEGREES_OF_FREEDOM)
+    freedom[target] = solution.degrees_of_freedom[:own]
     sensitivity = np.zeros((2 * len(windows.motor.t), count))
     sensitivity[:, target] = solution.jacobian[: len(sensitivity), :own]
     measured = problem.measured_tension(solution.z)
@@ -438,23 +466,23 @@ def _as_fit(hand: Hand, problem: PairProblem, solution: FitSolution) -> TendonFi
     stretch = problem.stretch(solution.z)[seen]
     return TendonFit(
         problem=TendonFitProblem(
-            spool=problem.spool,
-            nominal=problem.nominal,
-            load=None,
-            motor=replace(
+            spool_radius_m=problem.spool_radius_m,
+            parameter_scales=problem.parameter_scales,
+            digit_load=None,
+            motor_windows=replace(
                 windows.motor,
                 tension=np.where(windows.free, problem.free_tension(solution.z), measured),
             ),
-            free=nothing,
-            stop=SignalBins(t, stretch, measured[seen], rest, rest, 1),
-            slack=nothing,
-            knots=windows.motor.t[[0, -1]],
-            sigma=problem.motor_noise,
-            step=max(hand.sensor_node.tension_bias_drift_N, 1e-3),
+            free_bins=nothing,
+            stop_bins=SignalBins(t, stretch, measured[seen], rest, rest, 1),
+            slack_bins=nothing,
+            drift_knots=windows.motor.t[[0, -1]],
+            cell_noise_N=problem.motor_noise,
+            drift_step_N=max(hand.sensor_node.tension_bias_drift_N, 1e-3),
         ),
         z=z,
         covariance=covariance,
-        freedom=freedom,
+        degrees_of_freedom=freedom,
         sensitivity=sensitivity,
         residual=solution.residual,
     )

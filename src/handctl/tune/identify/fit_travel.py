@@ -13,18 +13,18 @@ from dataclasses import replace
 import numpy as np
 
 from handctl.hand.digit import DigitModel
-from handctl.tune.identify.data import MIN_TENSION_N, Array, TendonData, average_samples
 from handctl.tune.identify.fit import (
     DEFAULT_PRIOR_DEVIATION,
-    MAX_SCALE,
-    MIN_SCALE,
+    MAX_SCALED_PARAMETER,
+    MIN_SCALED_PARAMETER,
     PARAMETER_NAMES,
     SCALE_OFFSET_M,
     TendonFit,
     merge_solution,
     with_model_error,
 )
-from handctl.tune.identify.solve import solve_least_squares
+from handctl.tune.identify.least_squares import solve_least_squares
+from handctl.tune.identify.tendon_data import MIN_TENSION_N, Array, TendonData, average_samples
 
 TRAVEL_PARAMETERS = ("tendon_stiffness", "moment_arm")
 """Names of the parameters that this fit identifies.
@@ -40,7 +40,7 @@ TRAVEL_MODEL_ERROR = {
 The intervals are calculated from blocks of time that are too short to show the slow drift of the
 load cell. The values were chosen in simulations of five hands.
 """
-SKEW_S = 1e-3
+SENSOR_SKEW_S = 1e-3
 """Scale of the time difference between the encoders, and its prior standard deviation [s]."""
 SAMPLES_EACH_SIDE = 1
 """Number of samples before and after a joint reading over which the tension is averaged."""
@@ -48,7 +48,7 @@ MIN_ROWS = 50
 """Smallest number of joint readings for a fit."""
 
 
-def excursions(digit: DigitModel, tendon: int, q: Array) -> Array:
+def tendon_excursions(digit: DigitModel, tendon: int, q: Array) -> Array:
     """Return the excursion (m,) of one tendon of a digit at joint angles (m, joints) [m]."""
     if not digit.has_varying_arm:
         return np.asarray(q @ digit.moment_arms[tendon])
@@ -93,23 +93,23 @@ def fit_travel(
     )
     if used.sum() < MIN_ROWS:
         return fit
-    excursion = excursions(digit, tendon, data.joints[used])
+    excursion = tendon_excursions(digit, tendon, data.joints[used])
     travel, tension, speed, t = data.travel[used], tension[used], speed[used], data.t[used]
-    nominal = problem.nominal[PARAMETER_NAMES.index("tendon_stiffness")]
+    nominal = problem.parameter_scales[PARAMETER_NAMES.index("tendon_stiffness")]
     noise = np.hypot(
         joint_noise * float(np.linalg.norm(digit.moment_arms[tendon])),
-        problem.sigma / (2 * SAMPLES_EACH_SIDE + 1) ** 0.5 / nominal,
+        problem.cell_noise_N / (2 * SAMPLES_EACH_SIDE + 1) ** 0.5 / nominal,
     )
-    knots = problem.knots
+    knots = problem.drift_knots
     own = 3
     offset = float(np.mean(travel - excursion - tension / nominal))
 
     def residuals(z: Array) -> Array:
         stretch = tension / (z[0] * nominal)
         moving = np.interp(t, knots, z[own:]) * SCALE_OFFSET_M
-        expected = z[1] * excursion + stretch + offset + moving + z[2] * SKEW_S * speed
+        expected = z[1] * excursion + stretch + offset + moving + z[2] * SENSOR_SKEW_S * speed
         # The offset follows the drift of the load cell, which is a random walk.
-        steps = np.diff(z[own:]) * SCALE_OFFSET_M * nominal / problem.step
+        steps = np.diff(z[own:]) * SCALE_OFFSET_M * nominal / problem.drift_step_N
         prior = np.array(
             [
                 (z[0] - 1.0) / DEFAULT_PRIOR_DEVIATION,
@@ -123,7 +123,7 @@ def fit_travel(
     start = np.concatenate([np.ones(2), np.zeros(1 + len(knots))])
     low = np.full(len(start), -np.inf)
     high = np.full(len(start), np.inf)
-    low[:2], high[:2] = MIN_SCALE, MAX_SCALE
+    low[:2], high[:2] = MIN_SCALED_PARAMETER, MAX_SCALED_PARAMETER
     solution = solve_least_squares(residuals, start, (low, high), t)
     merged = merge_solution(fit, solution, len(t), TRAVEL_PARAMETERS, range(len(TRAVEL_PARAMETERS)))
     return with_model_error(merged, TRAVEL_MODEL_ERROR)

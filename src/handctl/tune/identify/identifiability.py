@@ -12,8 +12,8 @@ from scipy.signal import coherence
 
 from handctl.core.identified_parameters import PARAMETER_UNITS
 from handctl.hand.description import Hand
-from handctl.tune.identify.data import Array, TendonData
 from handctl.tune.identify.fit import MAX_HALF_WIDTH, PARAMETER_NAMES, SCALE_DELAY_S, TendonFit
+from handctl.tune.identify.tendon_data import Array, TendonData
 
 MAX_CORRELATION = 0.95
 """Absolute correlation of two estimated parameters above which they are reported as trading off."""
@@ -62,7 +62,7 @@ def assess_identifiability(fit: TendonFit, hand: Hand, digit: str, tendon: str) 
     # information of the data about this combination.
     _, sizes, directions = np.linalg.svd(jacobian, full_matrices=False)
     widths = fit.half_widths
-    values = fit.values
+    values = fit.parameter_values
     names = tuple(
         name
         for name in PARAMETER_UNITS
@@ -162,9 +162,11 @@ def _never_identifiable(fit: TendonFit, hand: Hand, name: str) -> list[str]:
     if tendon.pretension_N is not None:
         return [
             "link masses: taken from the hand file to weigh torques, and fitted only as a factor on the load",
-            f"tendon damping: its force is too small for the noise of the motor force, {problem.sigma:.2f} N",
+            f"tendon damping: its force is too small for the noise of the motor force, {problem.cell_noise_N:.2f} N",
         ]
-    tension = np.concatenate([problem.motor.tension, problem.stop.tension, problem.free.tension])
+    tension = np.concatenate(
+        [problem.motor_windows.tension, problem.stop_bins.tension, problem.free_bins.tension]
+    )
     reasons = [
         "load-cell gain: torque gain, inertia, friction, tendon and springs all scale with it. "
         "The load cell is taken as the measure of force",
@@ -176,14 +178,14 @@ def _never_identifiable(fit: TendonFit, hand: Hand, name: str) -> list[str]:
         reasons.append(
             f"knee of the tendon: the data end at {tension.max(initial=0.0):.0f} N, the knee is at {tendon.knee_N:g} N"
         )
-    if not len(problem.stop.t):
+    if not len(problem.stop_bins.t):
         return reasons
-    rates = np.abs(problem.stop.speed)
+    rates = np.abs(problem.stop_bins.speed)
     max_speed = float(rates.max(initial=0.0))
     damping_force = tendon.damping_N_s_per_m * max_speed
     reasons.append(
         f"tendon damping: on the stop its force is at most {damping_force:.3f} N, "
-        f"the load-cell noise is {problem.sigma:.2f} N"
+        f"the load-cell noise is {problem.cell_noise_N:.2f} N"
     )
     return reasons
 

@@ -15,7 +15,6 @@ from handctl.hand.digit import DigitModel
 from handctl.log.read.reader import RunLog
 from handctl.log.read.timeline import phase_of_each
 from handctl.tune.identify.contact_detection import are_joints_moving
-from handctl.tune.identify.data import Array, TendonData, tendon_data
 from handctl.tune.identify.fit import PARAMETER_NAMES, TendonFit, TendonFitProblem, fit_tendon
 from handctl.tune.identify.fit_digit import TorqueBalance, fit_digit, fits_with_digit
 from handctl.tune.identify.fit_pair import fit_pair
@@ -25,8 +24,9 @@ from handctl.tune.identify.identifiability import (
     assess_identifiability,
     excitation_coherence,
 )
+from handctl.tune.identify.tendon_data import Array, TendonData, tendon_data
 
-BAND_HZ = (0.7, 6.0)
+EXCITATION_BAND_HZ = (0.7, 6.0)
 """Frequency band over which the coherence is averaged [Hz].
 
 It is the band of the sinusoidal swing.
@@ -51,9 +51,9 @@ class TendonResult:
         spectrum: frequencies [Hz], and the coherence at each of them.
         balance: data for the fit of the digit, if the digit has several tendons and joint encoders,
             else None.
-        blocked: text of the event with which the controller reported the digit as blocked, empty
+        blocked_event: text of the event with which the controller reported the digit as blocked, empty
             without such an event.
-        contact: text that describes a contact during the sweeps, empty without a contact.
+        contact_text: text that describes a contact during the sweeps, empty without a contact.
     """
 
     data: TendonData
@@ -62,30 +62,30 @@ class TendonResult:
     coherence: float
     spectrum: tuple[Array, Array]
     balance: TorqueBalance | None = None
-    blocked: str = ""
-    contact: str = ""
+    blocked_event: str = ""
+    contact_text: str = ""
 
     @property
-    def names(self) -> tuple[str, ...]:
+    def identified_names(self) -> tuple[str, ...]:
         """Return the names of the identified parameters that no contact made invalid."""
-        if self.blocked:
+        if self.blocked_event:
             return ()
         return tuple(
             name
             for name in self.identifiability.names
-            if not (self.contact and name in SWEEP_PARAMETERS)
+            if not (self.contact_text and name in SWEEP_PARAMETERS)
         )
 
-    def identified(self, log: Path, made_at: str) -> IdentifiedParameters | None:
+    def calibration_entry(self, log: Path, made_at: str) -> IdentifiedParameters | None:
         """Return the tendon's entry for the calibration file, or None if no parameter is identified and valid."""
-        names = self.names
+        names = self.identified_names
         if not names:
             return None
         at = [PARAMETER_NAMES.index(name) for name in names]
-        scale = self.fit.problem.nominal[at]
+        scale = self.fit.problem.parameter_scales[at]
         # The fit scales the parameters, but the file has them in SI units.
         covariance = self.fit.covariance[np.ix_(at, at)] * np.outer(scale, scale)
-        values = self.fit.values
+        values = self.fit.parameter_values
         widths = self.fit.half_widths
         return IdentifiedParameters(
             names=names,
@@ -99,9 +99,9 @@ class TendonResult:
 
     def as_json(self) -> dict[str, Any]:
         """Return the result as plain values for JSON."""
-        values = self.fit.values
+        values = self.fit.parameter_values
         widths = self.fit.half_widths
-        nominal = self.fit.problem.nominal
+        nominal = self.fit.problem.parameter_scales
         together = self.fit.half_widths_of(max(1, len(self.identifiability.names)))
         rows = {
             name: {
@@ -112,14 +112,14 @@ class TendonResult:
                 "hand_file": 0.0
                 if name == "delay"
                 else float(nominal[PARAMETER_NAMES.index(name)]),
-                "identified": name in self.names,
+                "identified": name in self.identified_names,
             }
             for name in PARAMETER_UNITS
         }
         return {
             "digit": self.data.digit,
-            "blocked": self.blocked,
-            "met": self.contact,
+            "blocked": self.blocked_event,
+            "met": self.contact_text,
             "ramp": self.fit.ramp._asdict() if self.fit.ramp else None,
             "parameters": rows,
             "load_cell_offset_N": float(self.fit.z[len(PARAMETER_NAMES)]),
@@ -130,7 +130,7 @@ class TendonResult:
             "weakest_combination": self.identifiability.weakest,
             "correlated": [list(pair) for pair in self.identifiability.correlated],
             "residual_rms": float(np.sqrt(np.mean(self.fit.residual**2))),
-            "load_cell_noise_N": self.fit.problem.sigma,
+            "load_cell_noise_N": self.fit.problem.cell_noise_N,
         }
 
 
@@ -170,7 +170,7 @@ def identify_tendons(
     results: dict[str, TendonResult] = {}
     for name in hand.digit_names:
         fits_of_digit = [(data, fit) for data, fit in solved if data.digit == name]
-        balance, fits = _of_digit(hand, name, fits_of_digit)
+        balance, fits = _digit_fits(hand, name, fits_of_digit)
         results |= {
             data.tendon: _tendon_result(hand, data, fit, balance)
             for (data, _), fit in zip(fits_of_digit, fits, strict=True)
@@ -194,7 +194,7 @@ def _fit_alone(hand: Hand, data: TendonData, digit_data: list[TendonData]) -> Te
     place = digit.tendon_names.index(data.tendon)
     if hand.is_pair[digit.tendons].any():
         return fit_pair(hand, digit, place, digit_data)
-    fit = fit_tendon(TendonFitProblem.of(data, hand))
+    fit = fit_tendon(TendonFitProblem.from_data(data, hand))
     if any(digit.spring_stiffness):
         return fit
     return fit_travel(digit, place, data, fit, hand.sensor_node.joint_noise_rad)
@@ -210,7 +210,7 @@ def _with_contacts(hand: Hand, result: TendonResult, event: str) -> TendonResult
     contact = contact_text(hand, result)
     ramp = result.fit.ramp
     cleared = not contact and ramp is not None and ramp.excludes_contact
-    return replace(result, contact=contact, blocked="" if cleared else event)
+    return replace(result, contact_text=contact, blocked_event="" if cleared else event)
 
 
 def contact_text(hand: Hand, result: TendonResult) -> str:
@@ -232,9 +232,9 @@ def contact_text(hand: Hand, result: TendonResult) -> str:
 
 def _blocked_joint_text(hand: Hand, result: TendonResult) -> str:
     """Return a text that describes a blocked joint in a digit with one tendon, empty if all joints move."""
-    load = result.fit.problem.load
+    load = result.fit.problem.digit_load
     data = result.data
-    values = result.fit.values
+    values = result.fit.parameter_values
     if load is None or "spring_preload" not in result.identifiability.names:
         return ""
     stretch = data.tension / values["tendon_stiffness"] + values["stretch_offset"]
@@ -279,7 +279,7 @@ def blocked_digits(log: RunLog) -> dict[str, str]:
     return texts
 
 
-def _of_digit(
+def _digit_fits(
     hand: Hand, name: str, fitted: list[tuple[TendonData, TendonFit]]
 ) -> tuple[TorqueBalance | None, list[TendonFit]]:
     """Return the fits of a digit's tendons.
@@ -296,8 +296,8 @@ def _of_digit(
     ):
         return None, fits
     if not any(digit.spring_stiffness):
-        digit = with_arms(digit, np.array([fit.values["moment_arm"] for fit in fits]))
-    balance = TorqueBalance.of(digit, [data for data, _ in fitted], fits)
+        digit = with_arms(digit, np.array([fit.parameter_values["moment_arm"] for fit in fits]))
+    balance = TorqueBalance.from_fits(digit, [data for data, _ in fitted], fits)
     return balance, fits if balance is None else fits_with_digit(fits, fit_digit(balance), balance)
 
 
@@ -306,7 +306,7 @@ def _tendon_result(
 ) -> TendonResult:
     """Return the result for a tendon, without information about contacts."""
     spectrum = excitation_coherence(data)
-    inside = (spectrum[0] >= BAND_HZ[0]) & (spectrum[0] <= BAND_HZ[1])
+    inside = (spectrum[0] >= EXCITATION_BAND_HZ[0]) & (spectrum[0] <= EXCITATION_BAND_HZ[1])
     mean = float(spectrum[1][inside].mean()) if inside.any() else float("nan")
     return TendonResult(
         data,
@@ -328,16 +328,16 @@ def result_table(results: dict[str, TendonResult]) -> list[str]:
     lines = []
     for name, result in results.items():
         lines.append(
-            f"{name}: coherence {result.coherence:.2f}, load cell {result.fit.problem.sigma:.2f} N rms"
+            f"{name}: coherence {result.coherence:.2f}, load cell {result.fit.problem.cell_noise_N:.2f} N rms"
         )
-        values = result.fit.values
+        values = result.fit.parameter_values
         widths = result.fit.half_widths
         for key, unit in PARAMETER_UNITS.items():
-            nominal = result.fit.problem.nominal[PARAMETER_NAMES.index(key)]
+            nominal = result.fit.problem.parameter_scales[PARAMETER_NAMES.index(key)]
             size, shown = (1e3, "ms") if key == "delay" else (1.0, unit)
             value = size * values[key]
             width = size * widths[key]
-            if key not in result.names:
+            if key not in result.identified_names:
                 is_invalid = key in result.identifiability.names
                 lines.append(
                     f"  {key:<17} {'invalid because of a contact' if is_invalid else 'not identified'}"
@@ -349,8 +349,11 @@ def result_table(results: dict[str, TendonResult]) -> list[str]:
                 else f"{100 * width / abs(value):5.1f} %   hand file {nominal:.4g}"
             )
             lines.append(f"  {key:<17} {value:10.4g} +- {width:<9.2g} {shown:<11} {note}")
-        count = max(1, len(result.names))
-        wider = [result.fit.half_widths_of(count)[name] / widths[name] for name in result.names]
+        count = max(1, len(result.identified_names))
+        wider = [
+            result.fit.half_widths_of(count)[name] / widths[name]
+            for name in result.identified_names
+        ]
         if wider:
             lines.append(
                 f"  intervals that cover all {count} parameters at once with 95 %: "

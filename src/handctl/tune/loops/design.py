@@ -84,8 +84,8 @@ class GainDesign:
 
     Attributes:
         gains: designed gains.
-        before: margins of the old gains by tendon and loop, on the nominal plant.
-        after: margins of the designed gains by tendon and loop, on the nominal plant.
+        margins_before: margins of the old gains by tendon and loop, on the nominal plant.
+        margins_after: margins of the designed gains by tendon and loop, on the nominal plant.
         worst_before: smallest value of each margin on all plants of the ensemble, with the old
             gains.
         worst_after: smallest value of each margin on all plants of the ensemble, with the designed
@@ -93,8 +93,8 @@ class GainDesign:
     """
 
     gains: Gains
-    before: dict[tuple[str, LoopKind], LoopMargins]
-    after: dict[tuple[str, LoopKind], LoopMargins]
+    margins_before: dict[tuple[str, LoopKind], LoopMargins]
+    margins_after: dict[tuple[str, LoopKind], LoopMargins]
     worst_before: LoopMargins
     worst_after: LoopMargins
 
@@ -103,8 +103,10 @@ class GainDesign:
 
         This is for old gains with which the hand did not come to rest in simulation.
         """
-        before = {loop: unproven_margins(margin) for loop, margin in self.before.items()}
-        return replace(self, before=before, worst_before=unproven_margins(self.worst_before))
+        before = {loop: unproven_margins(margin) for loop, margin in self.margins_before.items()}
+        return replace(
+            self, margins_before=before, worst_before=unproven_margins(self.worst_before)
+        )
 
     def as_weights(self) -> Gains:
         """Return the designed gains with the default authority, and errors that are scaled instead.

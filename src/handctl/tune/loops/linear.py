@@ -97,7 +97,7 @@ class LinearSystem:
     D: Matrix
     period: float
 
-    def response(self, omega: Matrix) -> NDArray[np.complex128]:
+    def frequency_response(self, omega: Matrix) -> NDArray[np.complex128]:
         """Return the frequency response (len(omega), p, m) at angular frequencies [rad/s]."""
         # The frequencies lie on the unit circle of the z-plane.
         z = np.exp(1j * omega * self.period)
@@ -319,7 +319,7 @@ class _LinearizationBench:
         self._constants = HandConstants(self.model, {})
         self._constant_args = self._constants.block, self._constants.layout.places
 
-    def estimate(self, block: BlockArray) -> None:
+    def run_filter(self, block: BlockArray) -> None:
         """Run the correction and prediction of the filter.
 
         No contact is detected, because no torque acts yet.
@@ -329,7 +329,7 @@ class _LinearizationBench:
         predict_filter_states(self.model, self.layout, block)
         tick_stages.conclude_estimate(block, self.layout.places, *self._constant_args)
 
-    def act(self, block: BlockArray) -> None:
+    def run_control_law(self, block: BlockArray) -> None:
         """Calculate the torque commands from the goals and the estimates."""
         self.layout.view(block, "mode")[...] = HandMode.ACTIVE
         write_tension_goals(self.model, self.layout, self._constants, block)
@@ -345,20 +345,20 @@ def _operating_point(
     bench = _LinearizationBench(model)
     point = _operating_block(bench, tendon, kind)
 
-    def tick(values: Matrix, reading: Matrix) -> Matrix:
+    def run_linear_tick(values: Matrix, reading: Matrix) -> Matrix:
         block = point.copy()
         table = bench.layout.table(block, "tendon")
         table[STATE_ROWS, tendon] = values
         table[MEASUREMENT_ROWS, tendon] = reading
-        bench.estimate(block)
-        bench.act(block)
+        bench.run_filter(block)
+        bench.run_control_law(block)
         return np.append(
             table[STATE_ROWS, tendon], table[s.TORQUE, tendon] / model.space.spool[tendon]
         )
 
     table = bench.layout.table(point, "tendon")
     return (
-        tick,
+        run_linear_tick,
         table[STATE_ROWS, tendon].copy(),
         table[MEASUREMENT_ROWS, tendon].copy(),
         _STATE_SIZE * DIFFERENCE_STEPS["state"],
@@ -405,7 +405,7 @@ def _operating_block(bench: _LinearizationBench, tendon: int, kind: LoopKind) ->
     layout.view(block, "planned_contact")[...] = not moving
     layout.view(block, "started")[...] = 1
     estimated = block.copy()
-    bench.estimate(estimated)
+    bench.run_filter(estimated)
     reached = layout.table(estimated, "tendon")
     table[s.SETPOINT] = reached[s.TENSION]
     table[s.PLANNED_TENSION] = MOVING_TENSION_N if moving else OPERATING_TENSION_N

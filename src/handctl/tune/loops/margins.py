@@ -124,7 +124,7 @@ def margins_of_loop(system: LinearSystem, points: int = SEARCH_GRID_POINTS) -> L
     omega = frequency_grid(system.period, points)
     if not (np.isfinite(system.A).all() and np.isfinite(system.C).all()):
         return _zero_margins(math.nan, math.inf, stable=False)
-    L: NDArray[np.complex128] = system.response(omega)[:, 0, 0]
+    L: NDArray[np.complex128] = system.frequency_response(omega)[:, 0, 0]
     if not (stable := is_stable(system)) or float(np.abs(L).max()) <= NO_GAIN:
         return _zero_margins(math.nan, float(np.abs(1.0 / (1.0 + L)).max()), stable)
     sensitivity = 1.0 / (1.0 + L)

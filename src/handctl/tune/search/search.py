@@ -19,12 +19,12 @@ from handctl.core.gains.gain_bounds import with_values
 from handctl.core.gains.gains import Gains
 from handctl.errors import ConfigError
 from handctl.tune.scoring import GainScore
-from handctl.tune.search.space import GAIN_RANGES, clamped_gains
+from handctl.tune.search.search_space import GAIN_RANGES, clamped_gains
 from handctl.tune.search.workers import SearchWorkers
 
 BATCH_SIZE = 8
 """Number of trials in a batch. Further workers would be idle."""
-RANDOM_BATCHES = 2
+RANDOM_BATCH_COUNT = 2
 """Number of batches with random trials. Later batches use the results of earlier trials."""
 STUDY_NAME = "handctl"
 """Name of the study in the journal."""
@@ -59,7 +59,7 @@ class SearchPlan:
         """
         return with_values(self.gains, values, "study") if number else self.gains
 
-    def job(self, number: int, values: Mapping[str, float]) -> dict[str, Any]:
+    def trial_job(self, number: int, values: Mapping[str, float]) -> dict[str, Any]:
         """Return the job with which a worker evaluates a trial.
 
         The first trial is the reference. It is simulated even if its margins are too small.
@@ -106,21 +106,24 @@ class SearchResult:
     Attributes:
         trials: finished trials in order. The first trial has the gains of the plan.
         best: feasible trial with the smallest cost, None if no trial is feasible.
-        front: numbers of the Pareto-optimal feasible trials.
+        pareto_front: numbers of the Pareto-optimal feasible trials.
     """
 
     trials: tuple[SearchTrial, ...]
     best: SearchTrial | None
-    front: tuple[int, ...]
+    pareto_front: tuple[int, ...]
 
     @staticmethod
-    def of(trials: tuple[SearchTrial, ...]) -> "SearchResult":
+    def from_trials(trials: tuple[SearchTrial, ...]) -> "SearchResult":
         """Return the result of a search, given its finished trials."""
         feasible = [trial for trial in trials if trial.is_feasible]
         best = (
             min(
                 feasible,
-                key=lambda trial: (trial.score.cost(_cost_reference(trials)), trial.number),
+                key=lambda trial: (
+                    trial.score.relative_cost(_cost_reference(trials)),
+                    trial.number,
+                ),
             )
             if feasible
             else None
@@ -132,12 +135,12 @@ class SearchResult:
         ]
         return SearchResult(trials, best, tuple(front))
 
-    def cost(self, trial: SearchTrial) -> float:
+    def relative_cost(self, trial: SearchTrial) -> float:
         """Return the cost of a trial relative to the first trial.
 
         If the first trial failed, the first feasible trial is the reference.
         """
-        return trial.score.cost(_cost_reference(self.trials))
+        return trial.score.relative_cost(_cost_reference(self.trials))
 
 
 def _cost_reference(trials: tuple[SearchTrial, ...]) -> GainScore:
@@ -171,7 +174,7 @@ def run_search(
         study = _open_study(plan, storage)
         while len(_finished_trials(study)) < plan.trials:
             _run_batch(study, plan, workers, show)
-        return SearchResult.of(_finished_trials(study))
+        return SearchResult.from_trials(_finished_trials(study))
 
 
 @contextmanager
@@ -260,15 +263,15 @@ def _run_batch(
     """Evaluate the trials of the present batch that have no score, and report their scores in order."""
     finished_count = len(_finished_trials(study))
     trials = _open_trials(study, plan, finished_count)[: plan.trials - finished_count]
-    jobs = [plan.job(finished_count + i, trial.params) for i, trial in enumerate(trials)]
+    jobs = [plan.trial_job(finished_count + i, trial.params) for i, trial in enumerate(trials)]
     scores: dict[int, dict[str, Any]] = {}
     reported = 0
-    for i, score in workers.scores(jobs):
+    for i, score in workers.compute_scores(jobs):
         scores[i] = score
         while reported in scores:
             _report_score(study, trials[reported], GainScore(**scores[reported]))
             reported += 1
-            show(SearchResult.of(_finished_trials(study)))
+            show(SearchResult.from_trials(_finished_trials(study)))
 
 
 def _open_trials(study: Any, plan: SearchPlan, finished_count: int) -> list[Any]:
@@ -321,7 +324,7 @@ def _make_sampler(seed: int, batch: int) -> Any:
 
     # Because of the prime factor, batches of different studies have different seeds.
     batch_seed = (seed * 7919 + batch) % (1 << 31)
-    if batch < RANDOM_BATCHES:
+    if batch < RANDOM_BATCH_COUNT:
         return RandomSampler(seed=batch_seed)
     return TPESampler(seed=batch_seed, multivariate=True, constant_liar=True)
 
@@ -331,7 +334,7 @@ def _gain_distributions() -> dict[str, Any]:
     from optuna.distributions import FloatDistribution
 
     return {
-        key: FloatDistribution(gain_range.low, gain_range.high, log=gain_range.log)
+        key: FloatDistribution(gain_range.low, gain_range.high, log=gain_range.is_logarithmic)
         for key, gain_range in GAIN_RANGES.items()
     }
 

@@ -29,7 +29,7 @@ If a worker dies in every attempt, the search ends and reports the job as the ca
 class SearchWorkers(Protocol):
     """Interface of the workers that calculate scores."""
 
-    def scores(self, jobs: Sequence[ScoreJob]) -> Iterator[tuple[int, ScoreResult]]:
+    def compute_scores(self, jobs: Sequence[ScoreJob]) -> Iterator[tuple[int, ScoreResult]]:
         """Yield index and score of each job, in the order in which the jobs are finished."""
         ...
 
@@ -41,7 +41,7 @@ class SearchWorkers(Protocol):
 class InProcessWorkers:
     """Workers of which all jobs run in this process, one after the other."""
 
-    def scores(self, jobs: Sequence[ScoreJob]) -> Iterator[tuple[int, ScoreResult]]:
+    def compute_scores(self, jobs: Sequence[ScoreJob]) -> Iterator[tuple[int, ScoreResult]]:
         """Yield index and score of each job. See `SearchWorkers`."""
         for i, job in enumerate(jobs):
             yield i, evaluate_job(job)
@@ -58,15 +58,15 @@ class ProcessPool:
 
     def __init__(self, count: int) -> None:
         """Start the worker processes."""
-        self._processes = [self._start() for _ in range(count)]
+        self._processes = [self._start_process() for _ in range(count)]
 
     @property
-    def pids(self) -> tuple[int, ...]:
+    def process_ids(self) -> tuple[int, ...]:
         """Return the process identifiers of the workers."""
         return tuple(worker.pid for worker in self._processes)
 
     @staticmethod
-    def _start() -> "subprocess.Popen[bytes]":
+    def _start_process() -> "subprocess.Popen[bytes]":
         # Each worker uses one core. Additional threads of numerical libraries would compete for the
         # cores.
         environment = os.environ | dict.fromkeys(
@@ -83,7 +83,7 @@ class ProcessPool:
             start_new_session=True,
         )
 
-    def scores(self, jobs: Sequence[ScoreJob]) -> Iterator[tuple[int, ScoreResult]]:
+    def compute_scores(self, jobs: Sequence[ScoreJob]) -> Iterator[tuple[int, ScoreResult]]:
         """Yield index and score of each job. See `SearchWorkers`.
 
         Raises:
@@ -103,7 +103,7 @@ class ProcessPool:
                 if line.endswith(b"\n"):
                     yield i, _check_result(json.loads(line))
                     continue
-                self._replace(slot)
+                self._replace_process(slot)
                 attempts[i] += 1
                 if attempts[i] == MAX_JOB_ATTEMPTS:
                     raise ConfigError(
@@ -124,7 +124,7 @@ class ProcessPool:
     def _send_job(self, slot: int, job: ScoreJob) -> None:
         """Send a job to a worker. A dead worker is replaced first."""
         if self._processes[slot].poll() is not None:
-            self._replace(slot)
+            self._replace_process(slot)
         channel = self._processes[slot].stdin
         assert channel is not None
         try:
@@ -133,11 +133,11 @@ class ProcessPool:
         except BrokenPipeError:
             return  # whoever reads the output detects that the worker died
 
-    def _replace(self, slot: int) -> None:
+    def _replace_process(self, slot: int) -> None:
         """Replace a worker by a new process."""
         self._processes[slot].kill()
         self._processes[slot].communicate()
-        self._processes[slot] = self._start()
+        self._processes[slot] = self._start_process()
 
     def close(self) -> None:
         """End the workers, even during a job."""
@@ -169,7 +169,7 @@ class DaskCluster:
                 f"no cluster answers: {error}", f"--scheduler {address}", "tcp://HOST:PORT"
             ) from None
 
-    def scores(self, jobs: Sequence[ScoreJob]) -> Iterator[tuple[int, ScoreResult]]:
+    def compute_scores(self, jobs: Sequence[ScoreJob]) -> Iterator[tuple[int, ScoreResult]]:
         """Yield index and score of each job.
 
         See `SearchWorkers`. Dask repeats the jobs of a lost worker.

@@ -4,12 +4,12 @@ import numpy as np
 import rerun.blueprint as rrb
 from rerun.blueprint.components import BackgroundKind, Corner2D, LinkAxis, PanelState
 
-from handctl.view.scene.arrow import RUN_TIME_TIMELINE
+from handctl.view.scene.chunk_arrays import RUN_TIME_TIMELINE
 from handctl.view.scene.run_info import RunInfo
 
 LINKED_TIME_AXIS = rrb.TimeAxis(link=LinkAxis.LinkToGlobal)
 NO_LEGEND = rrb.PlotLegend(visible=False)
-ROW_HEIGHTS = [0.34, 0.44, 0.22]
+ROW_HEIGHT_FRACTIONS = [0.34, 0.44, 0.22]
 """Heights of the rows in the right column of the dashboard, as fractions of the column."""
 TENSION_AXIS_HEADROOM = 1.06
 """Upper end of the tension plot, as a multiple of the largest tension limit."""
@@ -29,7 +29,7 @@ The camera is in front of the palm, on the thumb side, and above.
 """
 
 
-def dashboard(run: RunInfo, live: bool = False) -> rrb.Blueprint:
+def dashboard_layout(run: RunInfo, live: bool = False) -> rrb.Blueprint:
     """Return the layout of the dashboard.
 
     The hand, the timing and the log lines are on the left. Forces, joint angles and states are on
@@ -47,7 +47,7 @@ def dashboard(run: RunInfo, live: bool = False) -> rrb.Blueprint:
         _force_plots(run, window),
         _angle_plots(run, window),
         _state_lanes(window),
-        row_shares=ROW_HEIGHTS,
+        row_shares=ROW_HEIGHT_FRACTIONS,
     )
     return rrb.Blueprint(
         rrb.Horizontal(left, right, column_shares=[0.40, 0.60]),
@@ -67,7 +67,7 @@ def dashboard(run: RunInfo, live: bool = False) -> rrb.Blueprint:
 def _hand_view(run: RunInfo) -> rrb.Spatial3DView:
     """Return the three-dimensional view of the hand."""
     mounts = np.array([digit.mount_position_m for digit in run.hand.digit])
-    middle = mounts.mean(axis=0) * (1, 0, 1) + run.reach * np.array([0.4, -0.05, -0.06])
+    middle = mounts.mean(axis=0) * (1, 0, 1) + run.longest_digit_m * np.array([0.4, -0.05, -0.06])
     shown = (
         "object and table as in the simulator"
         if run.truth
@@ -80,7 +80,7 @@ def _hand_view(run: RunInfo) -> rrb.Spatial3DView:
         background=rrb.Background(kind=BackgroundKind.SolidColor, color=BACKGROUND_RGB),
         line_grid=False,
         eye_controls=rrb.EyeControls3D(
-            position=middle + run.reach * np.array(CAMERA_POSITION),
+            position=middle + run.longest_digit_m * np.array(CAMERA_POSITION),
             look_target=middle,
             eye_up=(0, 0, 1),
         ),
@@ -94,7 +94,7 @@ def _force_plots(run: RunInfo, window: PlotTimeRange) -> rrb.Horizontal:
         contents="/tension/**",
         axis_x=LINKED_TIME_AXIS,
         time_ranges=window,
-        axis_y=rrb.ScalarAxis(range=(0.0, TENSION_AXIS_HEADROOM * run.limits[-1])),
+        axis_y=rrb.ScalarAxis(range=(0.0, TENSION_AXIS_HEADROOM * run.tension_limits[-1])),
         plot_legend=rrb.PlotLegend(Corner2D.LeftTop),
     )
     tips = rrb.TimeSeriesView(

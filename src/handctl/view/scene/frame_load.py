@@ -6,10 +6,10 @@ from numpy.typing import NDArray
 
 from handctl.drives.frame import EXTENDED_FLAG, FDF
 from handctl.drives.frame_time import frame_time_s
-from handctl.view.scene.arrow import FloatArray
+from handctl.view.scene.chunk_arrays import FloatArray
 from handctl.view.scene.run_info import RunInfo
 
-MAX_PAYLOAD = 64
+MAX_PAYLOAD_BYTES = 64
 """Largest payload of a CAN FD frame [bytes]."""
 LOAD_WINDOW_NS = 100_000_000
 """Length of the time window for which the load is computed [ns].
@@ -37,7 +37,7 @@ class FrameLoad:
                 [
                     [
                         frame_time_s(size, fd, bus.bitrate, bus.data_bitrate, extended)
-                        for size in range(MAX_PAYLOAD + 1)
+                        for size in range(MAX_PAYLOAD_BYTES + 1)
                     ]
                     for extended in (False, True)
                 ]
@@ -49,14 +49,15 @@ class FrameLoad:
         self._t = np.empty(0, np.int64)
         self._spent = np.empty((0, len(self._times)), np.int64)
 
-    def of(self, ticks: pa.StructArray) -> FloatArray:
+    def loads_of_ticks(self, ticks: pa.StructArray) -> FloatArray:
         """Return the load of each bus at each of the next n ticks (n, buses), from 0 to 1."""
         now = np.asarray(ticks.field("t_ns"))
         t = np.concatenate([self._t, now])
         spent = np.concatenate(
             [
                 self._spent,
-                self._spent_on(ticks.field("received")) + self._spent_on(ticks.field("sent")),
+                self._occupied_times(ticks.field("received"))
+                + self._occupied_times(ticks.field("sent")),
             ]
         )
         total = np.concatenate([np.zeros((1, spent.shape[1]), np.int64), np.cumsum(spent, axis=0)])
@@ -69,7 +70,7 @@ class FrameLoad:
             (total[len(t) - len(now) + 1 :] - total[first]) / span[:, None], np.float64
         )
 
-    def _spent_on(self, frames: pa.ListArray) -> NDArray[np.int64]:
+    def _occupied_times(self, frames: pa.ListArray) -> NDArray[np.int64]:
         """Return for how long the frames of each tick occupy each bus (n, buses) [ns].
 
         The times are integers, so that sums do not depend on the order of addition.
@@ -79,7 +80,7 @@ class FrameLoad:
         flat = frames.flatten()
         names = ("bus", "flags", "length", "can_id")
         bus, flags, size, can_id = (np.asarray(flat.field(name)).astype(np.intp) for name in names)
-        valid = (bus < len(self._times)) & (size <= MAX_PAYLOAD)
+        valid = (bus < len(self._times)) & (size <= MAX_PAYLOAD_BYTES)
         tick = tick[valid]
         bus = bus[valid]
         flags = flags[valid]

@@ -8,7 +8,7 @@ from rerun.chunk import Chunk
 from handctl.digit_colours import colour_numbers
 from handctl.hand.link_frames import quaternion_of_rotation
 from handctl.view.scene import palette
-from handctl.view.scene.arrow import static_chunk
+from handctl.view.scene.chunk_arrays import static_chunk
 from handctl.view.scene.run_info import RunInfo
 
 _SHAPE_ARCHETYPES: dict[str, type[rr.Boxes3D] | type[rr.Cylinders3D] | type[rr.Ellipsoids3D]] = {
@@ -19,7 +19,7 @@ _SHAPE_ARCHETYPES: dict[str, type[rr.Boxes3D] | type[rr.Cylinders3D] | type[rr.E
 """Rerun's archetypes for the shapes in a URDF file, by name."""
 
 
-MEDIA_TYPES = {".stl": "model/stl", ".obj": "model/obj"}
+MESH_MEDIA_TYPES = {".stl": "model/stl", ".obj": "model/obj"}
 """Media type of each kind of mesh file, by suffix."""
 
 
@@ -56,7 +56,7 @@ def mesh_chunks(run: RunInfo) -> Iterator[Chunk]:
         path = f"/hand/{link}/mesh"
         asset = rr.Asset3D.columns(
             blob=[attached.data],
-            media_type=[MEDIA_TYPES[mesh.suffix]],
+            media_type=[MESH_MEDIA_TYPES[mesh.suffix]],
             albedo_factor=[link_colour(link, run)],
         )
         yield static_chunk(path, asset)

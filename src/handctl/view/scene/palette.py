@@ -10,7 +10,7 @@ class Colour(NamedTuple):
     green: int
     blue: int
 
-    def mixed(self, other: "Colour", fraction: float) -> "Colour":
+    def mixed_with(self, other: "Colour", fraction: float) -> "Colour":
         """Return a mix of this colour and the other colour.
 
         Fraction 0 gives this colour, and 1 gives the other.
@@ -78,9 +78,11 @@ def digit_colour(index: int) -> Colour:
 
 def joint_colours(index: int, number: int) -> list[Colour]:
     """Return a colour for each joint of a digit, lighter towards the tip."""
-    return [digit_colour(index).mixed(WHITE, 0.4 * i / max(number - 1, 1)) for i in range(number)]
+    return [
+        digit_colour(index).mixed_with(WHITE, 0.4 * i / max(number - 1, 1)) for i in range(number)
+    ]
 
 
 def dimmed_colour(colour: Colour) -> Colour:
     """Return the dimmed colour for a command that is drawn next to an estimate."""
-    return colour.mixed(BLACK, 0.45)
+    return colour.mixed_with(BLACK, 0.45)

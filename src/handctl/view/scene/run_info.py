@@ -10,11 +10,11 @@ from handctl.core.tick_types import TELEMETRY_AXES
 from handctl.hand.description import Hand
 from handctl.hand.file.error_text import shortened_list
 from handctl.log.attached_meshes import AttachedMesh, attached_meshes
-from handctl.log.batch import columns_of_fields, row_fields
 from handctl.log.header import RunHeader
 from handctl.log.read.log_hand import described_hand
+from handctl.log.tick_batch import columns_of_fields, row_fields
 from handctl.printing import printable_text
-from handctl.report.truth import TruthRecord
+from handctl.report.truth_record import TruthRecord
 
 FloatArray = NDArray[np.float64]
 
@@ -36,7 +36,7 @@ class RunInfo:
     truth: TruthRecord | None = None
 
     @classmethod
-    def of(cls, header: RunHeader, name: str) -> "RunInfo":
+    def from_header(cls, header: RunHeader, name: str) -> "RunInfo":
         """Return the data about a run from the header of a log.
 
         Raises:
@@ -52,7 +52,7 @@ class RunInfo:
         return attached_meshes(self.hand, self.header.attachments)[0]
 
     @cached_property
-    def note(self) -> str:
+    def missing_mesh_note(self) -> str:
         """Return a line about the meshes that the log lacks.
 
         The text is empty if no mesh is missing.
@@ -63,11 +63,11 @@ class RunInfo:
         return f"capsules are drawn for {shortened_list(missing)}: the log does not have the meshes"
 
     @property
-    def application(self) -> str:
+    def application_id(self) -> str:
         """Return the application id for Rerun. Rerun stores one layout for each id."""
         return f"handctl_{self.hand.name}"
 
-    def fields(self, table: FloatArray) -> dict[str, FloatArray]:
+    def split_telemetry(self, table: FloatArray) -> dict[str, FloatArray]:
         """Return rows of the topic /controller/values, divided into telemetry fields.
 
         Args:
@@ -79,7 +79,7 @@ class RunInfo:
         """
         slices = columns_of_fields(self.header, row_fields(self.header, table.shape[1]))
         missing = {
-            name: np.full((len(table), len(self.header.axis(axis))), np.nan)
+            name: np.full((len(table), len(self.header.axis_names(axis))), np.nan)
             for name, axis in _missing_fields(slices)
         }
         return {
@@ -87,12 +87,12 @@ class RunInfo:
         } | missing
 
     @property
-    def limits(self) -> list[float]:
+    def tension_limits(self) -> list[float]:
         """Return the different tension limits that the tendons of the hand have, in rising order [N]."""
         return sorted({tendon.tension_max_N for tendon in self.hand.tendon})
 
     @property
-    def reach(self) -> float:
+    def longest_digit_m(self) -> float:
         """Return the length of the longest digit [m]."""
         return max(sum(digit.link_length_m) for digit in self.hand.digit)
 

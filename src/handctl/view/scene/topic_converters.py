@@ -12,7 +12,7 @@ import rerun as rr
 from rerun.chunk import Chunk
 
 from handctl.core.tick_types import TELEMETRY_AXES
-from handctl.view.scene.arrow import (
+from handctl.view.scene.chunk_arrays import (
     FloatArray,
     chunk_on_run_time,
     column_as_array,
@@ -24,11 +24,11 @@ from handctl.view.scene.frame_load import FrameLoad
 from handctl.view.scene.geometry import solid_chunks
 from handctl.view.scene.run_info import RunInfo
 
-FORCE_SCALE = 0.008
+ARROW_LENGTH_M_PER_N = 0.008
 """Length of a force arrow for each newton of force [m/N]."""
-ARROW_RADIUS = 0.0013
+ARROW_RADIUS_M = 0.0013
 """Radius of a force arrow [m]."""
-MIN_FORCE = 0.05
+MIN_ARROW_FORCE_N = 0.05
 """Smallest force drawn as an arrow [N]."""
 
 ChunkConverter = Callable[[Chunk], Iterator[Chunk]]
@@ -87,12 +87,12 @@ class TopicConverters:
             return
         table = column_as_array(messages.field("values"))
         times = times_since_start(chunk, self._offset)
-        part = self._run.fields(table)
+        part = self._run.split_telemetry(table)
         yield timed_chunk(
             "/tension/estimate", times, lines_with_band(part["tension"], part["tension_sigma"])
         )
         yield timed_chunk("/tension/command", times, plot_lines(part["tension_goal"]))
-        limits = np.tile(self._run.limits, (2, 1))
+        limits = np.tile(self._run.tension_limits, (2, 1))
         yield timed_chunk("/tension/limit", times[[0, -1]], plot_lines(limits))
         for digit, joints in self._run.hand.digit_joints.items():
             angle = np.degrees(part["q"][:, joints])
@@ -122,7 +122,7 @@ class TopicConverters:
         """Convert the CAN frames of each tick to the load of each bus [%]."""
         messages = decoded_messages(chunk)
         if messages is not None:
-            load = 100 * self._load.of(messages)
+            load = 100 * self._load.loads_of_ticks(messages)
             yield timed_chunk("/bus/load", times_since_start(chunk, self._offset), plot_lines(load))
 
     def _convert_state(self, chunk: Chunk) -> Iterator[Chunk]:
@@ -154,10 +154,10 @@ def plot_lines(values: FloatArray) -> rr.ComponentColumnList:
 
 def force_arrows(force: FloatArray) -> rr.ComponentColumnList:
     """Return the forces of the object on a fingertip (n,) [N] as arrows in the frame of the tip."""
-    shown = np.where(force >= MIN_FORCE, force, 0.0)
+    shown = np.where(force >= MIN_ARROW_FORCE_N, force, 0.0)
     vectors = np.zeros((len(force), 3))
     # The tip closes towards +y of its frame, so the object pushes it towards -y.
-    vectors[:, 1] = -FORCE_SCALE * shown
+    vectors[:, 1] = -ARROW_LENGTH_M_PER_N * shown
     labels = [f"{value:.1f} N" if value else "" for value in shown.tolist()]
-    radii = np.where(shown > 0, ARROW_RADIUS, 0.0)
+    radii = np.where(shown > 0, ARROW_RADIUS_M, 0.0)
     return rr.Arrows3D.columns(vectors=vectors, labels=labels, radii=radii)

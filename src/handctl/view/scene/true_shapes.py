@@ -8,8 +8,8 @@ import rerun as rr
 from rerun.chunk import Chunk
 
 from handctl.errors import LogError
-from handctl.report.truth import TruthRecord
-from handctl.view.scene.arrow import static_chunk, timed_chunk
+from handctl.report.truth_record import TruthRecord
+from handctl.view.scene.chunk_arrays import static_chunk, timed_chunk
 from handctl.view.scene.palette import Colour
 from handctl.view.scene.run_info import RunInfo
 
@@ -70,7 +70,7 @@ def _solid_shape(shape: Mapping[str, Any], colour: Colour) -> Any:
 
 def _object_pose(truth: TruthRecord, shape: Mapping[str, Any], times: Any) -> tuple[Any, Any]:
     """Return position [m] and quaternion x, y, z, w of the object, with one row for each time."""
-    pose = truth.table([f"object/{part}" for part in POSE_COLUMNS], times)
+    pose = truth.columns_at([f"object/{part}" for part in POSE_COLUMNS], times)
     return pose[:, :3], pose[:, 3:]
 
 
@@ -80,6 +80,6 @@ def _table_pose(truth: TruthRecord, shape: Mapping[str, Any], times: Any) -> tup
     The table only moves down.
     """
     position = np.tile(np.array(shape["position_m"], np.float64), (len(times), 1))
-    if truth.has("support"):
-        position[:, 2] -= truth.at("support", times)
+    if truth.has_column("support"):
+        position[:, 2] -= truth.column_at("support", times)
     return position, np.tile((0.0, 0.0, 0.0, 1.0), (len(times), 1))

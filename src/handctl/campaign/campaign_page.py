@@ -1,0 +1,129 @@
+"""Output of a campaign's report: as an HTML page in a single file, and as lines for a terminal."""
+
+import html
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
+
+from handctl.campaign.campaign import CampaignReport
+from handctl.campaign.fault_matrix import UNTESTED_ROWS
+from handctl.campaign.scenario_run import ScenarioResult
+from handctl.output import write_text_atomically
+from handctl.safety.faults.table import FAULT_CATALOGUE
+
+PAGE_STYLE = """
+body { font: 15px/1.45 system-ui, sans-serif; color: #222; background: #fff; max-width: 1300px; margin: 2em auto;
+       padding: 0 1em; }
+h1 { font-size: 1.5em; } h2 { font-size: 1.1em; margin-top: 2em; border-bottom: 1px solid #ccc; }
+table { border-collapse: collapse; font-size: .9em; } td, th { padding: .15em .8em .15em 0; text-align: left; }
+td.n { text-align: right; font-variant-numeric: tabular-nums; } .bad { color: #b00020; font-weight: 600; }
+.bar { display: inline-block; height: .7em; background: #3b6fb6; } .bar.bad { background: #b00020; }
+"""
+BAR_WIDTH_EM = 6.0
+"""Width of a bar for a reaction time equal to the largest allowed time [em]."""
+TABLE_TITLES = (
+    "row",
+    "fault",
+    "tried",
+    "slowest scenario",
+    "detected by",
+    "time",
+    "ticks",
+    "bound",
+    "fraction",
+    "tension",
+    "",
+)
+"""Titles of the columns in the table of scenarios."""
+FAULT_TITLES = {entry.id: entry.title for entry in FAULT_CATALOGUE}
+"""Title of each fault in the catalogue, by fault id."""
+
+
+def write_page(path: Path, report: CampaignReport) -> None:
+    """Write the report of a campaign as an HTML page."""
+    figures = report.as_json()
+    title = f"Fault campaign: {html.escape(report.hand)}"
+    head = "".join(
+        f"<tr><th>{html.escape(label)}</th><td class=n>{value}</td></tr>"
+        for label, value in (
+            ("scenarios", figures["scenarios"]),
+            ("failed", figures["late"]),
+            ("without effect (no positive control)", figures["not_felt"]),
+            ("slowest reaction [ticks]", figures["worst_ticks"]),
+            ("slowest reaction, fraction of its bound", f"{figures['worst_share_of_bound']:.2f}"),
+            ("largest true tension [N]", f"{figures['worst_tension_N']:.0f}"),
+            ("false alarms of the fault-free hand", figures["false_alarms"]),
+            ("simulated without faults [s]", f"{figures['false_alarm_run_s']:g}"),
+        )
+    )
+    parts = [f"<h1>{title}</h1><table>{head}</table>"]
+    for protocol, results in report.results.items():
+        rate = report.control_rates_hz[protocol]
+        number = Counter(result.id for result in results)
+        title_ = f"{protocol}, {rate:g} Hz: each row by its slowest scenario"
+        parts.append(f"<h2>{title_}</h2>{_html_table(_slowest_of_rows(results), rate, number)}")
+        bad = [result for result in results if not result.ok]
+        if bad:
+            parts.append(f"<h2 class=bad>{protocol}: failed</h2>{_html_table(bad, rate, number)}")
+    rows = "".join(
+        f"<tr><td>{id_}</td><td>{html.escape(reason)}</td></tr>"
+        for id_, reason in UNTESTED_ROWS.items()
+    )
+    parts.append(f"<h2>Rows that are tested elsewhere</h2><table>{rows}</table>")
+    page = f"<!doctype html><html lang=en><meta charset=utf-8><title>{title}</title><style>{PAGE_STYLE}</style>"
+    write_text_atomically(path, page + "\n".join(parts) + "</html>\n")
+
+
+def _slowest_of_rows(results: Iterable[ScenarioResult]) -> list[ScenarioResult]:
+    """Return for each row of the matrix the scenario with the largest ratio of reaction time to bound."""
+    slowest: dict[str, ScenarioResult] = {}
+    for result in results:
+        current = slowest.get(result.id)
+        if current is None or bound_fraction(result) > bound_fraction(current):
+            slowest[result.id] = result
+    # The rows are in the order of the fault catalogue: bus, node, tendon, host, interface.
+    return sorted(slowest.values(), key=lambda result: ("BNTHI".index(result.id[0]), result.id))
+
+
+def bound_fraction(result: ScenarioResult) -> float:
+    """Return the reaction time in a scenario as a fraction of the largest allowed time.
+
+    Without a reaction the fraction is 9.9.
+    """
+    return result.ticks / max(result.bound, 1) if result.ticks >= 0 else 9.9
+
+
+def _html_table(results: Iterable[ScenarioResult], rate: float, number: Counter[str]) -> str:
+    head = "".join(f"<th>{name}" for name in TABLE_TITLES)
+    rows = "".join(_html_row(result, rate, number[result.id]) for result in results)
+    return f"<table><tr>{head}</tr>{rows}</table>"
+
+
+def _html_row(result: ScenarioResult, rate: float, number: int) -> str:
+    bad = "" if result.ok else " bad"
+    width = BAR_WIDTH_EM * min(bound_fraction(result), 1.0)
+    scenario = result.scenario.removeprefix(result.id).strip()
+    took = f"{result.ticks * 1e3 / rate:g} ms" if result.ticks >= 0 else "never"
+    cells = [
+        f"<td>{result.id}</td><td>{html.escape(FAULT_TITLES[result.id])}</td><td class=n>{number}</td>",
+        f"<td>{html.escape(scenario)}</td><td>{html.escape(result.detected_by or 'requested')}</td>",
+        f"<td class=n>{took}</td><td class=n>{result.ticks}</td><td class=n>{result.bound}</td>",
+        f'<td><span class="bar{bad}" style="width:{width:.2f}em"></span></td>',
+        f"<td class=n>{result.tension:.0f} of {result.tension_bound:.0f} N</td>",
+        f"<td class=bad>{html.escape(result.problem)}</td>",
+    ]
+    return f"<tr>{''.join(cells)}</tr>"
+
+
+def summary_lines(report: CampaignReport) -> list[str]:
+    """Return the summary of a campaign's report as lines for a terminal."""
+    figures = report.as_json()
+    summary = [
+        f"{figures['scenarios']} scenarios, {figures['late']} failed, {figures['not_felt']} without effect",
+        f"slowest reaction {figures['worst_ticks']} ticks, {100 * figures['worst_share_of_bound']:.0f} % of its bound",
+        f"largest true tension {figures['worst_tension_N']:.0f} N",
+        f"{figures['false_alarms']} false alarms in {figures['false_alarm_run_s']:g} s without faults",
+    ]
+    return summary + [
+        f"{result.scenario}: {result.problem}" for result in report.all_results if not result.ok
+    ]

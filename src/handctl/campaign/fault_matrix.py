@@ -1,0 +1,365 @@
+"""Fault matrix as data: the faults, the parts of the hand they affect, the stages of the run, the required reactions.
+
+Each row has a time limit from the physical event to the frames with the reaction. The limit is a
+number of ticks, plus milliseconds if the fault or a drive needs more time. An ODrive, for example,
+reports its state only every 100 ms, and the temperature every 200 ms.
+"""
+
+import math
+from itertools import pairwise
+from typing import NamedTuple
+
+from handctl.drives.motor_description import GUARDED_PROTOCOLS
+from handctl.drives.sensors.sensor_node import TENSION_RAIL_N
+from handctl.hand.description import Hand
+from handctl.safety.action import SafetyAction
+
+ARMING_STAGE = "arming"
+FREE_STAGE = "free motion"
+GRASP_STAGE = "grasp"
+MIT = "mit"
+ODRIVE = "odrive"
+CIA402 = "cia402"
+MOTEUS = "moteus"
+ROBSTRIDE = "robstride"
+ALL_PROTOCOLS = GUARDED_PROTOCOLS
+"""Drive protocols that the fault matrix covers."""
+ALL_STAGES = (ARMING_STAGE, FREE_STAGE, GRASP_STAGE)
+MOVING_STAGES = (FREE_STAGE, GRASP_STAGE)
+"""Stages of a run in which the program moves the hand."""
+REPORT_DELAY_MS = {ODRIVE: 100.0}
+"""Longest delay until a drive reports a change of state, by protocol [ms]."""
+RESTART_TICKS = {CIA402: 2}
+"""Number of ticks in which a drive that restarts is silent, by protocol."""
+MIN_LATE_MS = 7.0
+"""Smallest value that the place holder {late} in a fault text gets [ms]."""
+MIN_LATE_TICKS = 1.5
+"""Smallest value that the place holder {late} in a fault text gets [control periods]."""
+POSITION_JUMP_RAD = 1.0
+"""Step of the position that no drive can make within two control periods [rad]."""
+POSITION_JUMP_MS = 5.0
+"""Control period above which the impossible position step grows in proportion to the period [ms]."""
+POSITION_NOISE_RAD = 0.04
+"""Noise of the position that no drive can cause by motion within a control period [rad]."""
+POSITION_NOISE_MS = 5.0
+"""Control period above which the impossible position noise grows with the square of the period [ms]."""
+MAX_READABLE_TRIP_N = 0.9 * TENSION_RAIL_N
+"""Largest trip tension that a load cell can read without looking saturated (fault T06) [N]."""
+HOST_PREFIX = "host "
+"""Prefix of the fault texts that concern the host: I/O events, missed ticks, requests."""
+
+
+class MatrixRow(NamedTuple):
+    """Row of the fault matrix.
+
+    Attributes:
+        id: id of the fault in the fault catalogue.
+        fault: command for the simulator, or text that begins with HOST_PREFIX. The text may have
+            place holders for the affected instance: {node}, {tendon}, {digit}, {bus} or {joint},
+            and {other} for the next motor. Other place holders stand for sizes. {trip} and {limit}
+            are a tendon's tension_trip_N and drive_limit_N. {late} is a delay that is late at the
+            control rate [ms]. {jump} and {rough} are a step and a noise that no drive can make at
+            the control rate [rad].
+        action: weakest reaction to the fault that is sufficient.
+        max_ticks: time limit for the reaction [control periods]. ``max_extra_ms`` is added to this limit.
+        max_extra_ms: addition to the time limit ``max_ticks`` [ms].
+        accepted_faults: prefixes of the fault ids that are accepted as a detection. The row's own fault comes
+            first.
+        stages: stages of a run in which the fault is tested.
+        protocols: drive protocols with which the fault is tested.
+        extra_ms: further time that some protocols need, by protocol [ms].
+        extra_ticks: further ticks that some protocols need, by protocol. These ticks are added to
+            ``extra_ms``.
+    """
+
+    id: str
+    fault: str
+    action: SafetyAction
+    max_ticks: int
+    max_extra_ms: float = 0.0
+    accepted_faults: tuple[str, ...] = ()
+    stages: tuple[str, ...] = MOVING_STAGES
+    protocols: tuple[str, ...] = ALL_PROTOCOLS
+    extra_ms: dict[str, float] = {}  # noqa: RUF012 - read only
+    extra_ticks: dict[str, int] = {}  # noqa: RUF012 - read only
+
+    def bound_ticks(self, protocol: str, period_ms: float) -> int:
+        """Return the time limit of the row for drives of a given protocol [ticks]."""
+        extra = self.extra_ticks.get(protocol, 0)
+        return (
+            self.max_ticks
+            + extra
+            + math.ceil((self.max_extra_ms + self.extra_ms.get(protocol, 0.0)) / period_ms)
+        )
+
+
+class FaultScenario(NamedTuple):
+    """Row of the fault matrix, for one instance of the fault and one stage of the run.
+
+    Attributes:
+        row: row of the fault matrix.
+        fault: fault text of the row, in which the place holders are filled in.
+        stage: stage of the run at which the fault is injected.
+        second_fault: text of the second fault of a pair. The text is empty for a single fault.
+    """
+
+    row: MatrixRow
+    fault: str
+    stage: str
+    second_fault: str = ""
+
+    @property
+    def id(self) -> str:
+        """Return the id of the scenario's row."""
+        return self.row.id
+
+    @property
+    def name(self) -> str:
+        """Return a description of the scenario for reports."""
+        return (
+            f"{self.row.id} {self.fault}"
+            + (f" + {self.second_fault}" if self.second_fault else "")
+            + f", {self.stage}"
+        )
+
+
+WARN = SafetyAction.WARN
+HOLD = SafetyAction.HOLD
+RELAX = SafetyAction.RELAX
+CUT = SafetyAction.CUT
+ONE_ANSWER_PROTOCOLS = (MIT, CIA402, MOTEUS, ROBSTRIDE)
+"""Protocols whose drives send exactly one answer to each command."""
+CONFIRMING_PROTOCOLS = (MIT, ODRIVE, MOTEUS, ROBSTRIDE)
+"""Protocols with which the host can read the temperature of a drive, and detect that a drive receives no commands."""
+SHORT_ID_PROTOCOLS = (MIT, ODRIVE, CIA402)
+"""Protocols whose drives answer with 11-bit identifiers."""
+
+_EXCHANGED_DRIVE_FAULTS = ("N14", "N05", "N06", "T04", "T02", "N04", "T03")
+"""Faults that may be detected earlier than N17 if two drives are exchanged, in motion or at unequal tensions."""
+
+FAULT_MATRIX: tuple[MatrixRow, ...] = (
+    MatrixRow("B01", "drop node={node} for=2500us", WARN, 2, accepted_faults=("B01", "N02"), stages=ALL_STAGES),
+    MatrixRow("B02", "drop bus={bus}", RELAX, 1, 30.0, ("B02", "N02", "B17"), ALL_STAGES),
+    MatrixRow("B03", "drop node={node} p=0.3 seed=3", HOLD, 102, 0.0, ("B03", "B17", "N02"),
+        protocols=ONE_ANSWER_PROTOCOLS),
+    MatrixRow("B03", "drop node={node} p=0.6 seed=3", HOLD, 102, 0.0, ("B03", "B17", "N02", "N11"),
+        protocols=(ODRIVE,)),
+    MatrixRow("B03", "replay node=sensors size=16", RELAX, 102, 0.0, ("B03", "N02", "B04")),
+    MatrixRow("B04", "delay node=sensors size={late} for=20ms", WARN, 4, accepted_faults=("B04",)),
+    MatrixRow("B05", "duplicate node={node}", WARN, 2, accepted_faults=("B05", "N13", "B06"),
+              protocols=ONE_ANSWER_PROTOCOLS),
+    MatrixRow("B05", "duplicate node=sensors", WARN, 2, accepted_faults=("B05",)),
+    MatrixRow("B06", "twin node={node}", RELAX, 2, accepted_faults=("B06",), protocols=ONE_ANSWER_PROTOCOLS),
+    MatrixRow("B06", "twin node=sensors", RELAX, 2, accepted_faults=("B06",)),
+    MatrixRow("B07", "reorder node=sensors", WARN, 2, accepted_faults=("B07",)),
+    MatrixRow("B08", "shorten node={node}", RELAX, 4, accepted_faults=("B08", "B17")),
+    MatrixRow("B09", "shorten node={node} for=3ms", WARN, 2, accepted_faults=("B09",)),
+    MatrixRow("B09", "extend node={node} for=3ms", WARN, 2, accepted_faults=("B09",), protocols=SHORT_ID_PROTOCOLS),
+    MatrixRow("B10", "unknown bus={bus}", WARN, 2, 51.0, ("B10",), ALL_STAGES),
+    MatrixRow("B11", "flood bus={bus} size=100", RELAX, 3, accepted_faults=("B11",)),
+    MatrixRow("B11", "flood bus={bus} size=101", CUT, 11, accepted_faults=("B11b", "B11a")),
+    MatrixRow("B12", HOST_PREFIX + "io bus_off", CUT, 1, accepted_faults=("B12",), stages=ALL_STAGES),
+    MatrixRow("B13", HOST_PREFIX + "io error_warning", WARN, 1, accepted_faults=("B13a",)),
+    MatrixRow("B13", HOST_PREFIX + "io error_passive lasting", RELAX, 21, accepted_faults=("B13b",)),
+    MatrixRow("B14", HOST_PREFIX + "io enetdown", CUT, 1, accepted_faults=("B14",), stages=ALL_STAGES),
+    MatrixRow("B15", HOST_PREFIX + "io enobufs lasting", RELAX, 3, accepted_faults=("B15",)),
+    MatrixRow("B16", HOST_PREFIX + "io enodev", CUT, 1, accepted_faults=("B16",), stages=ALL_STAGES),
+    MatrixRow("B17", "deaf node={node}", RELAX, 4, accepted_faults=("B17", "N08", "B02", "B03"),
+        protocols=CONFIRMING_PROTOCOLS,
+        extra_ms={ODRIVE: 160.0}),
+    MatrixRow("B17", "drop node={node}", RELAX, 4, accepted_faults=("B17",)),
+    MatrixRow("N01", "reset node={node}", RELAX, 2, accepted_faults=("N01", "N11", "B17"),
+        extra_ms=REPORT_DELAY_MS, extra_ticks=RESTART_TICKS),
+    MatrixRow("N01", "reset node={node}", RELAX, 2, accepted_faults=("N01", "N11", "B17"), stages=(ARMING_STAGE,),
+        protocols=(MIT, CIA402, ROBSTRIDE),
+        extra_ticks=RESTART_TICKS),
+    MatrixRow("N02", "drop node=sensors", RELAX, 1, 30.0, ("N02",), ALL_STAGES),
+    MatrixRow("N02", "off node={node}", RELAX, 5, accepted_faults=("B17", "B02", "N01"), stages=ALL_STAGES),
+    MatrixRow("N04", "stuck encoder={node}", RELAX, 2, 500.0, ("N04", "T04", "N05", "N06"), (FREE_STAGE,)),
+    MatrixRow("N04", "stuck joint={joint}", RELAX, 2, 500.0, ("N04", "N06", "T08"), (FREE_STAGE,)),
+    MatrixRow("N05", "offset encoder={node} size={jump}", RELAX, 3, accepted_faults=("N05",)),
+    MatrixRow("N06", "drift joint={joint} size=0.8", RELAX, 4, 900.0, ("N06", "T08")),
+    MatrixRow("N07", "noise encoder={node} size={rough}", HOLD, 4, 60.0, ("N07", "N05")),
+    MatrixRow("N08", "watchdog node={node}", RELAX, 2, accepted_faults=("N08",), stages=ALL_STAGES,
+        protocols=(MIT, ODRIVE, CIA402, MOTEUS),
+        extra_ms=REPORT_DELAY_MS),
+    MatrixRow("N08", "watchdog node={node}", RELAX, 2, accepted_faults=("N08", "N01"), stages=ALL_STAGES,
+        protocols=(ROBSTRIDE,)),
+    MatrixRow("N09", "hot node={node} size=95", RELAX, 22, accepted_faults=("N09b",), protocols=CONFIRMING_PROTOCOLS,
+        extra_ms={ODRIVE: 200.0}),
+    MatrixRow("N09", "hot node={node} size=80", WARN, 22, accepted_faults=("N09a",), protocols=CONFIRMING_PROTOCOLS,
+        extra_ms={ODRIVE: 200.0}),
+    MatrixRow("N10", "voltage node={node}", RELAX, 2, accepted_faults=("N10",), stages=ALL_STAGES,
+        extra_ms=REPORT_DELAY_MS),
+    MatrixRow("N11", "error node={node}", RELAX, 2, accepted_faults=("N11",), stages=ALL_STAGES,
+        extra_ms=REPORT_DELAY_MS),
+    MatrixRow("N11", "error node={node} size=3", CUT, 2, accepted_faults=("N11b",), protocols=(MIT,)),
+    MatrixRow("N11", "error node={node} size=0xff01", CUT, 2, accepted_faults=("N11b",), protocols=(CIA402,)),
+    MatrixRow("N11", "error node={node} size=0x20000000", CUT, 2, accepted_faults=("N11b",), protocols=(ODRIVE,),
+        extra_ms=REPORT_DELAY_MS),
+    MatrixRow("N11", "error node={node} size=60", CUT, 2, accepted_faults=("N11b",), protocols=(MOTEUS,)),
+    MatrixRow("N11", "error node={node} size=0x4000", CUT, 2, accepted_faults=("N11b",), protocols=(ROBSTRIDE,)),
+    MatrixRow("N12", "forget node={node}", CUT, 4, 1000.0, ("N12",), protocols=(MIT, ODRIVE, CIA402, ROBSTRIDE)),
+    # Every command of this protocol contains torque limit and watchdog. The position limits, which
+    # the drive forgets, remove its torque. N14 detects this.
+    MatrixRow("N12", "forget node={node}", RELAX, 4, 1000.0, ("N12", "N14"), protocols=(MOTEUS,)),
+    # A restart before the first answer to the enable command looks like a lost command. The lost
+    # settings reveal it.
+    MatrixRow("N12", "reset node={node}", RELAX, 4, 1000.0, ("N12", "N01", "N14"), (ARMING_STAGE,), (MOTEUS,)),
+    MatrixRow("N13", "twin node={node} seed=1", RELAX, 2, accepted_faults=("B06", "N13"),
+              protocols=ONE_ANSWER_PROTOCOLS),
+    MatrixRow("N13", "duplicate node={node} seed=1", RELAX, 4, accepted_faults=("N13", "B06"),
+              protocols=ONE_ANSWER_PROTOCOLS),
+    MatrixRow("N14", "disobey node={node} size=0", RELAX, 22, accepted_faults=("N14", "T02", "T04"),
+        stages=(GRASP_STAGE,), protocols=ONE_ANSWER_PROTOCOLS),
+    MatrixRow("N14", "runaway node={node}", RELAX, 10, accepted_faults=("N14", "T03", "N05", "T04")),
+    MatrixRow("N14", "ripple node={node} size=0.2 hz=20", RELAX, 22, 600.0,
+        ("N14b", "T03", "N07", "T01"), (GRASP_STAGE,)),
+    MatrixRow("N15", "slow node={node} size=2", WARN, 22, accepted_faults=("N15",), protocols=ONE_ANSWER_PROTOCOLS),
+    MatrixRow("N15", "slow node={node} size=4", WARN, 4, accepted_faults=("B01",), protocols=(ODRIVE,)),
+    MatrixRow("N16", "hold_on node={node}", CUT, 2, 100.0, ("N16",), (GRASP_STAGE,)),
+    MatrixRow("N17", "swap node={node} with={other}", RELAX, 2, 1000.0, ("N17", *_EXCHANGED_DRIVE_FAULTS),
+        protocols=ONE_ANSWER_PROTOCOLS),
+    MatrixRow("N17", "cross node={node} with={other}", RELAX, 2, 1000.0, ("N17", *_EXCHANGED_DRIVE_FAULTS),
+        protocols=ONE_ANSWER_PROTOCOLS),
+    MatrixRow("N17", "late node={node} size=50", RELAX, 2, 4000.0, ("N17", *_EXCHANGED_DRIVE_FAULTS),
+        protocols=ONE_ANSWER_PROTOCOLS),
+    # In a grasp at rest, the velocity limit of ODrive drives hides that two of them are exchanged.
+    MatrixRow("N17", "swap node={node} with={other}", RELAX, 2, 1000.0, ("N17", *_EXCHANGED_DRIVE_FAULTS),
+        (FREE_STAGE,), (ODRIVE,)),
+    MatrixRow("N17", "cross node={node} with={other}", RELAX, 2, 2000.0, ("N17", *_EXCHANGED_DRIVE_FAULTS),
+        (FREE_STAGE,), (ODRIVE,)),
+    MatrixRow("T01", "snap tendon={tendon}", RELAX, 10, accepted_faults=("T01",), stages=(GRASP_STAGE,)),
+    MatrixRow("T02", "snap tendon={tendon}", WARN, 4, 110.0, ("T02", "T01", "N04"), (FREE_STAGE,)),
+    MatrixRow("T02", "slack tendon={tendon} size=30", WARN, 10, accepted_faults=("T02", "T01"), stages=(GRASP_STAGE,)),
+    MatrixRow("T03", "offset cell={tendon} size={trip}", RELAX, 2, accepted_faults=("T03",), stages=(GRASP_STAGE,)),
+    MatrixRow("T03", "offset cell={tendon} size={limit}", CUT, 2, accepted_faults=("T03b",), stages=(GRASP_STAGE,)),
+    MatrixRow("T03", "runaway node={node} size=1 seed=1", RELAX, 10, accepted_faults=("T03", "N14", "T06"),
+        stages=(GRASP_STAGE,)),
+    MatrixRow("T04", "drift cell={tendon} size=60", RELAX, 2, 500.0, ("T04", "T03", "N14", "T02"),
+        (GRASP_STAGE,)),
+    MatrixRow("T04", "drift cell={tendon} size=-60", RELAX, 2, 500.0, ("T04", "T02", "T01"), (GRASP_STAGE,)),
+    MatrixRow("T05", "stuck cell={tendon}", RELAX, 42, 300.0, ("T05", "T04"), (GRASP_STAGE,)),
+    MatrixRow("T05", "old cell={tendon} size=16", RELAX, 20, accepted_faults=("T05b",)),
+    MatrixRow("T05", "old cell={tendon} size=50", RELAX, 20, accepted_faults=("T05b",)),
+    MatrixRow("T06", "saturate cell={tendon} size=1", RELAX, 4, accepted_faults=("T06",), stages=ALL_STAGES),
+    MatrixRow("T06", "saturate cell={tendon} size=-1", RELAX, 4, accepted_faults=("T06", "T01"), stages=ALL_STAGES),
+    MatrixRow("T08", "offset joint={joint} size=0.5", RELAX, 8, 400.0, ("T08", "N06", "N05")),
+    MatrixRow("H01", HOST_PREFIX + "late 0.4", SafetyAction.PASS, 1, accepted_faults=("H01",)),
+    MatrixRow("H02", HOST_PREFIX + "skip 1", WARN, 1, accepted_faults=("H02",)),
+    MatrixRow("H03", HOST_PREFIX + "skip 14", RELAX, 1, accepted_faults=("H03",)),
+    MatrixRow("H04", HOST_PREFIX + "io suspended", RELAX, 1, accepted_faults=("H04",)),
+    MatrixRow("H06", HOST_PREFIX + "ask stop", RELAX, 1, accepted_faults=("",), stages=ALL_STAGES),
+    MatrixRow("H06", HOST_PREFIX + "ask cut", CUT, 1, accepted_faults=("",), stages=ALL_STAGES),
+    MatrixRow("H08", HOST_PREFIX + "io recorder disk_full", WARN, 1, accepted_faults=("H08",)),
+    MatrixRow("H09", HOST_PREFIX + "io recorder dropped", WARN, 1, accepted_faults=("H09",)),
+    MatrixRow("H10", HOST_PREFIX + "io recorder gone", WARN, 1, accepted_faults=("H10",)),
+    MatrixRow("H13", "foreign node={node}", RELAX, 2, accepted_faults=("H13",), stages=ALL_STAGES),
+    MatrixRow("I07", HOST_PREFIX + "ask nonsense 3", RELAX, 1, accepted_faults=("I07b",)),
+)  # fmt: skip
+"""Rows for all faults that the simulator or the control loop can inject while the hand is armed."""
+
+PAIRED_ROWS = ("B01", "B02", "B03", "B17", "N01", "N02", "N08", "N11", "T01", "T04", "T06", "H02")
+"""Ids of the faults that are also tested in pairs.
+
+The faults concern wires, connectors, supply, tendons and a busy host.
+"""
+UNTESTED_ROWS = {
+    "B18": "before arming: unit tests with error frames", "N03": "before arming: tests of the modes",
+    "T07": "commissioning: its own tests",
+    "T09": "needs minutes of motion: tests of the residuals", "H05": "real processes: tests/runtime",
+    "H07": "real processes: tests of the loop", "H11": "real processes, as root in a virtual machine: tests/vcan",
+    "H12": "real processes",
+    "H14": "real processes", "H15": "the soak",
+}  # fmt: skip
+"""Faults in sections 2.1 to 2.4 of the fault catalogue that the matrix lacks, with the place where each is tested."""
+
+
+def scenarios_of_hand(hand: Hand, protocol: str, period_ms: float) -> list[FaultScenario]:
+    """Return the scenarios of every row of the matrix: on the first and the last instance, in all stages of the row.
+
+    Args:
+        hand: hand that is simulated.
+        protocol: protocol of the drives.
+        period_ms: control period [ms].
+    """
+    selected = []
+    for row in FAULT_MATRIX:
+        if protocol in row.protocols:
+            fault_texts = texts_of_fault(hand, row.fault, period_ms)
+            ends = dict.fromkeys(fault_texts[:1] + fault_texts[-1:])
+            selected += [FaultScenario(row, text, stage) for stage in row.stages for text in ends]
+    return selected
+
+
+def fault_pairs(hand: Hand, protocol: str, period_ms: float) -> list[FaultScenario]:
+    """Return a scenario in a grasp for every pair of the faults in `PAIRED_ROWS`.
+
+    The fault with the more severe reaction comes first. The other fault starts a few ticks later,
+    on another instance. If the hand has no instance for a fault, such as a load cell, there are no
+    pairs with this fault. `period_ms` is the control period [ms].
+    """
+    rows = [
+        next(row for row in FAULT_MATRIX if row.id == id_ and protocol in row.protocols)
+        for id_ in PAIRED_ROWS
+    ]
+    selected = []
+    for i, first in enumerate(rows):
+        for second in rows[i + 1 :]:
+            # The controller must react to a pair as to the more severe of its two faults.
+            main, other = (first, second) if first.action >= second.action else (second, first)
+            texts = texts_of_fault(hand, main.fault, period_ms)
+            second_texts = texts_of_fault(hand, other.fault, period_ms)
+            if texts and second_texts:
+                selected.append(FaultScenario(main, texts[0], GRASP_STAGE, second_texts[-1]))
+    return selected
+
+
+def texts_of_fault(hand: Hand, fault: str, period_ms: float) -> list[str]:
+    """Return the text of a fault for each instance that the hand has.
+
+    The list is empty if the hand has no such instance.
+    """
+    if fault.startswith(HOST_PREFIX):
+        return [fault]
+    sizes = {
+        "late": max(MIN_LATE_MS, MIN_LATE_TICKS * period_ms),
+        "jump": POSITION_JUMP_RAD * max(1.0, period_ms / POSITION_JUMP_MS),
+        "rough": POSITION_NOISE_RAD * max(1.0, (period_ms / POSITION_NOISE_MS) ** 2),
+    }
+    words = {name: f"{size:g}" for name, size in sizes.items()}
+    return [fault.format(**words, **instance) for instance in _instance_values(hand, fault)]
+
+
+def _instance_values(hand: Hand, fault: str) -> list[dict[str, str]]:
+    """Return the values of the place holders for each instance of a fault.
+
+    A fault without a place holder for an instance has one instance.
+    """
+    if "{tendon}" in fault:
+        limited = "{trip}" in fault or "{limit}" in fault
+        of_cell = "cell={tendon}" in fault
+        return [
+            {
+                "tendon": tendon.name,
+                "trip": f"{tendon.tension_trip_N:g}",
+                "limit": f"{tendon.drive_limit_N:g}",
+            }
+            for tendon in hand.tendon
+            if not of_cell or tendon.name in hand.sensor_node.tendons
+            # The controller would report a trip tension near the rail of the load cell as
+            # saturation.
+            if not limited or tendon.tension_trip_N < MAX_READABLE_TRIP_N
+        ]
+    if "{other}" in fault:
+        motors = [motor.name for motor in hand.motor]
+        return [{"node": motor, "other": next_motor} for motor, next_motor in pairwise(motors)]
+    names = {
+        "node": [motor.name for motor in hand.motor],
+        "digit": list(hand.digit_names),
+        "bus": list(hand.bus_names),
+        "joint": list(hand.sensor_node.joints),
+    }
+    return next(
+        ([{key: name} for name in names[key]] for key in names if f"{{{key}}}" in fault), [{}]
+    )

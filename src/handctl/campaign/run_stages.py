@@ -1,0 +1,270 @@
+"""Simulated hands with each drive protocol, and runs that have reached each stage.
+
+The processes in which scenarios run branch off from these runs.
+"""
+
+import json
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict
+from functools import partial
+from typing import Any, Protocol, TypeVar, cast
+
+from handctl.campaign.fault_matrix import ARMING_STAGE, FREE_STAGE, GRASP_STAGE, MIT
+from handctl.campaign.scenario_run import ScenarioResult
+from handctl.controller.bus_load import with_more_buses
+from handctl.controller.run_setup import make_controller
+from handctl.core.gains.gains import packaged_gains
+from handctl.core.tick_types import HandMode
+from handctl.document import validate_content
+from handctl.drives.motor_description import PROTOCOL_TRAITS
+from handctl.errors import ConfigError
+from handctl.hand.description import Hand
+from handctl.hand.hand_loading import load_hand
+from handctl.processes import run_in_forked_copy
+from handctl.programs.task import Task
+from handctl.programs.task_program import TaskProgram
+from handctl.session.plan import default_rate
+from handctl.session.simulate import SimulatedRun, SimulatorSettings
+
+FIRST_NODE_NUMBER = 0x10
+"""Node id of the first motor in a hand whose drives have been replaced."""
+DATA_BITRATE = 5_000_000
+"""Bit rate of the data phase on the buses of a hand whose drives need CAN FD [bit/s]."""
+MIN_CONTROL_RATE_HZ = 200.0
+"""Lowest control rate at which the controller reacts to every fault within its bound [Hz]."""
+SPLIT_BUS_RATE_HZ = 250.0
+"""Control rate for which motors are distributed over more buses [Hz]."""
+CAMPAIGN_TASK: dict[str, Any] = {
+    "schema": 1,
+    "name": "campaign",
+    "phase": [
+        {"kind": "move", "name": "free", "angle_deg": {"*": 25.0}, "duration_s": 1.2},
+        {"kind": "close", "angle_deg": 85.0, "speed_deg_s": 80.0, "contact_tension_N": 14.0},
+        {"kind": "hold", "tension_N": 24.0, "rate_N_per_s": 30.0, "duration_s": 60.0},
+    ],
+}
+"""Task that the hand executes in all runs: a free motion, then a grasp that is held for the rest of the run."""
+RUN_STAGES = (ARMING_STAGE, FREE_STAGE, GRASP_STAGE)
+"""Stages of a run in the order of time."""
+FREE_STAGE_DELAY_S = 0.2
+"""Time from the start of the free motion to the stage FREE, at which faults are injected [s]."""
+STAGE_TIMEOUT_S = 12.0
+"""Longest simulated time until a run reaches the next stage [s]."""
+
+
+def hand_with_protocol(name: str, protocol: str) -> Hand:
+    """Return a packaged hand in which all drives use the given protocol."""
+    hand = load_hand(name)
+    if protocol == MIT and all(motor.protocol == MIT for motor in hand.motor):
+        return hand
+    return with_drives(hand, protocol)
+
+
+def with_drives(hand: Hand, protocol: str) -> Hand:
+    """Return a hand whose drives are replaced by those of a protocol.
+
+    The buses use CAN FD if the protocol needs CAN FD.
+
+    If the frames of the new drives would allow less than ``MIN_CONTROL_RATE_HZ`` on the only bus of a hand, its
+    motors are distributed over more buses.
+    """
+    traits = PROTOCOL_TRAITS[protocol]
+    motors = tuple(
+        motor.model_copy(
+            update={
+                "protocol": protocol,
+                "node_id": FIRST_NODE_NUMBER + i,
+                "options": dict(traits.options),
+            }
+        )
+        for i, motor in enumerate(hand.motor)
+    )
+    buses = tuple(
+        bus.model_copy(update={"data_bitrate": DATA_BITRATE})
+        if traits.can_fd and bus.data_bitrate is None
+        else bus
+        for bus in hand.bus
+    )
+    replaced = hand.model_copy(update={"motor": motors, "bus": buses})
+    too_slow = len(buses) == 1 and default_rate(replaced) < MIN_CONTROL_RATE_HZ
+    return with_more_buses(replaced, SPLIT_BUS_RATE_HZ) if too_slow else replaced
+
+
+@contextmanager
+def homed_run(
+    hand: Hand,
+    rate_hz: float,
+    seed: int,
+    perturb: dict[str, float] | None = None,
+    task: dict[str, Any] = CAMPAIGN_TASK,
+) -> Iterator[SimulatedRun]:
+    """Yield a simulated run at its start: a homed hand in a scene with a cylinder.
+
+    Args:
+        hand: hand to simulate.
+        rate_hz: control rate [Hz].
+        seed: seed of the simulator's noise.
+        perturb: factors by which parameters of the simulated plant are multiplied, by name.
+        task: task to execute, whose first phase must be a move.
+    """
+    angles = dict.fromkeys(hand.digit_names, 25.0)
+    phases = [dict(phase) for phase in cast(list[dict[str, Any]], task["phase"])]
+    phases[0]["angle_deg"] = angles
+    program = TaskProgram(
+        validate_content({**task, "phase": phases}, Task, "the task of the campaign")
+    )
+    controller = make_controller(
+        hand, packaged_gains(hand.name), rate_hz, program, None, arm_at_once=True
+    )
+    with SimulatorSettings(hand, "cylinder", seed, perturb, homed=True).begin_run(
+        controller
+    ) as run:
+        yield run
+
+
+def advance_to_stage(simulation: SimulatedRun, stage: str) -> None:
+    """Simulate a run up to a given stage.
+
+    Raises:
+        ConfigError: the run does not reach the stage, so this hand cannot be tested.
+    """
+    free_ticks = 0
+
+    def is_stage_reached(out: Any) -> bool:
+        nonlocal free_ticks
+        if stage == ARMING_STAGE:
+            return bool(out.mode == HandMode.ARMING)
+        # A run has reached the grasp if at least one digit is in contact and a tendon has at least
+        # 16 N.
+        free_ticks += out.phase == "free"
+        free = free_ticks * simulation.period_ns > FREE_STAGE_DELAY_S * 1e9
+        holds = (
+            out.phase == "hold"
+            and min(out.telemetry.contact.max(), out.telemetry.tension.max() / 16.0) >= 1.0
+        )
+        return bool(free if stage == FREE_STAGE else holds)
+
+    if not simulation.run_until(is_stage_reached, STAGE_TIMEOUT_S):
+        failure = simulation.state.failure or simulation.state.mode.name
+        raise ConfigError(
+            f"the simulated hand does not reach stage {stage}: {failure}",
+            "--hand",
+            "a hand that grasps",
+        )
+
+
+class StagedRun(Protocol):
+    """Scenario of the fault matrix or random sequence that branches off from a run at a stage."""
+
+    @property
+    def name(self) -> str:
+        """Return the description of the experiment for reports."""
+        ...
+
+    @property
+    def id(self) -> str:
+        """Return the id of the experiment for reports.
+
+        A scenario has the id of a row of the fault matrix.
+        """
+        ...
+
+    @property
+    def stage(self) -> str:
+        """Return the stage at which the experiment begins."""
+        ...
+
+
+T = TypeVar("T", bound=StagedRun)
+
+
+def run_experiments(
+    hand: Hand,
+    rate_hz: float,
+    experiments: Sequence[T],
+    jobs: int,
+    run_experiment: Callable[[SimulatedRun, T], ScenarioResult],
+    on_result: Callable[[ScenarioResult], None],
+    on_failure: Callable[[SimulatedRun, ScenarioResult], None],
+    seed: int = 0,
+) -> None:
+    """Simulate a run up to each stage, and run the experiments that begin at this stage as branches of the run.
+
+    See `run_in_branches` for the arguments.
+    """
+    with homed_run(hand, rate_hz, seed) as simulation:
+        for stage in RUN_STAGES:
+            experiments_at_stage = [
+                experiment for experiment in experiments if experiment.stage == stage
+            ]
+            if experiments_at_stage:
+                advance_to_stage(simulation, stage)
+                run_in_branches(
+                    simulation, experiments_at_stage, jobs, run_experiment, on_result, on_failure
+                )
+
+
+def run_in_branches(
+    simulation: SimulatedRun,
+    experiments: Sequence[T],
+    jobs: int,
+    run_experiment: Callable[[SimulatedRun, T], ScenarioResult],
+    on_result: Callable[[ScenarioResult], None],
+    on_failure: Callable[[SimulatedRun, ScenarioResult], None],
+) -> None:
+    """Run experiments, each in a forked copy of this process.
+
+    Each copy begins with the present state of the simulation. So the run up to the stage is
+    simulated only once for all experiments.
+
+    Args:
+        simulation: simulation at the stage of the experiments. The simulation stays unchanged.
+        experiments: experiments to run.
+        jobs: number of copies that run at the same time.
+        run_experiment: function that runs an experiment in a copy and returns the result.
+        on_result: function called in this process with each result.
+        on_failure: function called in the copy of a failed experiment, with simulation and result.
+    """
+    running: dict[int, tuple[int, T]] = {}
+    waiting = list(experiments)
+    while waiting or running:
+        while waiting and len(running) < jobs:
+            experiment = waiting.pop(0)
+            child, reading = run_in_forked_copy(
+                partial(
+                    _run_to_json,
+                    partial(run_experiment, simulation, experiment),
+                    partial(on_failure, simulation),
+                )
+            )
+            running[child] = (reading, experiment)
+        child, status = os.wait()
+        if child in running:
+            reading, experiment = running.pop(child)
+            on_result(_read_result(reading, experiment, status))
+
+
+def _run_to_json(
+    run_experiment: Callable[[], ScenarioResult], on_failure: Callable[[ScenarioResult], None]
+) -> str:
+    """Run an experiment, call `on_failure` if the result is not ok, and return the result as JSON."""
+    result = run_experiment()
+    if not result.ok:
+        on_failure(result)
+    return json.dumps(asdict(result))
+
+
+def _read_result(reading: int, experiment: StagedRun, status: int) -> ScenarioResult:
+    """Read the result of an experiment from the pipe of the copy that has ended with `status`."""
+    with os.fdopen(reading) as pipe:
+        text = pipe.read()
+    if status or not text:
+        return ScenarioResult(
+            experiment.name,
+            experiment.id,
+            experiment.stage,
+            problem=f"its process ended with status {status}",
+        )
+    return ScenarioResult(**json.loads(text))

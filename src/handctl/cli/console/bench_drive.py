@@ -1,0 +1,221 @@
+"""Single drive on a bench, without a hand file: options, search by a scan, description, and ticks."""
+
+import argparse
+import dataclasses
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from pydantic import ValidationError
+
+from handctl.cli.checks.scan import add_identities
+from handctl.cli.console.verbosity import print_note
+from handctl.drives.contract import Drive
+from handctl.drives.discovery import SCAN_LISTEN_S, DiscoveredNode
+from handctl.drives.frame import Frame
+from handctl.drives.mit.drive import MitDrive
+from handctl.drives.protocol_registry import PROTOCOL_ENTRIES, make_drive
+from handctl.errors import BusError, ConfigError, DriveError
+from handctl.hand.file.error_text import toml_spelling
+from handctl.hand.file.sections import Motor
+from handctl.hand.hand_loading import parse_toml
+from handctl.runtime.buses.contract import Bus
+from handctl.runtime.buses.open import open_bus
+from handctl.runtime.clocks.priority import request_priority, restore_priority
+from handctl.runtime.clocks.real import RealClock
+from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
+from handctl.runtime.diagnostics.scan import BusScan, collect_frames, scan_bus
+
+NOT_OFF_WARNING = "the drive does not report that it is off: REMOVE ITS POWER"
+"""Message about a drive that may still make torque."""
+WATCHDOG_MS = 100
+"""Watchdog time of the drive [ms].
+
+A desktop computer without real-time priority has shorter delays.
+"""
+MAX_TORQUE_N_M = 50.0
+"""Largest torque that a hand file allows [N m]."""
+BENCH_OPTIONS: dict[str, dict[str, Any]] = {
+    "odrive": {"torque_feedback": True},
+    "cia402": {"sync": True},
+}
+"""Options for a single drive on a bench, by protocol. No other host sends SYNC there."""
+TEXT_VALUED_OPTIONS = ("firmware", "motor_type")
+"""Options whose value is always text, even if the text looks like a number, as in firmware=0.5."""
+UNQUOTED_TEXT = re.compile(r"[A-Za-z0-9][\w.-]*")
+"""Pattern for an option's text that needs no quotes."""
+ASSUMED_OPTIONS = {"rated_torque_N_m": 1.0, "counts_per_turn": 65536}
+"""Defaults for options that a CiA 402 drive may not report.
+
+The read-back of the drive's settings refuses a wrong rated torque.
+"""
+
+
+def parse_options(words: list[str]) -> dict[str, Any]:
+    """Return the options that KEY=VALUE words give. The values are TOML, in which the quotes of a text may be omitted.
+
+    Raises:
+        ConfigError: a word is not TOML.
+    """
+    options: dict[str, Any] = {}
+    for word in words:
+        options |= _option_from_word(word)
+    return options
+
+
+def _option_from_word(word: str) -> dict[str, Any]:
+    key, _, value = word.partition("=")
+    quoted = f'{key}="{value}"'
+    if key.strip() in TEXT_VALUED_OPTIONS and value[:1] not in ('"', "'"):
+        word = quoted
+    try:
+        return parse_toml(word, "--option")
+    except ConfigError as error:
+        if (
+            UNQUOTED_TEXT.fullmatch(value) and not value.isdecimal()
+        ):  # TOML refuses numbers with too many digits
+            return parse_toml(quoted, "--option")
+        right = "KEY=VALUE, as in gear_ratio=6.0 or motor_type=ak80-9"
+        raise ConfigError(f"{word}: {error.what}", "--option", right) from None
+
+
+def _torque_drive(motor: Motor) -> Drive:
+    """Return the drive of a motor in torque mode."""
+    return make_drive(motor, 0)
+
+
+def describe_drive(
+    args: argparse.Namespace,
+    options: dict[str, Any],
+    node: DiscoveredNode | None,
+    make: Callable[[Motor], Drive] = _torque_drive,
+) -> Drive:
+    """Return the drive with the values reported by the drive. Values on the command line take precedence.
+
+    Args:
+        args: arguments with ``protocol``, ``node`` and ``limit`` [N m].
+        options: options of the drive on the command line.
+        node: the drive found by a scan, or None before the scan.
+        make: function that constructs the drive of a motor.
+
+    Raises:
+        ConfigError: the protocol does not have the option, or does not allow the node number.
+    """
+    reported: dict[str, Any] = dict(node.options) if node else {}
+    if args.protocol == "cia402":
+        reported = ASSUMED_OPTIONS | reported
+    reported = _bench_options(args.protocol, reported | options) | reported
+    settings = {
+        "position_range_rad": 12.5,
+        "velocity_range_rad_s": 30.0,
+        **(node.settings if node else {}),
+    }
+    motor = {
+        "name": f"{args.protocol}_{args.node}", "protocol": args.protocol, "bus": "bench", "node_id": args.node,
+        "spool_radius_m": 0.005, "inertia_kg_m2": 1e-4, "viscous_N_m_s_per_rad": 0.0, "coulomb_N_m": 0.0,
+        "torque_constant_N_m_per_A": 0.1, "direction": 1, "zero_rad": 0.0, "watchdog_ms": WATCHDOG_MS,
+        **settings, "torque_max_N_m": args.limit, "torque_peak_N_m": args.limit, "options": reported | options,
+    }  # fmt: skip
+    try:
+        return make(Motor.model_validate(motor))
+    except ValidationError as error:
+        wrong = error.errors(include_url=False)[-1]
+        key = str(wrong["loc"][-1]) if wrong["loc"] else args.protocol
+        right = (
+            wrong["msg"]
+            .removeprefix("Value error, ")
+            .removeprefix("Input should be ")
+            .removeprefix("expected ")
+        )
+        raise ConfigError(
+            toml_spelling(wrong["input"]), "--node" if key == "node_id" else key, right
+        ) from None
+    except ValueError as error:
+        text = str(error).splitlines()[-1]
+        raise ConfigError(text, toml_spelling(args.node), "a number of that protocol") from None
+
+
+def _bench_options(protocol: str, options: dict[str, Any]) -> dict[str, Any]:
+    """Return the options for a single drive on a bench.
+
+    ODrive firmware 0.5 does not report torque.
+    """
+    return {} if options.get("firmware") == "0.5" else BENCH_OPTIONS.get(protocol, {})
+
+
+def find_drive(args: argparse.Namespace) -> DiscoveredNode:
+    """Scan the bus for the drive that the command line names, and return the found drive.
+
+    Raises:
+        BusError: another host controls the bus.
+        DriveError: the drive does not answer.
+    """
+    print_note(f"{args.bus}: searching for the drive")
+    bus = open_bus(args.bus, 0, args.bitrate, args.data_bitrate)
+    try:
+        result = (
+            scan_bus(bus)
+            if PROTOCOL_ENTRIES[args.protocol].discovery
+            else _listen_for_drive(args, bus)
+        )
+    finally:
+        bus.close()
+    if result.foreign_frames:
+        raise BusError("another host controls this bus", args.bus, "no other host: stop it")
+    for node in add_identities(result.found_nodes, args.bus, args.bitrate):
+        if (node.protocol, node.node_id) == (args.protocol, args.node):
+            if node.twins:
+                raise DriveError(
+                    f"two drives answer as {args.protocol} {args.node}",
+                    args.bus,
+                    "a different node number for each drive",
+                )
+            return node
+    there = ", ".join(f"{node.protocol} {node.node_id}" for node in result.found_nodes) or "nothing"
+    right = "a drive with power and the given bit rate and node number"
+    raise DriveError(f"no {args.protocol} {args.node}; found: {there}", args.bus, right)
+
+
+def _listen_for_drive(args: argparse.Namespace, bus: Bus) -> BusScan:
+    """Return a scan result for a drive that answers only to commands, not to a scan.
+
+    The function only listens. A frame with the drive's identifier must come from another host.
+
+    Only the first check after the scan shows whether the drive is present.
+    """
+    seen: list[Frame] = []
+    collect_frames(bus, SCAN_LISTEN_S, seen)
+    foreign = tuple(frame for frame in seen if frame.can_id == args.node)
+    return BusScan((DiscoveredNode(args.protocol, args.node),), foreign, (), (), len(seen))
+
+
+def with_torque_range(drive: Drive, node: DiscoveredNode) -> Drive:
+    """Return a drive with the original torque range.
+
+    In the MIT protocol, this range scales every torque.
+    """
+    if isinstance(drive, MitDrive) and "torque_max_N_m" in node.settings:
+        ranges = drive.ranges._replace(torque=node.settings["torque_max_N_m"])
+        return dataclasses.replace(drive, ranges=ranges)
+    return drive
+
+
+@contextmanager
+def open_rig(args: argparse.Namespace, drive: Drive) -> Iterator[tuple[DriveRig, Bus]]:
+    """Open the bus of a drive, and yield the rig with the drive, and the bus.
+
+    Where allowed, ticks have real-time priority.
+
+    Args:
+        args: arguments with ``bus`` and the bit rates of the bus.
+        drive: drive on the bus.
+    """
+    clock = RealClock(PERIOD_NS)
+    bus = open_bus(args.bus, 0, args.bitrate, args.data_bitrate, clock.run_time_of)
+    clock.busy_wait = request_priority().realtime
+    try:
+        yield DriveRig(drive, bus, clock), bus
+    finally:
+        restore_priority()
+        bus.close()

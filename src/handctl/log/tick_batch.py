@@ -1,0 +1,259 @@
+"""Batches of ticks. A batch holds the records of many ticks as arrays."""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.core.tick_types import FIRST_TELEMETRY_FIELD_COUNT, TELEMETRY_AXES, TELEMETRY_FIELDS
+from handctl.log.header import RunHeader
+from handctl.log.tick_record import (
+    FRAME_RECORD_BYTES,
+    TICK_HEAD_STRUCT,
+    TICK_SIZES_STRUCT,
+    TickRecord,
+    message_layout,
+    unpack_tick,
+)
+
+FRAME_DTYPE = np.dtype(
+    [
+        ("t_ns", "<i8"),
+        ("can_id", "<u4"),
+        ("flags", "<u2"),
+        ("bus", "u1"),
+        ("length", "u1"),
+        ("data", "u1", (8,)),
+    ]
+)
+"""Layout of a CAN frame in a Tick message, 24 bytes little-endian."""
+FIXED_DTYPE = np.dtype(
+    {
+        "names": ["k", "t_ns", "late_ns", "state_hash", "mode", "action"],
+        "formats": ["<i8", "<i8", "<i8", "V8", "u1", "u1"],
+        "offsets": [0, 8, 16, 24, 32, 33],
+        "itemsize": TICK_HEAD_STRUCT.size,
+    }
+)
+"""Layout of the first part of a Tick message, which has a constant length.
+
+The hash of the controller state is stored as raw bytes (V8).
+"""
+_MAX_CACHED_TAILS = 256
+"""Largest number of message ends in the cache. The end of a Tick message has phase, io events, requests and events.
+
+In a log without events, all ticks of one phase have the same message end.
+"""
+
+
+class FrameBatch(NamedTuple):
+    """CAN frames of many ticks, in the order of the ticks.
+
+    Attributes:
+        frames: (m,) the frames, as FRAME_DTYPE.
+        tick_indexes: (m,) index of the tick of each frame.
+        long_data: payload bytes after the eighth of all frames longer than eight bytes, in the
+            order of the frames.
+    """
+
+    frames: NDArray[np.void]
+    tick_indexes: NDArray[np.intp]
+    long_data: bytes
+
+
+class TickBatch(NamedTuple):
+    """Data of n ticks as arrays.
+
+    Attributes:
+        messages: the Tick message of each tick.
+        k: (n,) tick numbers.
+        t_ns, late_ns: (n,) time since the start of the run, and lateness [ns].
+        mode, action: (n,) uint8.
+        phases: grasp phase of each tick.
+        numbers: (n, columns) telemetry in the order of Telemetry.packed.
+        received, sent: the CAN frames received and sent.
+        ticks_with_events: decoded record of each tick with events, requests or io events, by index
+            of the tick.
+    """
+
+    messages: list[bytes]
+    k: NDArray[np.int64]
+    t_ns: NDArray[np.int64]
+    late_ns: NDArray[np.int64]
+    mode: NDArray[np.uint8]
+    action: NDArray[np.uint8]
+    phases: list[str]
+    numbers: NDArray[np.float64]
+    received: FrameBatch
+    sent: FrameBatch
+    ticks_with_events: dict[int, TickRecord]
+
+
+def row_fields(header: RunHeader, width: int) -> tuple[str, ...]:
+    """Return the telemetry fields that a row of `width` columns holds.
+
+    Logs that earlier versions of handctl recorded lack the last fields.
+
+    Args:
+        header: header of the run.
+        width: number of columns of a row.
+    """
+    earlier = TELEMETRY_FIELDS[:FIRST_TELEMETRY_FIELD_COUNT]
+    return earlier if width == column_count(header, earlier) else TELEMETRY_FIELDS
+
+
+def column_count(header: RunHeader, fields: tuple[str, ...]) -> int:
+    """Return the number of columns that the given telemetry fields need."""
+    return sum(len(header.axis_names(TELEMETRY_AXES[name])) for name in fields)
+
+
+def columns_of_fields(
+    header: RunHeader, fields: tuple[str, ...] = TELEMETRY_FIELDS
+) -> dict[str, slice]:
+    """Return the column numbers of each telemetry field in a row.
+
+    Args:
+        header: header of the run.
+        fields: fields of the row, in order.
+    """
+    slices = {}
+    start = 0
+    for name in fields:
+        size = len(header.axis_names(TELEMETRY_AXES[name]))
+        slices[name] = slice(start, start + size)
+        start += size
+    return slices
+
+
+@dataclass(slots=True)
+class _FrameCollector:
+    """Collector for the CAN frames of one direction (received or sent), tick by tick.
+
+    Attributes:
+        parts: frames of each tick as FRAME_DTYPE bytes.
+        counts: number of frames of each tick.
+        long_parts: payload bytes after the eighth of each longer frame.
+    """
+
+    parts: list[bytes] = field(default_factory=list)
+    counts: list[int] = field(default_factory=list)
+    long_parts: list[bytes] = field(default_factory=list)
+
+    def collected_frames(self) -> FrameBatch:
+        """Return the collected frames of all ticks."""
+        tick = np.repeat(np.arange(len(self.counts)), self.counts)
+        return FrameBatch(
+            np.frombuffer(b"".join(self.parts), FRAME_DTYPE), tick, b"".join(self.long_parts)
+        )
+
+
+class TickBatcher:
+    """Collector for tick records. Method `take_batch` returns the collected ticks as a batch.
+
+    Attributes:
+        misshapen_ticks: number of ticks whose telemetry does not have the shape described in the header.
+        size: total length of the records collected so far [bytes].
+    """
+
+    def __init__(self, header: RunHeader) -> None:
+        """Start with an empty batch.
+
+        Args:
+            header: header of the run, with the number of telemetry columns.
+        """
+        self._sizes = tuple(
+            len(header.axis_names(name)) for name in ("joint", "tendon", "motor", "digit")
+        )
+        self._width = sum(len(header.axis_names(axis)) for axis in TELEMETRY_AXES.values())
+        self._phase_of_tail: dict[bytes, str] = {}
+        self.misshapen_ticks = 0
+        self._clear()
+
+    def _clear(self) -> None:
+        self._messages: list[bytes] = []
+        self._numbers: list[bytes] = []
+        self._phases: list[str] = []
+        self._ticks_with_events: dict[int, TickRecord] = {}
+        self._received = _FrameCollector()
+        self._sent = _FrameCollector()
+        self.size = 0
+
+    def __len__(self) -> int:
+        """Return the number of ticks in the batch."""
+        return len(self._messages)
+
+    def add_tick(self, body: bytes) -> int:
+        """Add one tick, and return the time of the tick since the start of the run [ns].
+
+        Telemetry of a wrong shape becomes NaN, and `misshapen_ticks` counts the tick.
+
+        Args:
+            body: body of a tick record, see `handctl.log.tick_record`.
+        """
+        size, *sizes = TICK_SIZES_STRUCT.unpack_from(body)
+        message = body[TICK_SIZES_STRUCT.size : TICK_SIZES_STRUCT.size + size]
+        numbers = body[TICK_SIZES_STRUCT.size + size :]
+        if tuple(sizes) != self._sizes or len(numbers) != 8 * self._width:
+            self.misshapen_ticks += 1
+            numbers = np.full(self._width, np.nan).tobytes()
+        self._numbers.append(numbers)
+        self._add_frames(message)
+        self._messages.append(message)
+        self.size += len(body)
+        return int(TICK_HEAD_STRUCT.unpack_from(message, 4)[1])
+
+    def _add_frames(self, message: bytes) -> None:
+        """Append the received and the sent frames of a Tick message, and process the rest of the message."""
+        parts = message_layout(message)
+        for direction, part in ((self._received, parts.received), (self._sent, parts.sent)):
+            direction.parts.append(message[part])
+            direction.counts.append((part.stop - part.start) // FRAME_RECORD_BYTES)
+        if parts.long_data.stop > parts.long_data.start:
+            self._add_long(message[parts.long_data])
+        self._add_tail(message, parts.tail_offset)
+
+    def _add_long(self, data: bytes) -> None:
+        """Divide the payload bytes after the eighth between the received and the sent frames of the tick."""
+        lengths = np.frombuffer(self._received.parts[-1], FRAME_DTYPE)["length"].astype(int)
+        # The message has the bytes of all received frames first, then the bytes of all sent frames.
+        split = int(np.maximum(lengths - 8, 0).sum())
+        self._received.long_parts.append(data[:split])
+        self._sent.long_parts.append(data[split:])
+
+    def _add_tail(self, message: bytes, at: int) -> None:
+        """Append the grasp phase in a Tick message.
+
+        If the tick has events, requests or io events, keep its decoded record as well.
+
+        Args:
+            message: the Tick message.
+            at: start of the phase in the message [bytes].
+        """
+        # Nearly all ticks have no event. Their tails consist of the phase and empty lists, so ticks
+        # of one phase have equal tails. The cache avoids decoding the CDR text of each tail.
+        tail = message[at:]
+        phase = self._phase_of_tail.get(tail)
+        if phase is None:
+            tick = unpack_tick(message)
+            phase = tick.phase
+            if tick.events or tick.tick_in.requests or tick.tick_in.io_events:
+                self._ticks_with_events[len(self._messages)] = tick
+            elif len(self._phase_of_tail) < _MAX_CACHED_TAILS:
+                self._phase_of_tail[tail] = phase
+        self._phases.append(phase)
+
+    def take_batch(self) -> TickBatch:
+        """Return the batch of all ticks added since the last call, and begin another batch."""
+        # Four bytes of CDR encapsulation precede the part of constant length in each message.
+        fixed = np.frombuffer(
+            b"".join([message[4 : 4 + TICK_HEAD_STRUCT.size] for message in self._messages]),
+            FIXED_DTYPE,
+        )
+        numbers = np.frombuffer(b"".join(self._numbers), "<f8").reshape(len(fixed), self._width)
+        batch = TickBatch(
+            self._messages, fixed["k"], fixed["t_ns"], fixed["late_ns"], fixed["mode"], fixed["action"], self._phases,
+            numbers, self._received.collected_frames(), self._sent.collected_frames(), self._ticks_with_events,
+        )  # fmt: skip
+        self._clear()
+        return batch

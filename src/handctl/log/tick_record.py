@@ -1,0 +1,490 @@
+"""Records that the controller writes into the pipe to the recorder.
+
+The record of a tick contains a `handctl_msgs/Tick` message, encoded as in the log, and the
+telemetry of the tick.
+
+All numbers are little-endian.
+
+Record: length of the body u32, kind u32, body.
+
+Body of a tick: size of the Tick message u32, lengths of the telemetry axes joint, tendon, motor,
+digit u16 each, the Tick message, the telemetry as float64 in the order of the fields.
+
+Tick message:
+    CDR encapsulation, 4 bytes.
+    k i64, t_ns i64, late_ns i64, state hash 8 bytes, mode u8, action u8, padding 2 bytes.
+    Number of received frames u32, received frames.
+    Number of sent frames u32, padding of 4 bytes if there are sent frames, sent frames.
+    Number of long bytes u32, long bytes, padding to 4 bytes.
+    Phase, io events, requests, events.
+
+Frame, 24 bytes: t_ns i64, can_id u32, flags u16, bus u8, length u8, data 8 bytes. The long bytes
+are the payload bytes after the eighth of all frames, in the order of the frames.
+"""
+
+import functools
+import struct
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.core.tick_types import (
+    TELEMETRY_AXES,
+    TELEMETRY_FIELDS,
+    HandMode,
+    IoEvent,
+    PackedTelemetry,
+    Telemetry,
+    TickEvent,
+    TickIn,
+    TickOut,
+)
+from handctl.drives.frame_records import (
+    FRAME_RECORD_DTYPE,
+    NO_FRAMES,
+    SHORT_RECORD_BYTES,
+    Frames,
+    RecordArray,
+    frames_as_records,
+)
+from handctl.log.cdr import ENCAPSULATION_HEADER, CdrReader, CdrWriter
+from handctl.safety.action import SafetyAction
+
+RECORD_FRAMING_STRUCT = struct.Struct("<II")
+HEADER_RECORD_KIND = 1
+"""Kind of the record with the header of a run, from `RunHeader.dump`."""
+TICK_RECORD_KIND = 2
+"""Kind of the record of one tick."""
+END_RECORD_KIND = 3
+"""Kind of the record with the reason for the end of the run, as JSON."""
+SNAPSHOT_RECORD_KIND = 4
+"""Kind of the record with the controller's state after a tick."""
+FILE_RECORD_KIND = 5
+"""Kind of the first record, as JSON: path of the log, and free disk space at which the log ends early [bytes]."""
+SNAPSHOT_HEAD_STRUCT = struct.Struct("<qq")
+"""Layout of the start of a snapshot record: number and time [ns] of the tick.
+
+The controller's state after this tick follows.
+"""
+
+TICK_SIZES_STRUCT = struct.Struct("<IHHHH")
+"""Layout of the start of the body of a tick's record: size of the Tick message, lengths of the telemetry axes."""
+TICK_HEAD_STRUCT = struct.Struct("<qqq8sBB2xI")
+"""Layout of a Tick message's first part: k, t_ns, late_ns, state hash, mode, action, number of received frames."""
+FRAME_RECORD_BYTES = SHORT_RECORD_BYTES
+"""Size of a CAN frame in a Tick message [bytes]: the first part of a record, with eight data bytes."""
+_SHORT_FRAME_DTYPE = np.dtype(f"V{SHORT_RECORD_BYTES}")
+"""numpy type of a frame in a Tick message, as raw bytes."""
+_LENGTH_OFFSET = 15
+"""Offset of the length byte in a frame of a Tick message."""
+_DATA_OFFSET = 16
+"""Offset of the data bytes in a frame of a Tick message."""
+_DATA_WORD_DTYPE = np.dtype("<u8")
+"""numpy type of the eight data bytes of a frame, as one word."""
+_SHORT_DATA_BYTES = 8
+"""Number of data bytes in a frame of a Tick message."""
+_MAX_DATA_BYTES = 64
+"""Number of data bytes in the longest CAN FD frame."""
+_DATA_MASKS = np.array(
+    [(1 << 8 * length) - 1 for length in range(_SHORT_DATA_BYTES + 1)], np.uint64
+)
+"""Mask of the used bytes in the data word, for each payload length from 0 to 8 bytes."""
+_LONG_DATA_INDEXES = np.arange(_SHORT_DATA_BYTES, _MAX_DATA_BYTES)
+"""Indexes of the payload bytes after the eighth."""
+_FRAMES_OFFSET = TICK_HEAD_STRUCT.size + 4
+"""Offset of the received frames in a Tick message [bytes]."""
+_TickHead = tuple[int, int, int, bytes, int, int, int]
+"""Values of the first part of a Tick message."""
+_MODE_BY_VALUE = {mode.value: mode for mode in HandMode}
+_ACTION_BY_VALUE = {action.value: action for action in SafetyAction}
+"""Members of the enumerations Mode and Action by value.
+
+A dictionary finds a member four times as fast as a call of the enumeration.
+"""
+new_tuple = tuple.__new__
+"""Function that creates a named tuple faster than the constructor of the tuple."""
+_COUNT_STRUCT = struct.Struct("<I")
+_NO_LONG_DATA = _COUNT_STRUCT.pack(0)
+_FIELD_OF_EACH_AXIS = "q", "tension", "motor_torque", "contact"
+"""A telemetry field of each axis, in the order joint, tendon, motor, digit."""
+
+
+class TickRecord(NamedTuple):
+    """Tick of a log, without telemetry.
+
+    Attributes:
+        tick_in: all inputs of the tick.
+        frames: frames sent in the tick, in order.
+        mode, phase, action, events, state_hash: outputs of the tick, as in TickOut.
+    """
+
+    tick_in: TickIn
+    frames: Frames
+    mode: HandMode
+    phase: str
+    action: SafetyAction
+    events: tuple[TickEvent, ...]
+    state_hash: bytes
+
+
+def record_bytes(kind: int, body: bytes) -> bytes:
+    """Return a record of the given kind."""
+    return RECORD_FRAMING_STRUCT.pack(len(body), kind) + body
+
+
+def _long_mask(records: RecordArray) -> NDArray[np.bool_]:
+    """Return a mask (n, 56) of the bytes after the eighth in n frames.
+
+    True marks a byte of the payload.
+    """
+    return np.asarray(records["length"][:, np.newaxis] > _LONG_DATA_INDEXES)
+
+
+def _long_data(records: RecordArray) -> bytes:
+    """Return the payload bytes after the eighth of all frames, in order."""
+    return bytes(records["data"][:, _SHORT_DATA_BYTES:][_long_mask(records)].tobytes())
+
+
+@functools.lru_cache(maxsize=64)
+def _tail_without_events(phase: str) -> bytes:
+    """Return the end of a Tick message without events: the phase and three empty sequences.
+
+    At every offset divisible by four the bytes are the same. Therefore the result is cached.
+    """
+    out = CdrWriter()
+    out.put_string(phase)
+    for _ in range(3):
+        out.put_length(0)
+    return bytes(out.data)
+
+
+def _message_end(start: int, phase: str, tick_in: TickIn, events: tuple[TickEvent, ...]) -> bytes:
+    """Return the end of a Tick message, which has phase, io events, requests and events.
+
+    Args:
+        start: offset of the end in the message body, for alignment [bytes].
+        phase: grasp phase in the tick.
+        tick_in: inputs of the tick.
+        events: events of the tick.
+    """
+    out = CdrWriter(start)
+    out.put_string(phase)
+    out.put_length(len(tick_in.io_events))
+    for kind, where, number in tick_in.io_events:
+        out.put_string(kind)
+        out.put_string(where)
+        out.put_number("q", number)
+    out.put_strings(tick_in.requests)
+    out.put_length(len(events))
+    for event in events:
+        for text in event:
+            out.put_string(text)
+    return bytes(out.data)
+
+
+def pack_tick(tick_in: TickIn, out: TickOut) -> bytes:
+    """Encode a tick as a handctl_msgs/Tick message.
+
+    Raises:
+        ValueError: state_hash is not 8 bytes long.
+        struct.error: a number does not fit the field.
+    """
+    received = frames_as_records(tick_in.frames).records
+    sent = frames_as_records(out.frames).records
+    if len(out.state_hash) != 8:
+        raise ValueError(f"state hash of {len(out.state_hash)} bytes; expected 8")
+    fixed = TICK_HEAD_STRUCT.pack(
+        tick_in.k,
+        tick_in.t_ns,
+        tick_in.late_ns,
+        out.state_hash,
+        out.mode,
+        out.action,
+        len(received),
+    )
+    beginnings = [records.getfield(_SHORT_FRAME_DTYPE).tobytes() for records in (received, sent)]
+    long_part = _NO_LONG_DATA
+    # The slice with a stride reads the length bytes of all frames, without decoding the frames.
+    if (
+        max(b"".join([part[_LENGTH_OFFSET::FRAME_RECORD_BYTES] for part in beginnings]), default=0)
+        > _SHORT_DATA_BYTES
+    ):
+        long_data = _long_data(received) + _long_data(sent)
+        long_part = _COUNT_STRUCT.pack(len(long_data)) + long_data + bytes(-len(long_data) % 4)
+    # The first member of a frame is an int64. Therefore CDR aligns the frames to 8 bytes. An empty
+    # sequence has no padding.
+    padding = b"\0\0\0\0" if len(sent) else b""
+    parts = [
+        ENCAPSULATION_HEADER,
+        fixed,
+        beginnings[0],
+        _COUNT_STRUCT.pack(len(sent)),
+        padding,
+        beginnings[1],
+        long_part,
+    ]
+    if tick_in.io_events or tick_in.requests or out.events:
+        parts.append(_message_end(sum(map(len, parts)) - 4, out.phase, tick_in, out.events))
+    else:
+        parts.append(_tail_without_events(out.phase))
+    return b"".join(parts)
+
+
+def pack_tick_record(tick_in: TickIn, out: TickOut) -> bytes:
+    """Encode a tick as a record for the pipe. The errors are those of `pack_tick`."""
+    message = pack_tick(tick_in, out)
+    values = out.telemetry.packed()
+    sizes = TICK_SIZES_STRUCT.pack(len(message), *_axis_lengths(out.telemetry))
+    return b"".join(
+        (
+            RECORD_FRAMING_STRUCT.pack(12 + len(message) + len(values), TICK_RECORD_KIND),
+            sizes,
+            message,
+            values,
+        )
+    )
+
+
+def pack_snapshot(tick_in: TickIn, data: bytes) -> bytes:
+    """Encode the controller's state after a tick as a record for the pipe."""
+    return record_bytes(
+        SNAPSHOT_RECORD_KIND, SNAPSHOT_HEAD_STRUCT.pack(tick_in.k, tick_in.t_ns) + data
+    )
+
+
+def _axis_lengths(numbers: Telemetry | PackedTelemetry) -> list[int]:
+    """Return the numbers of joints, tendons, motors and digits in the telemetry."""
+    if isinstance(numbers, PackedTelemetry):
+        return [
+            columns.stop - columns.start
+            for columns in map(numbers.places.__getitem__, _FIELD_OF_EACH_AXIS)
+        ]
+    return [len(getattr(numbers, name)) for name in _FIELD_OF_EACH_AXIS]
+
+
+class MessageLayout(NamedTuple):
+    """Positions of the parts in a Tick message.
+
+    Attributes:
+        received, sent: slice of the received and of the sent frames.
+        long_data: slice of the payload bytes after the eighth of all frames.
+        tail_offset: offset of the phase [bytes]. The lists of events and requests follow the phase.
+    """
+
+    received: slice
+    sent: slice
+    long_data: slice
+    tail_offset: int
+
+
+def message_layout(message: bytes) -> MessageLayout:
+    """Return the positions of the parts in a Tick message, without decoding them.
+
+    Raises:
+        struct.error: the message ends early.
+    """
+    (received,) = _COUNT_STRUCT.unpack_from(message, TICK_HEAD_STRUCT.size)
+    start = TICK_HEAD_STRUCT.size + 4
+    end = TICK_HEAD_STRUCT.size + 4 + FRAME_RECORD_BYTES * received
+    (sent,) = _COUNT_STRUCT.unpack_from(message, end)
+    # Padding to 8 bytes precedes the sent frames. An empty sequence of frames has no padding.
+    sent_start = end + 8 if sent else end + 4
+    sent_end = sent_start + FRAME_RECORD_BYTES * sent
+    (size,) = _COUNT_STRUCT.unpack_from(message, sent_end)
+    long_data = slice(sent_end + 4, sent_end + 4 + size)
+    # The long bytes may end at any offset. The text that follows them is aligned to 4 bytes.
+    return MessageLayout(
+        slice(start, end), slice(sent_start, sent_end), long_data, long_data.stop + -size % 4
+    )
+
+
+def _decode_frames(beginnings: bytes, long_data: bytes) -> tuple[Frames, bytes]:
+    """Return the decoded frames, and the rest of the long bytes, which belong to later frames.
+
+    Args:
+        beginnings: first parts of the frames, FRAME_RECORD_BYTES bytes each.
+        long_data: payload bytes after the eighth, of these frames and of later frames.
+
+    Raises:
+        ValueError: a payload is too long, or some of its bytes are missing.
+    """
+    lengths = beginnings[_LENGTH_OFFSET::FRAME_RECORD_BYTES]
+    count = len(beginnings) // FRAME_RECORD_BYTES
+    if not count:
+        return NO_FRAMES, long_data
+    records = np.zeros(count, FRAME_RECORD_DTYPE)
+    records.setfield(np.frombuffer(beginnings, _SHORT_FRAME_DTYPE), _SHORT_FRAME_DTYPE, 0)
+    longest = max(lengths)
+    if longest > _MAX_DATA_BYTES:
+        raise ValueError(f"payload of {longest} bytes, expected at most {_MAX_DATA_BYTES}")
+    if lengths.count(_SHORT_DATA_BYTES) < count:
+        _zero_unused_bytes(records)
+    if longest > _SHORT_DATA_BYTES:
+        long_mask = _long_mask(records)
+        size = int(long_mask.sum())
+        if size > len(long_data):
+            raise ValueError("less data than frames")
+        records["data"][:, _SHORT_DATA_BYTES:][long_mask] = np.frombuffer(
+            long_data[:size], np.uint8
+        )
+        long_data = long_data[size:]
+    return Frames(records), long_data
+
+
+def _zero_unused_bytes(records: RecordArray) -> None:
+    """Set the unused data bytes of short payloads to zero, because a bad file may have any values there."""
+    words = records.getfield(_DATA_WORD_DTYPE, _DATA_OFFSET)
+    words &= _DATA_MASKS[np.minimum(records["length"], _SHORT_DATA_BYTES)]
+
+
+@functools.lru_cache(maxsize=256)
+def _phase_without_events(tail: bytes) -> str | None:
+    """Return the phase if the end of a Tick message has no events. Otherwise return None."""
+    phase = CdrReader(ENCAPSULATION_HEADER + tail).read_string()
+    return phase if _tail_without_events(phase) == tail else None
+
+
+def unpack_tick(message: bytes) -> TickRecord:
+    """Decode a Tick message that `pack_tick` has encoded.
+
+    Raises:
+        ValueError: the bytes are not a Tick message.
+    """
+    if message[:4] != ENCAPSULATION_HEADER:
+        raise ValueError("not little-endian CDR")
+    try:
+        parts = message_layout(message)
+        frames_in, rest = _decode_frames(message[parts.received], message[parts.long_data])
+        frames_out, rest = _decode_frames(message[parts.sent], rest)
+        if rest:
+            raise ValueError("more data than frames")
+        return _build_tick(
+            TICK_HEAD_STRUCT.unpack_from(message, 4),
+            frames_in,
+            frames_out,
+            message,
+            parts.tail_offset,
+        )
+    except struct.error as error:
+        raise ValueError(f"the message ends early: {error}") from None
+
+
+def _build_tick(
+    fixed: _TickHead, received: Frames, sent: Frames, message: bytes, tail: int
+) -> TickRecord:
+    """Build a tick from the parts of a Tick message, and return the tick.
+
+    Args:
+        fixed: values of the first part of the message.
+        received: frames received in the tick.
+        sent: frames sent in the tick.
+        message: the whole Tick message.
+        tail: offset of the phase in the message [bytes].
+    """
+    phase = _phase_without_events(message[tail:])
+    if phase is not None:
+        return _tick_without_events(fixed, received, sent, phase)
+    k, t_ns, late_ns, state_hash, mode, action, _ = fixed
+    reader = CdrReader(message)
+    reader.read_bytes(tail - 4)
+    phase = reader.read_string()
+    io_events = tuple(
+        IoEvent(reader.read_string(), reader.read_string(), reader.read_int64())
+        for _ in range(reader.read_length())
+    )
+    requests = tuple(reader.read_string() for _ in range(reader.read_length()))
+    events = tuple(
+        TickEvent(
+            reader.read_string(), reader.read_string(), reader.read_string(), reader.read_string()
+        )
+        for _ in range(reader.read_length())
+    )
+    tick_in = TickIn(k, t_ns, late_ns, received, io_events, requests)
+    return TickRecord(
+        tick_in, sent, HandMode(mode), phase, SafetyAction(action), events, state_hash
+    )
+
+
+def _tick_without_events(
+    fixed: _TickHead, received: Frames, sent: Frames, phase: str
+) -> TickRecord:
+    """Return a tick that has no io events, no requests and no events."""
+    k, t_ns, late_ns, state_hash, mode, action, _ = fixed
+    tick_in = new_tuple(TickIn, (k, t_ns, late_ns, received, (), ()))
+    mode_member = _MODE_BY_VALUE.get(mode) or HandMode(mode)
+    action_member = _ACTION_BY_VALUE.get(action) or SafetyAction(action)
+    return new_tuple(TickRecord, (tick_in, sent, mode_member, phase, action_member, (), state_hash))
+
+
+def unpack_ticks(messages: list[bytes]) -> list[TickRecord]:
+    """Decode all Tick messages of a chunk. The CAN frames of all ticks share one array.
+
+    Raises:
+        ValueError: an element is not a Tick message.
+    """
+    quick = _unpack_short(messages)
+    return quick if quick is not None else [unpack_tick(message) for message in messages]
+
+
+def _unpack_short(messages: list[bytes]) -> list[TickRecord] | None:
+    """Decode Tick messages in which no payload is longer than eight bytes.
+
+    Returns:
+        the ticks, or None if a message has a longer payload or ends early. After None, the caller
+        decodes each message with `unpack_tick`.
+    """
+    parts = list[bytes]()
+    ends = [0]
+    fixed = list[_TickHead]()
+    tails = list[int]()
+    end = 0
+    for message in messages:
+        if message[:4] != ENCAPSULATION_HEADER:
+            return None
+        try:
+            constant_part = TICK_HEAD_STRUCT.unpack_from(message, 4)
+            sent_count = _FRAMES_OFFSET + FRAME_RECORD_BYTES * constant_part[6]
+            (sent,) = _COUNT_STRUCT.unpack_from(message, sent_count)
+        except struct.error:
+            return None
+        start = sent_count + 8 if sent else sent_count + 4
+        long_count = start + FRAME_RECORD_BYTES * sent
+        if message[long_count : long_count + 4] != _NO_LONG_DATA:
+            return None
+        # The frames of all messages are joined and decoded in one call. Then the frames are divided
+        # again at `ends`.
+        parts += message[_FRAMES_OFFSET:sent_count], message[start:long_count]
+        ends += end + constant_part[6], end + constant_part[6] + sent
+        end = ends[-1]
+        fixed.append(constant_part)
+        tails.append(long_count + 4)
+    beginnings = b"".join(parts)
+    if max(beginnings[_LENGTH_OFFSET::FRAME_RECORD_BYTES], default=0) > _SHORT_DATA_BYTES:
+        return None
+    records = _decode_frames(beginnings, b"")[0].records
+    frames = [Frames(records[first:last]) for first, last in pairwise(ends)]
+    return list(map(_build_tick, fixed, frames[::2], frames[1::2], messages, tails))
+
+
+def unpack_tick_record(record: bytes) -> tuple[TickIn, TickOut]:
+    """Decode a record of the pipe that `pack_tick_record` has encoded.
+
+    Raises:
+        ValueError: the bytes are not the record of a tick.
+    """
+    length, kind = RECORD_FRAMING_STRUCT.unpack_from(record)
+    if kind != TICK_RECORD_KIND or length != len(record) - RECORD_FRAMING_STRUCT.size:
+        raise ValueError("not the record of a tick")
+    size, *axes = TICK_SIZES_STRUCT.unpack_from(record, RECORD_FRAMING_STRUCT.size)
+    start = RECORD_FRAMING_STRUCT.size + TICK_SIZES_STRUCT.size
+    tick = unpack_tick(record[start : start + size])
+    lengths = dict(zip(("joint", "tendon", "motor", "digit"), axes, strict=True))
+    ends = np.cumsum([lengths[TELEMETRY_AXES[name]] for name in TELEMETRY_FIELDS])
+    parts = np.split(np.frombuffer(record[start + size :], "<f8"), ends[:-1])
+    telemetry = Telemetry(*parts)
+    out = TickOut(
+        tick.frames, tick.mode, tick.phase, tick.action, telemetry, tick.events, tick.state_hash
+    )
+    return tick.tick_in, out

@@ -1,0 +1,111 @@
+"""Hash chain over the ticks of a log. If a byte of a tick is changed, the chain breaks at this tick.
+
+The chain detects damage to the log and exchanged attached files. The chain is not a signature,
+because an attacker can compute all later hashes again. The last hash is in the end record of the
+log. Whoever keeps a copy of this hash in another place can detect any change of the log.
+"""
+
+import hashlib
+from collections.abc import Iterable, Iterator, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.log.cdr import MessageTemplate, TemplateWriter
+from handctl.log.container import MessageBlock
+from handctl.log.header import RunHeader
+from handctl.log.tick_batch import TickBatch
+from handctl.log.topics.message_streams import MessageStamps, MessageStream, TopicRegistry
+
+CHAIN_TOPIC = "/tick/chain"
+HASH_SIZE = 8
+"""Size of a chain hash [bytes]."""
+
+
+def first_hash(
+    metadata: Mapping[str, str], gains: Mapping[str, str], attachments: Mapping[str, bytes]
+) -> bytes:
+    """Compute the hash with which the chain begins.
+
+    The hash covers all data of the header except data about machine and date.
+    """
+    digest = hashlib.blake2b(digest_size=HASH_SIZE)
+    texts = {
+        f"{group}.{name}": text.encode("utf-8", "backslashreplace")
+        for group, table in (("m", metadata), ("g", gains))
+        for name, text in table.items()
+    }
+    # Name and length precede each text, so that two different sets of texts never give the same
+    # bytes.
+    for name, data in sorted(
+        (texts | {f"a.{name}": data for name, data in attachments.items()}).items()
+    ):
+        digest.update(f"{name}:{len(data)}:".encode("utf-8", "backslashreplace"))
+        digest.update(data)
+    return digest.digest()
+
+
+def first_hash_of_run(header: RunHeader) -> bytes:
+    """Return the hash with which the chain of a run begins."""
+    return first_hash(
+        header.metadata,
+        header.gains,
+        {**header.attachments, "hand.toml": header.hand_toml.encode()},
+    )
+
+
+def tick_hash(before: bytes, message: bytes, numbers: bytes) -> bytes:
+    """Compute the chain hash of a tick.
+
+    Args:
+        before: hash of the previous tick. For the first tick, the hash with which the chain begins.
+        message: the Tick message.
+        numbers: packed telemetry of the tick.
+    """
+    return hashlib.blake2b(before + message + numbers, digest_size=HASH_SIZE).digest()
+
+
+def tick_hashes(before: bytes, ticks: Iterable[tuple[bytes, bytes]]) -> Iterator[bytes]:
+    """Yield the chain hashes of consecutive ticks.
+
+    Args:
+        before: hash of the tick before these ticks. For the first tick, the hash with which the
+            chain begins.
+        ticks: Tick message and packed telemetry of each tick.
+    """
+    for message, numbers in ticks:
+        before = tick_hash(before, message, numbers)
+        yield before
+
+
+def chain_message() -> MessageTemplate:
+    """Return the template of a handctl_msgs/Chain message."""
+    out = TemplateWriter()
+    out.put_header()
+    out.put_field("digest", "|u1", HASH_SIZE)
+    return out.finished_template()
+
+
+class ChainTopic:
+    """Topic with the chain hash of every tick.
+
+    Attributes:
+        last_hash: chain hash of the latest tick.
+    """
+
+    def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:
+        """Register the topic, and start the chain with the hash of the header."""
+        self._stream = MessageStream(
+            registry.register_topic(CHAIN_TOPIC, "handctl_msgs/Chain"), chain_message()
+        )
+        self.last_hash = first_hash_of_run(header)
+
+    def blocks(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
+        """Return messages with the chain hashes of all ticks of a batch."""
+        numbers = (row.tobytes() for row in batch.numbers)
+        hashes = list(tick_hashes(self.last_hash, zip(batch.messages, numbers, strict=True)))
+        self.last_hash = hashes[-1]
+        digests: NDArray[np.uint8] = np.frombuffer(b"".join(hashes), np.uint8).reshape(
+            -1, HASH_SIZE
+        )
+        return [self._stream.block(stamps, {"digest": digests})]

@@ -1,0 +1,183 @@
+"""Recorder process: reads records from stdin, writes the log file, and writes notes as JSON lines to stdout.
+
+The recorder process ends when stdin ends.
+
+Command: `python -m handctl.log.write.recorder_process`. The first record names the log file.
+
+The recorder ignores SIGINT and SIGTERM, because the controller decides when a run ends. If the
+controller dies, the system closes the pipe, and the recorder ends.
+"""
+
+import json
+import os
+import select
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+from handctl.log.header import RunHeader
+from handctl.log.tick_record import (
+    END_RECORD_KIND,
+    FILE_RECORD_KIND,
+    HEADER_RECORD_KIND,
+    RECORD_FRAMING_STRUCT,
+    SNAPSHOT_RECORD_KIND,
+    TICK_RECORD_KIND,
+)
+from handctl.log.write.syncer import DiskSyncer
+from handctl.log.write.writer import LogWriter
+
+READ_BYTES = 1 << 20
+"""Largest size of one read from the pipe [bytes]."""
+WRITE_PAUSE_S = 0.01
+"""Pause after a read that returned few bytes [s].
+
+After the pause, one read gets the records of several ticks. The pipe is still far from full then.
+"""
+PAUSE_BELOW_BYTES = 64 << 10
+"""Size of a read below which a pause follows [bytes]."""
+MAX_UNWRITTEN_S = 0.15
+"""Longest time from the arrival of a tick until the tick is in the file, in real time [s].
+
+With the pause, the write and the delays of a busy machine, a recorder that is killed loses less
+than 0.25 s of ticks.
+"""
+SYNC_PERIOD_S = 1.0
+"""Interval between requests to sync the file to disk [s]."""
+RECORDER_NICE_VALUE = -10
+"""Nice value of the recorder process, for a higher priority than other programs if the system permits it.
+
+The control loop has real-time priority, which is higher still.
+"""
+
+
+def send_note(note: dict[str, object]) -> None:
+    """Send a note to the controller.
+
+    If the pipe for notes is full, the note is lost, because the recorder must not wait.
+    """
+    with suppress(BlockingIOError, BrokenPipeError):
+        os.write(1, json.dumps(note).encode() + b"\n")
+
+
+def report_event(event: str, number: int) -> None:
+    """Send an event of the log writer to the controller as a note."""
+    send_note({"event": event, "number": number})
+
+
+class RecordSplitter:
+    """Splitter that divides a byte stream into records.
+
+    The splitter keeps an incomplete record until the rest of the record arrives.
+    """
+
+    def __init__(self) -> None:
+        """Start with an empty rest. The stream must begin at the start of a record."""
+        self._rest = b""
+
+    def split(self, data: bytes) -> Iterator[tuple[int, bytes]]:
+        """Add bytes of the stream, and yield kind and body of each record that is complete now."""
+        data = self._rest + data
+        at = 0
+        while at + RECORD_FRAMING_STRUCT.size <= len(data):
+            length, kind = RECORD_FRAMING_STRUCT.unpack_from(data, at)
+            end = at + RECORD_FRAMING_STRUCT.size + length
+            if end > len(data):
+                break
+            yield kind, data[at + RECORD_FRAMING_STRUCT.size : end]
+            at = end
+        self._rest = data[at:]
+
+
+class RecorderSession:
+    """Session of the recorder for one run, from the first record to the end of the input.
+
+    Attributes:
+        path: path of the log.
+    """
+
+    def __init__(self) -> None:
+        """Start without a log file. The first records name and open the file."""
+        self.path = Path()
+        self._floor = 0
+        self._splitter = RecordSplitter()
+        self._writer: LogWriter | None = None
+        self._wall_flush = True
+        self._reason = "controller died"
+        self._dropped = 0
+        self._facts: dict[str, str] = {}
+
+    def run(self) -> None:
+        """Process records until stdin ends, then close the log file."""
+        clean = next_sync = time.monotonic()
+        while True:
+            if select.select([0], [], [], MAX_UNWRITTEN_S)[0]:
+                data = os.read(0, READ_BYTES)
+                if not data:
+                    break
+                for kind, body in self._splitter.split(data):
+                    self._take_record(kind, body)
+                if len(data) < PAUSE_BELOW_BYTES:
+                    time.sleep(WRITE_PAUSE_S)
+            now = time.monotonic()
+            if self._writer and self._wall_flush and now >= clean + MAX_UNWRITTEN_S:
+                self._writer.flush()
+            # `clean` is the last time at which no tick was waiting to be written. So
+            # MAX_UNWRITTEN_S counts from the oldest waiting tick.
+            if not (self._writer and self._writer.has_pending_ticks):
+                clean = now
+            if self._writer and now >= next_sync:
+                next_sync = now + SYNC_PERIOD_S
+                self._writer.sync()
+        if self._writer:
+            send_note({"summary": self._writer.finish(self._reason, self._dropped, self._facts)})
+
+    def _take_record(self, kind: int, body: bytes) -> None:
+        """Process one record from the controller."""
+        if kind == TICK_RECORD_KIND and self._writer:
+            self._writer.add_tick(body)
+        elif kind == SNAPSHOT_RECORD_KIND and self._writer:
+            self._writer.add_snapshot(body)
+        elif kind == FILE_RECORD_KIND:
+            file = json.loads(body)
+            self.path = Path(file["path"])
+            self._floor = int(file["floor_bytes"])
+        elif kind == HEADER_RECORD_KIND:
+            header = RunHeader.load(body)
+            self._wall_flush = not header.deterministic
+            self._writer = LogWriter(
+                self.path, header, report_event, self._floor, to_disk=DiskSyncer()
+            )
+            send_note({"ready": True})
+        elif kind == END_RECORD_KIND:
+            end = json.loads(body)
+            self._reason = str(end["reason"])
+            self._dropped = int(end["dropped"])
+            self._facts = {str(name): str(value) for name, value in end["facts"].items()}
+
+
+def main() -> int:
+    """Run the recorder process, and return the exit code.
+
+    The code is 1 if the log file cannot be created.
+    """
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    # Writing a note must never make the recorder wait.
+    os.set_blocking(1, False)
+    with suppress(PermissionError):
+        os.setpriority(os.PRIO_PROCESS, 0, RECORDER_NICE_VALUE)
+    session = RecorderSession()
+    try:
+        session.run()
+    except OSError as error:
+        send_note({"error": f"{error.strerror}: {error.filename or session.path}"})
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

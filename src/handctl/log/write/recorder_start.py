@@ -1,0 +1,79 @@
+"""Start of the recorder process. The process can start before the run to be recorded is known.
+
+The recorder process needs half a second for imports. A command with a recording starts the recorder
+process before importing other modules (`recorder_process_ahead`). Then both processes import at the same
+time on two cores. This module therefore imports only a few modules.
+"""
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import NamedTuple
+
+
+class RecorderProcess(NamedTuple):
+    """Recorder process that does not have a log file yet.
+
+    Attributes:
+        child: the process. The stdout of the process is a pipe with notes to the controller.
+        pipe: file descriptor of the pipe into which the controller writes records.
+    """
+
+    child: "subprocess.Popen[bytes]"
+    pipe: int
+
+    def end_process(self) -> None:
+        """End the recorder process at once, and close both pipes."""
+        os.close(self.pipe)
+        self.child.kill()
+        self.child.wait()
+        assert self.child.stdout is not None
+        self.child.stdout.close()
+
+
+_started_ahead: list[RecorderProcess] = []
+"""Recorder process that `recorder_process_ahead` has started and that no recorder has taken yet.
+
+The list is empty without one.
+"""
+
+
+def start_recorder_process() -> RecorderProcess:
+    """Start a recorder process. The process ends when the pipe for the records is closed."""
+    reading, writing = os.pipe()
+    # The option `-P` keeps the working directory out of Python's import path.
+    command = [sys.executable, "-P", "-m", "handctl.log.write.recorder_process"]
+    try:
+        child = subprocess.Popen(
+            command, stdin=reading, stdout=subprocess.PIPE, start_new_session=True
+        )
+    except OSError:
+        os.close(writing)
+        raise
+    finally:
+        os.close(reading)
+    return RecorderProcess(child, writing)
+
+
+@contextmanager
+def recorder_process_ahead() -> Iterator[None]:
+    """Start a recorder process for the first recorder in this block.
+
+    A process that no recorder has taken is ended at the end of the block.
+    """
+    _started_ahead.append(start_recorder_process())
+    try:
+        yield
+    finally:
+        while _started_ahead:
+            _started_ahead.pop().end_process()
+
+
+def take_recorder_process() -> RecorderProcess:
+    """Return the recorder process that `recorder_process_ahead` has started.
+
+    If there is none, start a recorder process.
+    """
+    return _started_ahead.pop() if _started_ahead else start_recorder_process()

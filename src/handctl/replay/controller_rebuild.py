@@ -1,0 +1,87 @@
+"""Reconstruction of the controller of a recorded run from the log of the run."""
+
+from importlib.metadata import version
+from typing import TypeVar
+
+from pydantic import ValidationError
+
+from handctl.controller.run_setup import SETUP_ATTACHMENT, RunSetup
+from handctl.controller.tick import Controller
+from handctl.core.gains.gains import Gains
+from handctl.errors import ConfigError, LogError
+from handctl.hand.description import Hand
+from handctl.log.code_identity import UNKNOWN_IDENTITY, code_identity
+from handctl.log.read.log_hand import described_hand
+from handctl.log.read.reader import RunLog
+from handctl.printing import printable_text
+
+
+def logged_hand(log: RunLog) -> Hand:
+    """Return the hand of the recorded run.
+
+    Raises:
+        LogError: the log has no description of a hand that this version can read.
+    """
+    try:
+        return described_hand(log.header, "hand.toml in the log")
+    except ConfigError as error:
+        raise LogError(f"no usable hand in it: {error}", "the log", "a hand.toml") from None
+
+
+def logged_gains(log: RunLog) -> Gains:
+    """Return the gains of the recorded run.
+
+    Raises:
+        LogError: the log has no gains that this version can read.
+    """
+    return _read_attachment(log, "gains.json", Gains)
+
+
+def logged_setup(log: RunLog) -> RunSetup:
+    """Return the setup of the recorded run: control rate, tare of the load cells, zero of the motors, and program.
+
+    Raises:
+        LogError: the log was written by a version that did not record the setup.
+    """
+    return _read_attachment(log, SETUP_ATTACHMENT, RunSetup)
+
+
+def rebuild_controller(log: RunLog, gains: Gains | None = None) -> Controller:
+    """Return a controller like that of the recorded run, with the gains in the log or with the given gains.
+
+    Raises:
+        LogError: a required record is missing from the log.
+    """
+    return logged_setup(log).controller(logged_hand(log), gains or logged_gains(log))
+
+
+AttachmentT = TypeVar("AttachmentT", Gains, RunSetup)
+
+
+def _read_attachment(log: RunLog, name: str, model: type[AttachmentT]) -> AttachmentT:
+    """Return the decoded content of an attachment of a log.
+
+    Raises:
+        LogError: the attachment is missing or cannot be decoded.
+    """
+    data = log.header.attachments.get(name)
+    if data is None:
+        raise LogError(f"no {name} in it", *_versions_text(log))
+    try:
+        return model.model_validate_json(data)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        place = "".join(f" {part}" for part in first["loc"])
+        raise LogError(
+            printable_text(f"{name} cannot be read:{place}: {first['msg']}"), *_versions_text(log)
+        ) from None
+
+
+def _versions_text(log: RunLog) -> tuple[str, str]:
+    """Return the versions of handctl that wrote and read the log, as two texts for an error message."""
+    metadata = log.header.metadata
+    wrote = f"handctl {metadata.get('version', UNKNOWN_IDENTITY)}, code {metadata.get('code', UNKNOWN_IDENTITY)}"
+    here = f"handctl {version('handctl')}, code {code_identity()}"
+    return printable_text(
+        f"the log, written by {wrote}"
+    ), f"a log that this one can execute: {here}"

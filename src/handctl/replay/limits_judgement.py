@@ -1,0 +1,203 @@
+"""Judgement of a recorded run by other safety limits.
+
+The result lists the ticks in which the other limits would have stopped the hand, each with the
+reading that causes the stop.
+"""
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, NamedTuple
+
+from pydantic import Field
+
+from handctl.controller.tick import Controller
+from handctl.core.tick_types import TickEvent
+from handctl.document import Document, load_document
+from handctl.errors import ConfigError
+from handctl.log.read.reader import RunLog
+from handctl.replay.controller_rebuild import rebuild_controller
+from handctl.replay.execute import gc_disabled
+from handctl.replay.log_runner import TICKS_PER_PROGRESS_REPORT, refusal_error
+from handctl.safety.action import SafetyAction
+from handctl.safety.faults.table import FAULT_BY_ID
+from handctl.safety.safety_limits import (
+    MIN_SILENT_TICKS,
+    MIN_STALLED_TICKS,
+    SafetyLimits,
+    ticks_for,
+)
+
+TensionLimit = Annotated[float, Field(gt=0, le=1000)]
+
+
+class NewLimits(Document):
+    """Content of a limits file. A limit missing in the file keeps the value from the run."""
+
+    schema_: int = Field(1, alias="schema", ge=1, le=1)
+    tension_trip_N: TensionLimit | dict[str, TensionLimit] | None = None
+    """Tension limit, either one for all tendons or one for each tendon by name [N]."""
+    silent_ms: float | None = Field(None, gt=0, le=10_000)
+    stalled_ms: float | None = Field(None, gt=0, le=10_000)
+    temperature_soft_degC: float | None = Field(None, gt=0, le=200)
+    temperature_hard_degC: float | None = Field(None, gt=0, le=200)
+
+
+class LimitStop(NamedTuple):
+    """Fault that would stop the hand with the new limits.
+
+    Attributes:
+        k, t_s: number and time [s] of the tick in which the fault is raised.
+        fault, title: id and title of the fault.
+        instance: motor, tendon or bus that has the fault.
+        value: reading that exceeds the limit, in the unit of the limit.
+        action: the safety action of the fault.
+        in_logged_run: True if the limits of the run itself raised the same fault in this tick.
+    """
+
+    k: int
+    t_s: float
+    fault: str
+    title: str
+    instance: str
+    value: float
+    action: str
+    in_logged_run: bool
+
+
+@dataclass(frozen=True, slots=True)
+class LimitsJudgement:
+    """Effect of other limits on a recorded run.
+
+    Attributes:
+        ticks: number of judged ticks.
+        stopped: number of ticks in which the new limits demand HOLD or a more severe reaction.
+        stopped_logged: number of ticks in which the limits of the run demanded HOLD or a more
+            severe reaction.
+        stops: fault that starts each stop, in order.
+        by_fault: number of stops by id of the fault.
+    """
+
+    ticks: int
+    stopped: int
+    stopped_logged: int
+    stops: tuple[LimitStop, ...]
+    by_fault: dict[str, int]
+
+
+def load_limits(path: Path, controller: Controller) -> SafetyLimits:
+    """Return the limits of a controller, with the values of a limits file put in.
+
+    Raises:
+        ConfigError: the file cannot be read or names a tendon that the hand does not have.
+    """
+    new = load_document(path, NewLimits)
+    old = controller.limits
+    period = controller.model.period
+    trips = new.tension_trip_N if isinstance(new.tension_trip_N, dict) else {}
+    for name in trips.keys() - set(old.tendons):
+        raise ConfigError(repr(name), f"{path}: tension_trip_N", "one of " + ", ".join(old.tendons))
+    rows = zip(old.tendons, old.tension_trip, strict=True)
+    trip = tuple(trips.get(name, was) for name, was in rows)
+    if isinstance(new.tension_trip_N, float):
+        trip = (new.tension_trip_N,) * len(trip)
+    silent = new.silent_ms
+    stalled = new.stalled_ms
+    soft = new.temperature_soft_degC
+    hard = new.temperature_hard_degC
+    return replace(
+        old,
+        tension_trip=trip,
+        silent_ticks=ticks_for(silent / 1e3, period, MIN_SILENT_TICKS)
+        if silent
+        else old.silent_ticks,
+        one_silent_ticks=ticks_for(silent / 1e3, period, MIN_SILENT_TICKS)
+        if silent
+        else old.one_silent_ticks,
+        stalled_ticks=ticks_for(stalled / 1e3, period, MIN_STALLED_TICKS)
+        if stalled
+        else old.stalled_ticks,
+        temperature_soft=soft or old.temperature_soft,
+        temperature_hard=hard or old.temperature_hard,
+    )
+
+
+def judge_by_limits(
+    log: RunLog, path: Path, progress: Callable[[int], None] | None = None
+) -> LimitsJudgement:
+    """Judge every tick of a run by other limits, and return their effect. The logged run itself is not changed.
+
+    Args:
+        log: log of the run.
+        path: limits file.
+        progress: function called at intervals with the number of ticks judged so far.
+
+    Raises:
+        ConfigError: the limits file is wrong.
+        LogError: the controller cannot be executed on the log.
+    """
+    controller = rebuild_controller(log)
+    limits = load_limits(path, controller)
+    with gc_disabled():
+        return _judge_ticks(log, controller, limits, progress)
+
+
+def _judge_ticks(
+    log: RunLog,
+    controller: Controller,
+    limits: SafetyLimits,
+    progress: Callable[[int], None] | None,
+) -> LimitsJudgement:
+    """Judge each tick from the state that the run had, with the debounce counters and latches of the other limits."""
+    other = replace(controller, other_limits=limits)
+    state = controller.initial_state()
+    shadow = other.initial_state()
+    stops: list[LimitStop] = []
+    ticks = stopped = stopped_logged = 0
+    for logged in log.ticks():
+        entry = logged.tick_in
+        # Every tick starts from the state that the run had. Only the debounce counters and latches
+        # of the other limits carry over from tick to tick.
+        judged = state.copy()
+        judged.view("fault_ticks")[...] = shadow.view("fault_ticks")
+        judged.decide(latched=shadow.latched, reported_faults=shadow.decisions.reported_faults)
+        try:
+            shadow, verdict = other.tick(judged, entry)
+            state, out = controller.tick(state, entry)
+        except ValueError as error:
+            raise refusal_error(error, entry.k) from None
+        logged_faults = {
+            _fault_id(event) + event.where for event in out.events if event.name == "fault"
+        }
+        ticks += 1
+        if progress and ticks % TICKS_PER_PROGRESS_REPORT == 0:
+            progress(ticks)
+        stopped += verdict.action >= SafetyAction.HOLD
+        stopped_logged += out.action >= SafetyAction.HOLD
+        for event in verdict.events:
+            if event.name == "fault" and FAULT_BY_ID[_fault_id(event)].action >= SafetyAction.HOLD:
+                fault = FAULT_BY_ID[_fault_id(event)]
+                t_s = entry.t_ns / 1e9
+                # The text of a fault event ends with the reading in brackets.
+                value = float(event.text.rpartition("(")[2].partition(")")[0])
+                in_log = fault.id + event.where in logged_faults
+                stops.append(
+                    LimitStop(
+                        entry.k,
+                        t_s,
+                        fault.id,
+                        fault.title,
+                        event.where,
+                        value,
+                        fault.action.name,
+                        in_log,
+                    )
+                )
+    counts = Counter(stop.fault for stop in stops)
+    return LimitsJudgement(ticks, stopped, stopped_logged, tuple(stops), dict(counts))
+
+
+def _fault_id(event: TickEvent) -> str:
+    """Return the fault id that a fault event names."""
+    return event.text.partition(" ")[0]

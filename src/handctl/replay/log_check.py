@@ -1,0 +1,114 @@
+"""Integrity check of a log: tick numbers, gaps, clock, hashes."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from handctl.log.read.reader import RunLog
+from handctl.log.topics.hash_chain import first_hash_of_run, tick_hash
+from handctl.replay.controller_rebuild import logged_hand
+
+
+def check_log(log: RunLog) -> list[str]:
+    """Return one line for each defect of a log, after reading every byte of the log.
+
+    Raises:
+        LogError: a chunk of the log is damaged.
+    """
+    return [
+        *_check_end(log),
+        *_check_counters(log),
+        *_check_clock(log),
+        *_check_frames(log),
+        *_check_hashes(log),
+        *_check_chain(log),
+    ]
+
+
+def _check_end(log: RunLog) -> Iterator[str]:
+    """Check the end of the log and the number of ticks, and yield a line for each defect."""
+    if log.warning:
+        yield f"incomplete: {log.warning}"
+    if log.end and int(log.end.get("ticks", len(log))) != len(log):
+        yield f"{len(log)} ticks, but the end record states {log.end['ticks']}"
+    if int(log.end.get("dropped", 0)):
+        yield f"the recorder dropped {log.end['dropped']} ticks"
+    rows = sum(1 for _ in log.packed_telemetry())
+    if rows != len(log):
+        yield f"{len(log)} ticks, but telemetry of {rows} ticks"
+
+
+def _check_counters(log: RunLog) -> Iterator[str]:
+    """Check the tick numbers, and yield a line for each defect."""
+    steps = np.diff(log.k)
+    if (steps < 1).any():
+        yield f"tick {int(log.k[1:][steps < 1][0])} follows a later tick"
+    for gap in log.gaps:
+        if gap.first_after <= gap.last_before:
+            continue
+        count = gap.first_after - gap.last_before - 1
+        yield f"gap: {count} ticks are missing between {gap.last_before} and {gap.first_after}"
+
+
+def _check_clock(log: RunLog) -> Iterator[str]:
+    """Check the times and the lateness of the ticks, and yield a line for each defect."""
+    off = log.t_ns != log.k * log.header.period_ns
+    if off.any():
+        yield f"the time of tick {int(log.k[off][0])} is not its number times the period"
+    late = (log.late_ns < 0) | (log.late_ns >= log.header.period_ns)
+    if late.any():
+        lateness = f"the lateness of tick {int(log.k[late][0])} is {int(log.late_ns[late][0])} ns"
+        yield f"{lateness}; expected 0 to less than a period, {log.header.period_ns} ns"
+
+
+def _check_frames(log: RunLog) -> Iterator[str]:
+    """Search for CAN frames with a time stamp later than the tick that read the frame.
+
+    The time stamps of such frames come from another clock than the controller's clock.
+    """
+    future = 0
+    last = -1
+    for tick in log.ticks():
+        now = tick.tick_in.t_ns + tick.tick_in.late_ns + log.header.period_ns
+        early = sum(frame.t_ns > now for frame in tick.tick_in.frames)
+        if early and not future:
+            last = tick.tick_in.k
+        future += early
+    if future:
+        yield f"{future} frames are stamped later than the tick that read them, first in tick {last}"
+
+
+def _check_hashes(log: RunLog) -> Iterator[str]:
+    """Check the identity of the hand, and check that no hash of the controller's state occurs twice."""
+    logged = log.header.metadata.get("identity", "")
+    computed = logged_hand(log).identity
+    if logged != computed:
+        yield f"hand.toml has identity {computed[:12]}, the header states {logged[:12]}"
+    hashes = {tick.state_hash for tick in log.ticks()}
+    if len(hashes) != len(log):
+        yield f"{len(log) - len(hashes)} state hashes are duplicates"
+
+
+def _check_chain(log: RunLog) -> Iterator[str]:
+    """Check the hash chain of the log, and name the first tick with a wrong hash."""
+    before = first_hash_of_run(log.header)
+    broken = list[int]()
+    ticks = zip(
+        log.k.tolist(),
+        log.tick_messages(),
+        log.packed_telemetry(),
+        log.tick_digests(),
+        strict=False,
+    )
+    for k, message, numbers, digest in ticks:
+        if tick_hash(before, message, numbers) != digest:
+            broken.append(k)
+        # The chain continues with the logged hash, so that a single changed tick is reported only
+        # once.
+        before = digest
+    if broken:
+        others = f", and {len(broken) - 1} more" if len(broken) > 1 else ""
+        yield f"the hash chain breaks at tick {broken[0]}{others}: this tick, or the hash before it, was changed"
+    final = log.end.get("chain", "") if not log.warning and "recovered" not in log.end else ""
+    if final and final != before.hex():
+        yield f"the hash chain ends with {before.hex()}, the end record states {final}"

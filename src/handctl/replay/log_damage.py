@@ -1,0 +1,136 @@
+"""Search for the damage in a log that the reader refuses.
+
+The search finds the first tick with a changed byte.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from handctl.errors import LogError
+from handctl.log.read.chunk_reader import iter_messages, schemas_and_channels
+from handctl.log.read.logfile import ChunkLocation, LogErrorContext, LogFile
+from handctl.log.read.reader import VALUES_END_OFFSET, VALUES_START_OFFSET
+from handctl.log.read.record_scan import RecordScan
+from handctl.log.read.recover import scan_damaged
+from handctl.log.topics.hash_chain import CHAIN_TOPIC, HASH_SIZE, tick_hash
+from handctl.log.topics.topic_set import TICK_TOPIC, VALUES_TOPIC
+
+NO_CHANNEL = -1
+"""Channel number of a topic that the log lacks.
+
+Logs of earlier versions, for example, lack the hash chain.
+"""
+
+
+class _StoredTick(NamedTuple):
+    """Tick with the data stored in a log: number, Tick message, packed telemetry, chain hash."""
+
+    k: int
+    message: bytes
+    telemetry: bytes
+    chain_hash: bytes
+
+
+def first_damage(path: Path) -> str:
+    """Return a description of the first damage and the first wrong tick of a log. The text is empty without damage.
+
+    The hash chain reveals a changed tick even if somebody has adjusted the checksums. If the chain
+    is intact, the damage is in topics derived from the ticks, and the result names the ticks of the
+    damaged chunk.
+
+    Raises:
+        LogError: the file is not a log of handctl.
+    """
+    file = LogFile(path)
+    scan = RecordScan()
+    try:
+        scan_damaged(file, scan)
+        channels: tuple[int, ...] = ()
+        before = b""
+        for chunk in scan.chunks:
+            content, defect = _intact_content(file, chunk)
+            try:
+                with LogErrorContext(file.position_text(chunk.offset)):
+                    channels = channels or _channel_ids(content)
+                    ticks = list(_chunk_ticks(content, chunk, channels))
+            except LogError as error:
+                return f"{error}; its chunk begins {_last_intact_tick_text(before)}"
+            for tick in ticks:
+                if (
+                    before
+                    and tick.chain_hash
+                    and tick_hash(before[-HASH_SIZE:], tick.message, tick.telemetry)
+                    != tick.chain_hash
+                ):
+                    return f"tick {tick.k} was changed after it was written" + (
+                        f": {defect}" if defect else ""
+                    )
+                before = tick.k.to_bytes(8, "little") + tick.chain_hash
+            if defect:
+                where = _tick_range_text(ticks)
+                return f"{defect}; its ticks are intact, the topics derived from them are damaged: {where}"
+        return ""
+    finally:
+        file.close()
+
+
+def _intact_content(file: LogFile, chunk: ChunkLocation) -> tuple[bytes, str]:
+    """Return the part of a chunk that can be decompressed, and a description of the chunk's defect."""
+    try:
+        return file.chunk_content(chunk), ""
+    except LogError as error:
+        defect = str(error)
+    try:
+        return file.chunk_content(chunk, checked=False), defect
+    except LogError:
+        return b"", defect
+
+
+def _channel_ids(content: bytes) -> tuple[int, ...]:
+    """Return the channel numbers of the ticks, the telemetry and the chain hashes."""
+    channels = {topic: number for number, _, topic, _, _ in schemas_and_channels(content).channels}
+    return tuple(
+        channels.get(topic, NO_CHANNEL) for topic in (TICK_TOPIC, VALUES_TOPIC, CHAIN_TOPIC)
+    )
+
+
+def _chunk_ticks(
+    content: bytes, chunk: ChunkLocation, channels: tuple[int, ...]
+) -> Iterator[_StoredTick]:
+    """Yield the ticks that a chunk contains.
+
+    Raises:
+        ValueError: the chunk is empty, or the numbers of ticks, telemetry messages and hashes in
+            the chunk differ.
+    """
+    if not content:
+        raise ValueError("a chunk that cannot be unpacked")
+    parts: dict[int, list[bytes]] = {channel: [] for channel in channels}
+    for rows_of_channel in iter_messages(
+        content, chunk.end - chunk.data_offset, frozenset(channels)
+    ):
+        parts[rows_of_channel.channel] += [row.tobytes() for row in rows_of_channel.data()]
+    messages, values_of, digests = (parts[channel] for channel in channels)
+    if channels[2] == NO_CHANNEL:
+        digests = [b""] * len(messages)
+    for message, values, digest in zip(messages, values_of, digests, strict=True):
+        # The tick number follows the four bytes of CDR encapsulation in the message.
+        k = int.from_bytes(message[4:12], "little", signed=True)
+        yield _StoredTick(
+            k, message, values[VALUES_START_OFFSET:VALUES_END_OFFSET], digest[-HASH_SIZE:]
+        )
+
+
+def _last_intact_tick_text(before: bytes) -> str:
+    """Return a text about the last intact tick before the damage."""
+    return (
+        f"after tick {int.from_bytes(before[:8], 'little', signed=True)}"
+        if before
+        else "before the first tick"
+    )
+
+
+def _tick_range_text(ticks: list[_StoredTick]) -> str:
+    """Return a text with the first and the last tick of a chunk."""
+    return f"ticks {ticks[0].k} to {ticks[-1].k}" if ticks else "before the first tick"

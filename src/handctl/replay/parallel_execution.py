@@ -1,0 +1,215 @@
+"""Re-execution of a log in several processes. Each process starts from a snapshot in the log.
+
+Each process executes a part of the log, from a snapshot whose hash is in the log. If the previous
+part ends in a state with the same hash, a serial execution would reach the same state. Then the
+results of the two parts can be added. If the hashes differ, one process executes the rest of the
+log serially. The result is therefore always equal to the result of a serial execution.
+"""
+
+import json
+import mmap
+import os
+import select
+import signal
+from collections.abc import Callable
+from dataclasses import astuple
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.controller.controller_state import ControllerState
+from handctl.controller.state_snapshot import restore_state, snapshot_bytes
+from handctl.errors import LogError
+from handctl.processes import run_in_forked_copy
+from handctl.replay.log_runner import DifferenceTally, LogRunner
+from handctl.replay.tick_difference import TickDifference
+
+MIN_TICKS_PER_PROCESS = 200
+"""Smallest number of ticks for which a further process is started."""
+PROGRESS_PERIOD_S = 0.2
+"""Interval between reports of progress while the first process waits for the others [s]."""
+
+
+class LogPart(NamedTuple):
+    """Part of a log: ticks from index `start` up to `stop`, and the controller's state before the first of them."""
+
+    start: int
+    stop: int
+    state: ControllerState
+
+
+class WorkerProcess(NamedTuple):
+    """Worker process, with the part of the log to execute and the read end of the pipe with the result."""
+
+    process: int
+    pipe: int
+    part: LogPart
+
+
+class ProgressCounts:
+    """Number of ticks that each process has executed, in shared memory."""
+
+    def __init__(self, processes: int, progress: Callable[[int], None]) -> None:
+        """Allocate the shared memory for the numbers.
+
+        Args:
+            processes: number of processes.
+            progress: function called with the number of ticks that all processes have executed.
+        """
+        # A process shares an anonymous memory mapping with its forked processes.
+        self._done: NDArray[np.int64] = np.frombuffer(mmap.mmap(-1, 8 * processes), np.int64)
+        self._progress = progress
+
+    def counter_of_process(self, process: int) -> Callable[[int], None]:
+        """Return a function that counts the executed ticks of a process.
+
+        The function of the first process, which is the calling process, also reports progress.
+        """
+
+        def count_ticks(ticks: int) -> None:
+            self._done[process] += ticks
+            if process == 0:
+                self.report_total()
+
+        return count_ticks
+
+    def report_total(self) -> None:
+        """Report the number of ticks that all processes have executed."""
+        self._progress(int(self._done.sum()))
+
+
+def run_parallel(
+    runner: LogRunner, workers: int, progress: Callable[[int], None]
+) -> DifferenceTally:
+    """Execute a whole log in several processes. The errors are those of `LogRunner.execute_part`.
+
+    Args:
+        runner: the log and the controller to execute.
+        workers: largest number of processes.
+        progress: function called at intervals with the number of ticks executed so far.
+    """
+    parts = split_log(runner, workers)
+    counts = ProgressCounts(len(parts), progress)
+    running = [
+        _start_worker(runner, part, counts.counter_of_process(i))
+        for i, part in enumerate(parts)
+        if i
+    ]
+    try:
+        state, total = runner.execute_part(
+            parts[0].start, parts[0].stop, parts[0].state, None, counts.counter_of_process(0)
+        )
+        for worker in running:
+            # If the hashes are equal, the worker's part started from the state that a serial
+            # execution has here.
+            result = (
+                _wait_for_result(runner, worker, counts)
+                if state.digest() == worker.part.state.digest()
+                else None
+            )
+            if result is None:
+                _, remainder = runner.execute_part(
+                    worker.part.start, len(runner.log), state, None, counts.counter_of_process(0)
+                )
+                return total.merged_with(remainder)
+            state, tally = result
+            total = total.merged_with(tally)
+        return total
+    finally:
+        for worker in running:
+            _kill_worker(worker)
+
+
+def split_log(runner: LogRunner, workers: int) -> list[LogPart]:
+    """Divide a log into consecutive parts of about equal length, and return them.
+
+    Each part begins at the start of the log or just after a snapshot.
+    """
+    ticks = len(runner.log)
+    k = runner.log.k
+    snapshot_ticks = np.array(sorted(runner.snapshots), np.int64)
+    at = np.searchsorted(k, snapshot_ticks)
+    usable = [
+        int(index) + 1
+        for index, tick in zip(at, snapshot_ticks, strict=True)
+        if index < ticks and k[index] == tick
+    ]
+    count = min(workers, max(ticks // MIN_TICKS_PER_PROCESS, 1), len(usable) + 1)
+    nearest = [
+        min(usable, key=lambda start: abs(start - ticks * i / count)) for i in range(1, count)
+    ]
+    starts = {0: runner.controller.initial_state()}
+    for start in nearest:
+        state = _state_after(runner, start - 1)
+        if state is not None:
+            starts[start] = state
+    ends = [*sorted(starts), ticks]
+    return [LogPart(start, stop, starts[start]) for start, stop in pairwise(ends)]
+
+
+def _state_after(runner: LogRunner, index: int) -> ControllerState | None:
+    """Return the controller's state in the snapshot after a tick.
+
+    Returns:
+        the state, or None if this version cannot read the snapshot, or if the hash
+        differs from the logged hash.
+    """
+    try:
+        state = restore_state(runner.controller.layout, runner.snapshots[int(runner.log.k[index])])
+    except ValueError:
+        return None
+    return state if state.digest() == runner.log.state_hash[index].tobytes() else None
+
+
+def _start_worker(runner: LogRunner, part: LogPart, count: Callable[[int], None]) -> WorkerProcess:
+    """Start the execution of a part in a forked copy of this process."""
+    return WorkerProcess(*run_in_forked_copy(lambda: _result_json(runner, part, count)), part)
+
+
+def _result_json(runner: LogRunner, part: LogPart, count: Callable[[int], None]) -> str:
+    """Execute a part of a log, and return the result as JSON. If the log is damaged, the text is empty.
+
+    After an empty text, the calling process executes the part itself, finds the damage, and reports
+    the error.
+    """
+    try:
+        state, tally = runner.execute_part(*part, None, count)
+    except LogError:
+        return ""
+    return json.dumps({"state": snapshot_bytes(state).hex(), "tally": astuple(tally)})
+
+
+def _wait_for_result(
+    runner: LogRunner, worker: WorkerProcess, counts: ProgressCounts
+) -> tuple[ControllerState, DifferenceTally] | None:
+    """Wait for a worker process, and return the state and the tally at the end of the worker's part.
+
+    Returns:
+        state and tally, or None if the process did not finish the part.
+    """
+    data = b""
+    while True:
+        if select.select([worker.pipe], [], [], PROGRESS_PERIOD_S)[0]:
+            more = os.read(worker.pipe, 1 << 20)
+            if not more:
+                break
+            data += more
+        counts.report_total()
+    if not data:
+        return None
+    result: dict[str, Any] = json.loads(data)
+    *numbers, first, state, largest = result["tally"]
+    tally = DifferenceTally(
+        *numbers,
+        *(TickDifference(*worker) if worker else None for worker in (first, state, largest)),
+    )
+    return restore_state(runner.controller.layout, bytes.fromhex(result["state"])), tally
+
+
+def _kill_worker(worker: WorkerProcess) -> None:
+    """Kill a worker process, and wait until the process has ended."""
+    os.close(worker.pipe)
+    os.kill(worker.process, signal.SIGKILL)
+    os.waitpid(worker.process, 0)

@@ -1,0 +1,96 @@
+"""Comparison of two runs of one hand, phase by phase."""
+
+from typing import Any, NamedTuple
+
+from handctl.core.tick_types import HandMode
+from handctl.errors import IncomparableError
+from handctl.log.read.reader import RunLog
+from handctl.log.read.timeline import check_order
+from handctl.replay.run_comparison import check_same_hand, compare_runs
+
+PASSIVE_PHASES = frozenset(mode.name.lower() for mode in HandMode if mode != HandMode.RELAX)
+"""Names of the phases in which the hand's tendons have no tension.
+
+The comparison of two runs compares only the durations of these phases.
+"""
+
+
+class PhaseSpan(NamedTuple):
+    """Phase of a run, with start and end.
+
+    Attributes:
+        name: name of the phase.
+        start_s, end_s: times of the start and the end, since the start of the run [s].
+    """
+
+    name: str
+    start_s: float
+    end_s: float
+
+
+def phase_spans(log: RunLog) -> list[PhaseSpan]:
+    """Return all phases of a run in order.
+
+    If a phase occurs several times, the occurrences are numbered: `hold`, `hold (2)`.
+    """
+    changes = log.phases
+    spans = []
+    counts = dict[str, int]()
+    ends = [change.t_ns * 1e-9 for change in changes[1:]] + log.times[-1:].tolist()
+    for change, end in zip(changes, ends, strict=True):
+        counts[change.name] = number = counts.get(change.name, 0) + 1
+        spans.append(
+            PhaseSpan(
+                change.name if number == 1 else f"{change.name} ({number})", change.t_ns * 1e-9, end
+            )
+        )
+    return spans
+
+
+def compare_logs(a: RunLog, b: RunLog, where: str) -> dict[str, Any]:
+    """Compare two runs of one hand, phase by phase.
+
+    Args:
+        a: log of the first run.
+        b: log of the second run, of the same hand.
+        where: name of the second log's file, for the error message.
+
+    Returns:
+        Gains that differ, phases that only one of the runs has, and a comparison of each common
+        phase. The comparison has both durations [s] and the differences from `compare_runs`. The
+        comparison covers the shorter duration, and both runs are aligned at the start of the phase.
+
+    Raises:
+        IncomparableError: the two logs are of different hands.
+        LogError: the ticks of a log are out of order.
+    """
+    theirs = b.header.metadata
+    check_same_hand(a, theirs.get("hand", "?"), theirs.get("identity", "?"), where)
+    for names in ("joints", "tendons", "motors", "digits"):
+        if getattr(a.header, names) != getattr(b.header, names):
+            raise IncomparableError(
+                f"other {names} than in the other log", where, "a log of the same hand"
+            )
+    for log in (a, b):
+        check_order(log.t_ns, log.header.period_ns)
+    first, second = ({part.name: part for part in phase_spans(log)} for log in (a, b))
+    phases = {}
+    for name, part in first.items():
+        if name not in second:
+            continue
+        other = second[name]
+        lasted = (part.end_s - part.start_s, other.end_s - other.start_s)
+        moves = part.name not in PASSIVE_PHASES and min(lasted) > 0
+        shared = compare_runs(a, part.start_s, b, other.start_s, min(lasted)) if moves else {}
+        phases[name] = {"duration_s": list(lasted), **shared}
+    gains = a.header.gains.keys() | b.header.gains.keys()
+    return {
+        "gains": {
+            name: [a.header.gains.get(name), b.header.gains.get(name)]
+            for name in sorted(gains)
+            if a.header.gains.get(name) != b.header.gains.get(name)
+        },
+        "only_in_first": [name for name in first if name not in second],
+        "only_in_second": [name for name in second if name not in first],
+        "phases": phases,
+    }

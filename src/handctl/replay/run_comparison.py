@@ -1,0 +1,187 @@
+"""Comparison of two runs.
+
+For each joint and tendon: RMS and peak of the difference, and the delay of the second run.
+"""
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.errors import IncomparableError
+from handctl.log.read.reader import RunLog
+
+Array = NDArray[np.float64]
+
+MAX_DELAY_S = 0.2
+"""Largest delay between two signals that the comparison can find [s]."""
+MIN_SIGNAL_SPAN = 0.05
+"""Smallest range of a signal from which a delay is computed, as a fraction of the signal's largest value."""
+MAX_UNEXPLAINED_FRACTION = 0.1
+"""Largest fraction of the first signal's variance that may remain as a difference after the shift by the delay.
+
+If a larger fraction remains, the delay found is a result of chance or noise.
+"""
+MIN_REPORTED_DELAY_MS = 0.05
+"""Delay below which "in time" is printed instead of the delay [ms]."""
+
+COMPARED_SIGNALS = {"q": ("joint", 57.29577951308232, "deg"), "tension": ("tendon", 1.0, "N")}
+"""Axis, factor from the field's unit to the printed unit, and printed unit, for each compared telemetry field."""
+
+
+def check_same_hand(a: RunLog, name: str, identity: str, where: str) -> None:
+    """Raise an error if a log is of another hand than the given one.
+
+    Args:
+        a: log to check.
+        name: name of the given hand.
+        identity: identity of the given hand.
+        where: file of the given hand, for the error message.
+
+    Raises:
+        IncomparableError: the identity of the log's hand differs from the given one.
+    """
+    logged_identity = a.header.metadata.get("identity", "?")
+    logged_name = a.header.metadata.get("hand", "?")
+    if logged_identity != identity:
+        raise IncomparableError(
+            f"the log is of hand {logged_name} {logged_identity[:12]}, not of {name} {identity[:12]}",
+            where,
+            "the same hand",
+        )
+
+
+def compare_signals(
+    names: tuple[str, ...], before: Array, after: Array, period: float
+) -> dict[str, dict[str, float]]:
+    """Compare two signals whose rows belong to the same times.
+
+    Args:
+        names: names of the columns of both signals.
+        before: (ticks, n) first signal, NaN where unknown.
+        after: (ticks, n) second signal, NaN where unknown.
+        period: time between two rows [s].
+
+    Returns:
+        By name of the column: rms and peak of the difference, in the unit of the signals, and
+        delay_s, the delay of `after` behind `before` [s]. The delay of a constant signal is NaN.
+    """
+    rows = min(len(before), len(after))
+    change = after[:rows] - before[:rows]
+    return {
+        name: rms_and_peak(change[:, i])
+        | {"delay_s": signal_delay(before[:rows, i], after[:rows, i], period)}
+        for i, name in enumerate(names)
+    }
+
+
+def rms_and_peak(change: Array) -> dict[str, float]:
+    """Return RMS and peak of a difference. NaN values are left out.
+
+    Both are NaN if every value is NaN.
+    """
+    finite = change[~np.isnan(change)]
+    if not finite.size:
+        return {"rms": float("nan"), "peak": float("nan")}
+    return {"rms": float(np.sqrt(np.mean(finite**2))), "peak": float(np.abs(finite).max())}
+
+
+def signal_delay(before: Array, after: Array, period: float) -> float:
+    """Return the delay of the signal `after` behind the signal `before` [s].
+
+    The delay is the time shift for which the variance of the remaining difference is smallest. The
+    best shift is refined by a parabola through three neighbouring shifts.
+
+    Returns:
+        NaN if the signal moves no more than noise, if no shift up to `MAX_DELAY_S` explains the
+        difference, or if a signal has a NaN.
+    """
+    if np.isnan(before).any() or np.isnan(after).any():
+        return float("nan")
+    reach = min(round(MAX_DELAY_S / period), len(before) // 4)
+    if reach < 1 or not np.ptp(before) > MIN_SIGNAL_SPAN * np.abs(before).max():
+        return float("nan")
+    inner = slice(reach, len(before) - reach)
+    # `roll` moves rows from one end of the signal to the other end. `inner` excludes these rows.
+    residual = np.array(
+        [
+            np.var(np.roll(after, -shift)[inner] - before[inner])
+            for shift in range(-reach, reach + 1)
+        ]
+    )
+    best = int(np.argmin(residual))
+    if not 0 < best < 2 * reach or not residual[best] < MAX_UNEXPLAINED_FRACTION * np.var(
+        before[inner]
+    ):
+        return float("nan")
+    earlier, lowest, later = residual[best - 1 : best + 2]
+    # The bend is the second difference of the variance. If it is not positive, the minimum is flat,
+    # and the shift is not refined.
+    bend = earlier - 2.0 * lowest + later
+    return float((best - reach + (0.5 * (earlier - later) / bend if bend > 0 else 0.0)) * period)
+
+
+def resampled_field(log: RunLog, field: str, start: float, times: Array) -> Array:
+    """Return a telemetry field of a log, interpolated at the given times (times, n).
+
+    Args:
+        log: log to read.
+        field: name of the telemetry field.
+        start: time in the run from which `times` counts [s].
+        times: times after `start` [s]. For times outside the log, the value at the nearer end of
+            the log is used.
+    """
+    values = log.field(field)
+    return np.column_stack([np.interp(times + start, log.times, column) for column in values.T])
+
+
+def compare_runs(
+    a: RunLog, start_a: float, b: RunLog, start_b: float, duration: float
+) -> dict[str, Any]:
+    """Compare the angles of all joints [deg] and the tensions of all tendons [N] in two runs over an interval.
+
+    Args:
+        a: first run.
+        start_a: start of the interval in the first run [s].
+        b: second run, of the same hand.
+        start_b: start of the interval in the second run [s].
+        duration: length of both intervals [s].
+    """
+    period = a.header.period_ns * 1e-9
+    times = np.asarray(np.arange(round(duration / period)) * period, np.float64)
+    result: dict[str, Any] = {}
+    for field, (axis, factor, unit) in COMPARED_SIGNALS.items():
+        before, after = (
+            factor * resampled_field(*run, times)
+            for run in ((a, field, start_a), (b, field, start_b))
+        )
+        result[f"{axis}_{unit}"] = compare_signals(a.header.axis_names(axis), before, after, period)
+    return result
+
+
+def difference_lines(compared: dict[str, Any]) -> Iterator[str]:
+    """Yield one line of text about the difference of each joint and tendon that has values in both runs.
+
+    Args:
+        compared: result of `compare_runs`.
+    """
+    for signal, rows in compared.items():
+        unit = signal.partition("_")[2]
+        for name, row in rows.items():
+            ms = 1e3 * row["delay_s"]
+            late = (
+                ""
+                if math.isnan(ms)
+                else ", in time"
+                if abs(ms) < MIN_REPORTED_DELAY_MS
+                else f", {_delay_text(ms)}"
+            )
+            if not math.isnan(row["rms"]):
+                yield f"{name:<16} rms {row['rms']:.3f} {unit}, peak {row['peak']:.3f} {unit}{late}"
+
+
+def _delay_text(ms: float) -> str:
+    """Return a delay [ms] as text."""
+    return f"{abs(ms):.1f} ms {'behind' if ms > 0 else 'ahead'}"

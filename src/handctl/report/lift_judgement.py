@@ -1,0 +1,87 @@
+"""Judgement of a grasp in a scene where the table under the object sinks.
+
+The object must stay in the hand.
+"""
+
+from collections.abc import Collection
+from typing import Any
+
+import numpy as np
+
+from handctl.log.read.reader import RunLog
+from handctl.report.truth_record import TruthRecord
+
+TABLE_SUNK_COLUMN = "support"
+"""Column of the simulator's truth file that says how far the table has sunk [m].
+
+Only the truth files of scenes with a sinking table have this column.
+"""
+MAX_SLIP_MM = 10.0
+"""Largest motion in the hand of an object that counts as held [mm].
+
+Objects that the hand holds in the demo move by 3 mm at most.
+"""
+
+
+def judge_lift(
+    log: RunLog, truth: TruthRecord | None, offset_ns: int, hold_phases: Collection[str]
+) -> dict[str, Any]:
+    """Return how far the table sank while the hand held the object, and how far the object moved meanwhile.
+
+    Args:
+        log: log of the run.
+        truth: truth of the simulator, or None on hardware.
+        offset_ns: time of the simulator at t = 0 of the run [ns].
+        hold_phases: names of the task's hold phases.
+
+    Returns:
+        `table_sunk_mm`: how far the table has sunk at the end of the last hold. `object_slid_mm`:
+        how far the object moved from the first sinking to this time. Both are NaN without a sinking
+        table or without a hold.
+    """
+    unknown = dict.fromkeys(("table_sunk_mm", "object_slid_mm"), float("nan"))
+    t_ns = _hold_times(log, hold_phases) + offset_ns
+    if (
+        truth is None
+        or not truth.has_column(TABLE_SUNK_COLUMN)
+        or not len(t_ns)
+        or not truth.covers_times(t_ns)
+    ):
+        return unknown
+    inside = (truth.t_ns >= t_ns[0]) & (truth.t_ns <= t_ns[-1])
+    sunk = truth.values[inside, truth.columns.index(TABLE_SUNK_COLUMN)]
+    positions = truth.columns_at(["object/x", "object/y", "object/z"], truth.t_ns[inside])[
+        sunk > 0.0
+    ]
+    slid = float("nan")
+    if len(positions):
+        slid = float(np.linalg.norm(positions - positions[0], axis=1).max() * 1e3)
+    return {"table_sunk_mm": float(sunk[-1] * 1e3), "object_slid_mm": slid}
+
+
+def _hold_times(log: RunLog, hold_phases: Collection[str]) -> Any:
+    """Return the times of the ticks from the start of the first hold phase to the end of the last one [ns]."""
+    changes = log.phases
+    ends = [*[change.k for change in changes[1:]], int(log.k[-1]) + 1] if changes else []
+    both = zip(changes, ends, strict=True)
+    spans = [(change.k, end) for change, end in both if change.name in hold_phases]
+    if not spans:
+        return log.t_ns[:0]
+    return log.t_ns[(log.k >= spans[0][0]) & (log.k < spans[-1][1])]
+
+
+def lift_failure(lift: dict[str, Any]) -> str:
+    """Return the reason why a grasp failed, or an empty text.
+
+    The text is empty if the hand held the object, or if there was no object.
+
+    Args:
+        lift: result of `judge_lift`.
+    """
+    sunk = lift["table_sunk_mm"]
+    slid = lift["object_slid_mm"]
+    if sunk == 0.0:
+        return "the object was never lifted: too few digits pressed on it for the table to sink"
+    if slid > MAX_SLIP_MM:
+        return f"the object was not held: it moved {slid:.0f} mm while the table sank {sunk:.0f} mm"
+    return ""

@@ -1,0 +1,104 @@
+"""Reader of the simulator's truth file, used to evaluate a finished run.
+
+The controller never opens this file.
+"""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.errors import LogError
+
+
+@dataclass(frozen=True, slots=True)
+class TruthRecord:
+    """True values of the simulated plant during a run.
+
+    Attributes:
+        header: content of the first line of the truth file.
+        t_ns: (rows,) time on the simulator's clock [ns].
+        values: (rows, columns) float64, true values at each time.
+        columns: names of the columns, e.g. `tension/index_tendon`, `q/index_j1`, `object/x`.
+    """
+
+    header: dict[str, object]
+    t_ns: NDArray[np.int64]
+    values: NDArray[np.float64]
+    columns: tuple[str, ...]
+
+    def has_column(self, name: str) -> bool:
+        """Return True if the record has a column of this name."""
+        return name in self.columns
+
+    def covers_times(self, t_ns: NDArray[np.int64]) -> bool:
+        """Return True if at least one of the times lies within the record."""
+        return bool(((t_ns >= self.t_ns[0]) & (t_ns <= self.t_ns[-1])).any())
+
+    def column_at(self, name: str, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return a column of the record, interpolated at times on the simulator's clock [ns].
+
+        At times outside the record, the result is NaN.
+
+        Raises:
+            LogError: the column is missing, as in a truth file of another hand.
+        """
+        if name not in self.columns:
+            raise LogError(
+                f"no column {name!r}", "the simulator's truth", "a truth file of the same hand"
+            )
+        values = self.values[:, self.columns.index(name)]
+        # Differences of the int64 times are exact in float64. The times themselves are too large
+        # for that.
+        base = int(self.t_ns[0])
+        return np.interp(
+            (t_ns - base).astype(np.float64),
+            (self.t_ns - base).astype(np.float64),
+            values,
+            left=np.nan,
+            right=np.nan,
+        )
+
+    def columns_at(self, names: list[str], t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return several columns of the record, interpolated at times on the simulator's clock [ns], (times, names)."""
+        return np.column_stack([self.column_at(name, t_ns) for name in names])
+
+
+def read_truth(path: Path) -> TruthRecord:
+    """Read a truth file: a line of JSON, then rows of int64 time [ns] and float64 columns.
+
+    Raises:
+        LogError: the file is missing or is not a truth file.
+    """
+    try:
+        if path.exists() and not path.is_file():
+            raise LogError("cannot be read: not a file", str(path), "the simulator's truth file")
+        with path.open("rb") as file:
+            header = json.loads(file.readline())
+            columns = tuple(str(name) for name in header["columns"])
+            rows = np.frombuffer(
+                _complete_rows(file.read(), len(columns)),
+                [("t_ns", "<i8"), ("v", "<f8", (len(columns),))],
+            )
+    except OSError as error:
+        raise LogError(
+            f"cannot be read: {error.strerror}", str(path), "the simulator's truth file"
+        ) from None
+    except (ValueError, KeyError, TypeError) as error:
+        raise LogError(
+            f"is not a truth file: {error}", str(path), "a JSON line and float64 rows"
+        ) from None
+    if not len(rows):
+        raise LogError("is empty", str(path), "at least one row of truth")
+    return TruthRecord(header, rows["t_ns"].copy(), rows["v"].copy(), columns)
+
+
+def _complete_rows(data: bytes, columns: int) -> bytes:
+    """Return the data of the rows without an incomplete last row.
+
+    A simulator that is killed may leave such a row.
+    """
+    size = 8 * (columns + 1)
+    return data[: len(data) // size * size]

@@ -1,0 +1,183 @@
+"""Requests to a running controller. The controller confirms each request.
+
+That a datagram was sent does not prove that the controller received it. The controller may be
+paused, its mailbox may be full, or a killed process may have left the socket. Every request
+therefore carries a unique name. The controller confirms the request with a status line that repeats
+this name.
+"""
+
+import itertools
+import json
+import os
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from handctl.core.tick_types import HandMode
+from handctl.errors import REMOVE_POWER, BusError, PowerError, UnconfirmedError
+from handctl.programs.requests import events_for_request
+from handctl.runtime.mailbox import SEND_RETRY_PERIOD_S, WATCH_REQUEST, StatusWatcher
+
+CONFIRMATION_TIMEOUT_S = 2.0
+"""Longest wait for a confirmation, and longest silence of a controller that relaxes its hand after a stop [s]."""
+REQUEST_REPEAT_S = 0.25
+"""Interval between repetitions of a request [s].
+
+Only requests that have no other effect if they arrive twice are repeated.
+"""
+OFF_TIMEOUT_S = 10.0
+"""Longest time from a stop until the last drive confirms that it is off, in the run's time [s]."""
+CONTROLLER_SILENT_TEXT = "the controller is silent"
+MAILBOX_FULL_TEXT = "its mailbox is full"
+_request_numbers = itertools.count(1)
+"""Numbers of the requests of this process. They make the request names unique."""
+
+StatusLine = dict[str, Any]
+
+
+def open_watcher(bus: str, word: str) -> StatusWatcher:
+    """Return an open watcher of a bus's controller, for one request.
+
+    Raises:
+        UnconfirmedError: the folder of the sockets cannot be trusted.
+    """
+    try:
+        return StatusWatcher(bus)
+    except BusError as error:
+        raise UnconfirmedError(bus, word, str(error)) from None
+
+
+def send_with_confirmation(
+    watcher: StatusWatcher, request: Mapping[str, Any], repeat: bool = False
+) -> tuple[StatusLine, list[str]]:
+    """Send a request, and wait for the controller's confirmation.
+
+    Args:
+        watcher: watcher of the controller.
+        request: content of the request, without its name ``by``.
+        repeat: True to send the request repeatedly, also while no controller answers yet. Use it
+            only for requests that have no other effect if they arrive twice.
+
+    Returns:
+        the status line of the tick in which the controller took the request, and the texts of the
+        events about the request in this tick. A text may be a refusal.
+
+    Raises:
+        UnconfirmedError: the controller has not confirmed the request.
+    """
+    name = f"{os.getpid()}-{next(_request_numbers)}"
+    data = json.dumps({**request, "by": name}).encode()
+    end = time.monotonic() + CONFIRMATION_TIMEOUT_S
+    sent = False
+    reason = CONTROLLER_SILENT_TEXT
+    watcher.discard_lines()
+    while (left := end - time.monotonic()) > 0.0:
+        if repeat or not sent:
+            sent, reason = _try_send(watcher, data, min(left, REQUEST_REPEAT_S) if repeat else left)
+        if not sent:
+            if not (repeat or reason == MAILBOX_FULL_TEXT):
+                break
+            time.sleep(min(left, SEND_RETRY_PERIOD_S))
+            continue
+        left = max(0.0, end - time.monotonic())
+        for line in watcher.status_lines(min(left, REQUEST_REPEAT_S) if repeat else left):
+            if (texts := events_for_request(name, line["events"])) is not None:
+                return line, texts
+    raise UnconfirmedError(watcher.name, str(request["do"]), reason)
+
+
+def _try_send(watcher: StatusWatcher, data: bytes, timeout_s: float) -> tuple[bool, str]:
+    """Send a request once.
+
+    Returns:
+        True if the request was sent, and the reason to report to the user if no confirmation
+        follows.
+    """
+    try:
+        watcher.send(data, timeout_s)
+    except (TimeoutError, BlockingIOError):
+        return False, MAILBOX_FULL_TEXT
+    except OSError as error:
+        return False, f"no controller answers ({os.strerror(error.errno or 0)})"
+    return True, CONTROLLER_SILENT_TEXT
+
+
+def request_action(bus: str, word: str) -> StatusLine:
+    """Send the request ``clear``, ``stop`` or ``cut`` to a controller.
+
+    After ``stop`` and ``cut``, wait until all drives are off.
+
+    Args:
+        bus: bus of the controller.
+        word: request to send.
+
+    Returns:
+        the last status line of the controller.
+
+    Raises:
+        UnconfirmedError: the controller has not confirmed the request, or has not reported that
+            every drive is off.
+        PowerError: a drive did not confirm that it is disabled.
+    """
+    watcher = open_watcher(bus, word)
+    try:
+        line, _ = send_with_confirmation(watcher, {"do": word}, repeat=True)
+        return line if word == "clear" else follow_until_off(watcher, word, line)
+    finally:
+        watcher.close()
+
+
+def follow_until_off(watcher: StatusWatcher, word: str, line: StatusLine) -> StatusLine:
+    """Wait until a controller that stops its hand reports that every drive is off.
+
+    Args:
+        watcher: watcher of the controller.
+        word: the confirmed request.
+        line: status line that confirmed the request.
+
+    Returns:
+        the last status line of the controller.
+
+    Raises:
+        UnconfirmedError: the controller has not reported that every drive is off.
+        PowerError: a drive did not confirm that it is disabled.
+    """
+    start_s = float(line["t_s"])
+    while True:
+        if is_hand_off(line):
+            return line
+        if line["mode"] == HandMode.DONE.name:
+            raise PowerError("; ".join(_mode_texts(line)), f"bus {watcher.name}")
+        if line["t_s"] > start_s + OFF_TIMEOUT_S:
+            raise UnconfirmedError(
+                watcher.name, word, f"accepted, but the hand is still in mode {line['mode']}"
+            )
+        new = None
+        last_line = time.monotonic()
+        while new is None:
+            if time.monotonic() > last_line + CONFIRMATION_TIMEOUT_S:
+                raise UnconfirmedError(
+                    watcher.name,
+                    word,
+                    f"accepted, but then {CONTROLLER_SILENT_TEXT} in mode {line['mode']}",
+                )
+            new = watcher.next_line(0.0) or _subscribe_again(watcher)
+        line = new
+
+
+def is_hand_off(line: StatusLine) -> bool:
+    """Return True if a status line reports the end of the run with every drive off."""
+    return bool(line["mode"] == HandMode.DONE.name) and not any(
+        REMOVE_POWER in text for text in _mode_texts(line)
+    )
+
+
+def _mode_texts(line: StatusLine) -> list[str]:
+    """Return the texts of the events about mode changes in a status line."""
+    return [event["text"] for event in line["events"] if event["name"] == "mode"]
+
+
+def _subscribe_again(watcher: StatusWatcher) -> StatusLine | None:
+    """Subscribe to status lines again, and return the next status line."""
+    _try_send(watcher, WATCH_REQUEST, REQUEST_REPEAT_S)
+    return watcher.next_line(REQUEST_REPEAT_S)

@@ -1,0 +1,179 @@
+"""Readings of the drives, load cells and joint encoders of a hand, while no drive makes torque.
+
+Every drive is polled as in the mode READY of a run: the drive is configured, its settings are read
+back, and its feedback is requested. No function here requests ENABLE, and ``DriveTarget.POLL``
+disables a drive that is enabled.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from handctl.drives.cia404.amplifier import AmplifierState
+from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
+from handctl.drives.frame import Frame
+from handctl.drives.sensors.contract import SensorInterface
+from handctl.drives.signals import SignalQuantity, SignalTable
+from handctl.runtime.buses.contract import Bus
+from handctl.runtime.clocks.real import TickClock
+from handctl.runtime.diagnostics.scan import collect_frames
+
+LISTEN_DURATION_S = 0.5
+"""Time for which the bus is observed for another host, before the first frame is sent [s]."""
+STALE_AFTER_S = 0.5
+"""Age above which a reading is too old to be shown [s]."""
+
+
+class SensorReading(NamedTuple):
+    """Reading of a load cell [N] or of a joint encoder [rad].
+
+    Attributes:
+        value: latest value as the node sends it, before any tare. NaN before the first frame.
+        t_ns: time of reception [ns], -1 before the first frame.
+    """
+
+    value: float = math.nan
+    t_ns: int = -1
+
+    def value_at(self, t_ns: int) -> float:
+        """Return the value, or NaN if the value is older than ``STALE_AFTER_S`` at the time ``t_ns`` [ns]."""
+        return (
+            self.value if self.t_ns >= 0 and t_ns - self.t_ns <= STALE_AFTER_S * 1e9 else math.nan
+        )
+
+
+def is_saturated(tension: float, cell_range: tuple[float, float]) -> bool:
+    """Return True if a load cell reading [N] is at an end of the range of the cell [N], as a broken wire causes."""
+    return not cell_range[0] < tension < cell_range[1] and not math.isnan(tension)
+
+
+@dataclass
+class BusWatch:
+    """Poll of all drives and sensors of a hand. No drive makes torque.
+
+    Attributes:
+        drives: drives of the hand.
+        sensors: the sensor node. It may have no frames.
+        buses: open buses, in the order of the hand file.
+        clock: a started clock. All nodes are polled once per period of the clock.
+        states: state of each drive.
+        amplifiers: state of each measuring amplifier.
+        tensions: reading of each load cell, by index of the tendon.
+        angles: reading of each joint encoder, by index of the joint.
+        k: number of the next tick.
+    """
+
+    drives: Sequence[Drive]
+    sensors: SensorInterface
+    buses: Sequence[Bus]
+    clock: TickClock
+    states: list[DriveState] = field(init=False)
+    amplifiers: list[AmplifierState] = field(init=False)
+    tensions: dict[int, SensorReading] = field(init=False)
+    angles: dict[int, SensorReading] = field(init=False)
+    k: int = 0
+
+    def __post_init__(self) -> None:
+        """Start with the initial state of each drive and without readings."""
+        self.states = [drive.initial_state() for drive in self.drives]
+        node = self.sensors
+        self.amplifiers = [amplifier.initial_state() for amplifier in node.amplifiers]
+        self._tables = [SignalTable(message) for message in node.messages]
+        self._group = {can_id: group for group, can_id in enumerate(node.ids)}
+        cells, encoders = node.channels[: node.tension_frames], node.channels[node.tension_frames :]
+        self.tensions = {index: SensorReading() for channels in cells for index in channels}
+        self.angles = {index: SensorReading() for channels in encoders for index in channels}
+
+    def find_other_host(
+        self,
+        for_s: float = LISTEN_DURATION_S,
+        listen: Callable[[Bus, float, list[Frame]], None] = collect_frames,
+    ) -> str:
+        """Listen for a time [s], and return the identifier of the first frame that only a host sends.
+
+        The text is empty if no host sends frames.
+        """
+        own = {(drive.bus, can_id) for drive in self.drives for can_id in drive.host_ids}
+        own |= {(self.sensors.bus, can_id) for can_id in self.sensors.host_ids}
+        seen: list[Frame] = []
+        for bus in self.buses:
+            listen(bus, for_s / len(self.buses), seen)
+        return next(
+            (f"{frame.can_id:#x}" for frame in seen if (frame.bus, frame.can_id) in own), ""
+        )
+
+    def run_tick(self) -> None:
+        """Wait for the next tick, process all received frames, and send the requests of the tick."""
+        self.clock.wait(self.k)
+        for bus in self.buses:
+            for frame in bus.drain():
+                self._receive(frame)
+        now = self.clock.now_ns()
+        out = [self.sensors.sync(self.k)] if self.sensors.ids else []
+        for n, drive in enumerate(self.drives):
+            self.states[n], frames = drive.advance(self.states[n], now, DriveTarget.POLL, 0.0)
+            out += frames
+        for i, amplifier in enumerate(self.sensors.amplifiers):
+            self.amplifiers[i], frames = amplifier.advance(
+                self.amplifiers[i], now, DriveTarget.POLL
+            )
+            out += frames
+        self._send(out)
+        self.k += 1
+
+    def send_release(self) -> None:
+        """Send the frames after which the drives accept that the host sends nothing more."""
+        pairs = zip(self.drives, self.states, strict=True)
+        self._send([frame for drive, state in pairs for frame in drive.release_frames(state)])
+
+    def silent_motors(self) -> list[str]:
+        """Return the names of the motors whose latest feedback is older than ``STALE_AFTER_S``."""
+        now = self.clock.now_ns()
+        return [
+            drive.name
+            for drive, age in zip(self.drives, self.ages_s(now), strict=True)
+            if not age <= STALE_AFTER_S
+        ]
+
+    def ages_s(self, now_ns: int) -> list[float]:
+        """Return the age of the latest feedback of each drive [s], infinity for a drive that has sent none."""
+        times = [state.feedback_t_ns for state in self.states]
+        return [(now_ns - t_ns) * 1e-9 if t_ns >= 0 else math.inf for t_ns in times]
+
+    def _receive(self, frame: Frame) -> None:
+        """Pass a received frame to the measuring amplifiers, and to the sensor readings or the drives."""
+        group = self._group.get(frame.can_id, -1) if frame.bus == self.sensors.bus else -1
+        for i, amplifier in enumerate(self.sensors.amplifiers):
+            self.amplifiers[i] = amplifier.receive(self.amplifiers[i], frame)
+            if (
+                group in self.sensors.group_ranges[i]
+                and self.amplifiers[i].phase != DrivePhase.READY
+            ):
+                return  # before the amplifier is set up, the unit of its readings is unknown
+        if group < 0:
+            for n, drive in enumerate(self.drives):
+                self.states[n] = drive.receive(self.states[n], frame)
+            return
+        if len(frame.data) != self.sensors.lengths[group]:
+            return
+        table = self._tables[group]
+        kinds = [signal.quantity for signal in table.message.signals]
+        decoded = zip(kinds, table.unpack(frame.data), strict=True)
+        # An amplifier may send NaN for an overload. The reading is then set to the low end of the
+        # range.
+        low = self.sensors.cell_range[0]
+        values = [
+            low if math.isnan(value) else value
+            for kind, value in decoded
+            if kind != SignalQuantity.COUNTER
+        ]
+        into = self.tensions if group < self.sensors.tension_frames else self.angles
+        for index, value in zip(self.sensors.channels[group], values, strict=True):
+            into[index] = SensorReading(value, frame.t_ns)
+
+    def _send(self, frames: Sequence[Frame]) -> None:
+        """Send each frame on its bus."""
+        for index, bus in enumerate(self.buses):
+            bus.send([frame for frame in frames if frame.bus == index])
+            bus.take_events()

@@ -1,0 +1,35 @@
+"""Signal handlers that are installed for a limited time."""
+
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+
+@contextmanager
+def installed_handler(
+    handler: Callable[[int, FrameType | None], None], *numbers: signal.Signals
+) -> Iterator[None]:
+    """Install a signal handler for the duration of a block, then restore the previous handlers.
+
+    Args:
+        handler: handler of all these signals.
+        numbers: signals to handle.
+    """
+    before = {number: signal.signal(number, handler) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handled in before.items():
+            signal.signal(number, handled)
+
+
+class TerminationFlag:
+    """Flag that SIGTERM sets. A program that checks the flag completes the step in progress."""
+
+    def __init__(self) -> None:
+        self.requested = False
+
+    def __call__(self, number: int, frame: object) -> None:
+        """Handle the signal: set the flag."""
+        self.requested = True

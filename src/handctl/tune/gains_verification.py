@@ -1,0 +1,270 @@
+"""Verification of new gains on the hand.
+
+The hand does an exercise with the old gains, and then with the new gains at increasing amplitude.
+
+If a limit is violated, an observer of the run requests the old gains again. The controller receives
+these requests like those of any client. Therefore the log contains them, and can be executed again.
+"""
+
+import json
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.stats import t as student
+
+from handctl.core.gains.gain_bounds import LIVE_SECTIONS, different_values, values_by_key
+from handctl.core.gains.gains import Gains
+from handctl.core.tick_types import HandMode, TickIn, TickOut
+from handctl.hand.description import Hand
+from handctl.log.read.reader import RunLog
+from handctl.log.read.timeline import phase_of_each
+from handctl.report.summary import mean_angles
+from handctl.report.truth_record import TruthRecord
+from handctl.safety.action import SafetyAction
+from handctl.tune.scoring import GainScore, GroundTruth, score_ticks
+
+OLD_GAINS_ROUNDS = 2
+"""Number of rounds of the exercise with the old gains.
+
+The last of them is compared with the new gains.
+"""
+ROUND_AMPLITUDES = (0.3, 1.0, 0.3, 0.6, 1.0)
+"""Amplitudes of the rounds of the exercise: first those with the old gains, then those with the new gains.
+
+Before the round that is compared, both old and new gains have at least one other round.
+"""
+RINGING_WINDOW_S = 0.1
+"""Duration of the window in which oscillations of the torques are measured [s].
+
+It contains two periods of the oscillation of a drive on a blocked tendon.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class VerifyLimits:
+    """Limits within which a run with the new gains must stay.
+
+    Attributes:
+        tracking_rad: largest difference between goal and estimated angle of any joint while moving
+            [rad].
+        trip_fraction: largest tension of a tendon, as a fraction of its ``tension_trip_N``.
+        ringing_factor: largest rate of change of the motor torques (RMS over a window), divided by
+            the largest one with the old gains.
+        ringing_floor_Nm_per_s: rate of change up to which the torques never count as oscillating [N
+            m/s].
+    """
+
+    tracking_rad: float = 0.35
+    trip_fraction: float = 0.9
+    ringing_factor: float = 1.5
+    ringing_floor_Nm_per_s: float = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class GainsRollback:
+    """Return to the old gains during a verification.
+
+    Attributes:
+        t_s: time at which the return was requested [s].
+        k: tick of the controller at which the return was requested.
+        amplitude: amplitude of the exercise in that round.
+        why: text with the violated limit and the measured value.
+    """
+
+    t_s: float
+    k: int
+    amplitude: float
+    why: str
+
+
+@dataclass
+class VerifyObserver:
+    """Observer of a run that requests the new gains, and requests the old gains again if a limit is violated.
+
+    Attributes:
+        hand: description of the running hand.
+        old_gains: gains with which the run starts.
+        new_gains: gains to verify. Only gains that a running controller accepts may differ from the old
+            gains.
+        limits: limits for the rounds with the new gains.
+        amplitudes: amplitudes of the rounds of the exercise.
+        old_rounds: number of rounds with the old gains.
+        rollback: return to the old gains, or None if it was not necessary.
+    """
+
+    hand: Hand
+    old_gains: Gains
+    new_gains: Gains
+    limits: VerifyLimits = VerifyLimits()
+    amplitudes: tuple[float, ...] = ROUND_AMPLITUDES
+    old_rounds: int = OLD_GAINS_ROUNDS
+    rollback: GainsRollback | None = None
+    _round: int = 0
+    _phase: str = ""
+    _requests: list[str] = field(default_factory=list)
+    _torque: "np.ndarray[tuple[int, ...], np.dtype[np.float64]] | None" = None
+    _rates: deque[float] = field(default_factory=deque)
+    _max_ringing: float = 0.0
+
+    def poll_requests(self) -> tuple[str, ...]:
+        """Return the observer's requests for this tick, see `RunObserver`."""
+        requests = tuple(self._requests)
+        self._requests = []
+        return requests
+
+    def on_tick(self, entry: TickIn, out: TickOut) -> None:
+        """Observe a tick, see `RunObserver`."""
+        if out.phase == "settle" and self._phase != "settle":
+            self._round += 1
+            # The gains change in the phase `settle`, while the hand is at rest.
+            if self._round == self.old_rounds + 1:
+                self._request_gains(self.new_gains, self.old_gains)
+        self._phase = out.phase
+        ringing = self._torque_rate(entry, out)
+        if self._round <= self.old_rounds:
+            self._max_ringing = max(self._max_ringing, ringing)
+        elif self.rollback is None and (reason := self._violated_limit(out, ringing)):
+            amplitude = self.amplitudes[self._round - 1]
+            self.rollback = GainsRollback(entry.t_ns / 1e9, entry.k, amplitude, reason)
+            self._request_gains(self.old_gains, self.new_gains)
+
+    def _request_gains(self, gains: Gains, replaced: Gains) -> None:
+        """Queue a request for other gains, as far as a running controller accepts them."""
+        # If a request does not set the forces of single tendons, a running controller keeps them.
+        # Therefore all are set.
+        all_values = values_by_key(gains) | {
+            key: new for key, (_, new) in different_values(replaced, gains).items()
+        }
+        values = {
+            key: value
+            for key, value in all_values.items()
+            if key.partition(".")[0] in LIVE_SECTIONS
+        }
+        self._requests.append(json.dumps({"do": "gains", "set": values}))
+
+    def _torque_rate(self, entry: TickIn, out: TickOut) -> float:
+        """Return the rate of change of the motor torques, as RMS over the window up to this tick [N m/s]."""
+        torque = out.telemetry.motor_torque_goal
+        before = self._torque
+        self._torque = torque
+        if before is None or out.mode != HandMode.ACTIVE:
+            return 0.0
+        # The observer does not know the control rate. It uses the mean period so far.
+        period = entry.t_ns / max(entry.k, 1) / 1e9
+        self._rates.append(float(np.square(torque - before).mean()) / period**2)
+        while len(self._rates) > RINGING_WINDOW_S / period:
+            self._rates.popleft()
+        return float(np.sqrt(sum(self._rates) / len(self._rates)))
+
+    def _violated_limit(self, out: TickOut, ringing: float) -> str:
+        """Return a text about the limit that a tick violates, else an empty text."""
+        if out.action >= SafetyAction.HOLD:
+            return f"safety: {out.action.name}"
+        if out.mode != HandMode.ACTIVE:
+            return ""
+        limits = self.limits
+        numbers = out.telemetry
+        error = np.abs(numbers.q_goal - numbers.q)
+        worst = float(np.nanmax(error, initial=0.0)) if out.phase == "move" else 0.0
+        if worst > limits.tracking_rad:
+            return f"tracking error {np.degrees(worst):.1f} deg, limit {np.degrees(limits.tracking_rad):.1f}"
+        for tendon, tension in zip(self.hand.tendon, numbers.tension.tolist(), strict=True):
+            if tension > limits.trip_fraction * tendon.tension_trip_N:
+                bound = limits.trip_fraction * tendon.tension_trip_N
+                return f"tension of {tendon.name} {tension:.0f} N, limit {bound:.0f}"
+        limit = max(limits.ringing_factor * self._max_ringing, limits.ringing_floor_Nm_per_s)
+        return (
+            f"motor torques oscillate by {ringing:.1f} N m/s, limit {limit:.1f}"
+            if ringing > limit
+            else ""
+        )
+
+
+COMPARED_MEASURES = {
+    "tracking_deg": ("tracking", "deg"),
+    "tension_N": ("tension", "N"),
+    "effort_Nm_per_s": ("effort", "N m/s"),
+    "peak_tension_N": ("peak tension", "N"),
+}
+"""Name and unit of each compared measure, by its field in `GainScore`."""
+ASSUMED_SPREAD_FRACTION = 0.1
+"""If there is only one run, this spread of a measure is assumed, as a fraction of the old value."""
+SAME_VALUE_FRACTION = 0.02
+"""Largest difference between old and new value that is judged as "same", as a fraction of the old value."""
+
+
+@dataclass(frozen=True, slots=True)
+class MeasureComparison:
+    """Comparison of old and new gains by one measure, at full amplitude.
+
+    Attributes:
+        name: name of the measure.
+        unit: unit of the measure.
+        old: mean over the runs with the old gains.
+        new: mean over the runs with the new gains.
+        spread: half of the 95 % interval of the difference. For a single run, it is assumed.
+        verdict: "better", "worse" or "same".
+    """
+
+    name: str
+    unit: str
+    old: float
+    new: float
+    spread: float
+    verdict: str
+
+
+def compare_rounds(runs: list[list[GainScore]]) -> list[MeasureComparison]:
+    """Compare the rounds at full amplitude with old and new gains, run by run.
+
+    Args:
+        runs: scores of the rounds of each run.
+    """
+    columns = []
+    for key, (name, unit) in COMPARED_MEASURES.items():
+        old = np.array([getattr(rounds[OLD_GAINS_ROUNDS - 1], key) for rounds in runs])
+        new = np.array([getattr(rounds[-1], key) for rounds in runs])
+        n = len(runs)
+        mean = float(old.mean())
+        change = float((new - old).mean())
+        spread = (
+            ASSUMED_SPREAD_FRACTION * mean
+            if n == 1
+            else float(student.ppf(0.975, n - 1) * (new - old).std(ddof=1) / n**0.5)
+        )
+        counts = abs(change) > max(spread, SAME_VALUE_FRACTION * mean)
+        verdict = ("worse" if change > 0.0 else "better") if counts else "same"
+        columns.append(MeasureComparison(name, unit, mean, float(new.mean()), spread, verdict))
+    return columns
+
+
+def scores_by_round(
+    log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int
+) -> list[GainScore]:
+    """Calculate the score of each round of the exercise, beginning with the rounds with the old gains.
+
+    Args:
+        log: log of the verification.
+        hand: description of the hand of the run.
+        truth: ground truth of the simulator. On hardware it is None, and the estimates of the
+            controller are used.
+        offset_ns: time on the simulator's clock when the time of the run was 0 [ns].
+    """
+    starts = [change.k for change in log.phases if change.name == "settle"]
+    phase = phase_of_each(log.phases, log.k)
+    angle = mean_angles(hand, log.field("q_goal"))
+    if truth is None:
+        real = GroundTruth(mean_angles(hand, log.field("q")), log.field("tension"))
+    else:
+        real = GroundTruth.from_record(truth, hand, log.t_ns + offset_ns)
+    results = []
+    for start, end in zip(starts, [*starts[1:], int(log.k[-1]) + 1], strict=True):
+        part = (log.k >= start) & (log.k < end) & (log.mode == int(HandMode.ACTIVE))
+        part_truth = GroundTruth(real.angle[part], real.tension[part])
+        tension = log.field("tension_goal")[part]
+        torque = log.field("motor_torque_goal")[part]
+        results.append(
+            score_ticks(log.t_ns[part], phase[part], angle[part], tension, torque, part_truth)
+        )
+    return results

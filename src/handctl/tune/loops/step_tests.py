@@ -1,0 +1,297 @@
+"""Step tests in a lockstep simulation, which check that the hand comes to rest with the whole controller.
+
+The linear models of the loops neglect friction, limits, quantisation, the drives, and the other
+digits. Therefore gains are accepted only after a test on the simulated plant. The hand must come to
+rest after a step of the joint angles, and after a step of the tensions.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from handctl.core.gains.gains import Gains
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode
+from handctl.hand.description import Hand
+from handctl.programs.exercise import HOME_ANGLE_RAD, ExerciseProgram, ExerciseStage
+from handctl.report.truth_record import TruthRecord
+from handctl.tune.loops.design import distinct_tendons, linear_factors, weakest_plant
+from handctl.tune.loops.linear import LoopKind, Matrix, PlantFactors, open_loop
+from handctl.tune.scoring import GroundTruth, simulate_program
+from handctl.tune.search.ensemble import MIN_FACTOR_SPREAD
+
+ANGLE_STEP_RAD = 0.15
+"""Step of the joint angles [rad]."""
+HOLD_TENSION_N = 30.0
+"""Tension of the tendons before the tension step [N]."""
+TENSION_STEP_N = 10.0
+"""Step of the tensions [N]."""
+OSCILLATION_ANGLE_RAD = 1e-3
+"""Angle of an eigenvalue above which the eigenvalue counts as oscillating [rad per tick].
+
+The value is 0.08 Hz at a control rate of 500 Hz.
+"""
+REST_DURATION_S = 0.5
+"""Time for which the goals stay constant after a step [s]."""
+EVALUATED_DURATION_S = 0.25
+"""Time at the end of this rest in which oscillations are measured [s]."""
+MAX_ANGLE_SWING_RAD = 0.01
+"""Largest oscillation of a mean joint angle at which a digit counts as at rest, peak to peak [rad]."""
+MAX_FREE_SWING_N = 1.0
+"""Largest oscillation of a tension after the angle step at which a digit counts as at rest, peak to peak [N]."""
+MAX_HOLD_SWING_N = 2.0
+"""Largest oscillation of a held tension at which a tendon counts as at rest, peak to peak [N].
+
+With margins of 6 dB and 45 degrees, the three oscillations are at most 0.0004 rad, 0.1 N, and 1.2
+N, because of quantisation, noise, and stick-slip. With a gain margin of 2 dB or less, or an
+unstable loop, a held tension oscillates by 2.9 N or more, or the run ends with a fault.
+"""
+
+
+class StepExercise(ExerciseProgram):
+    """Exercise that tightens the tendons, then steps the angles in free motion, then the tensions of closed digits."""
+
+    @property
+    def stages(self) -> tuple[ExerciseStage, ...]:
+        """Return all stages of the exercise in order."""
+        return (
+            ExerciseStage("settle", 0.5, HOME_ANGLE_RAD),
+            ExerciseStage(
+                "move", 0.1 + REST_DURATION_S, HOME_ANGLE_RAD + ANGLE_STEP_RAD, rest=REST_DURATION_S
+            ),
+            ExerciseStage("close", 0.8, tension=HOLD_TENSION_N),
+            ExerciseStage("hold", REST_DURATION_S, tension=HOLD_TENSION_N + TENSION_STEP_N),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class StepOscillation:
+    """Largest oscillation of any digit or tendon after the steps.
+
+    Attributes:
+        angle_rad: largest oscillation of a mean joint angle after the angle step, peak to peak
+            [rad].
+        free_tension_N: largest oscillation of a true tension after the angle step, peak to peak [N].
+        hold_swings_N: (N,) oscillation of each tendon's true tension after the tension step, peak
+            to peak [N].
+        failure: reason why the run ended early, else empty.
+    """
+
+    angle_rad: float
+    free_tension_N: float
+    hold_swings_N: tuple[float, ...]
+    failure: str = ""
+
+    @property
+    def largest_hold_swing(self) -> float:
+        """Return the largest oscillation of a held tension [N]."""
+        return max(self.hold_swings_N)
+
+    @property
+    def is_at_rest(self) -> bool:
+        """Return True if all oscillations are small enough for a hand at rest."""
+        small = (
+            self.angle_rad <= MAX_ANGLE_SWING_RAD
+            and self.free_tension_N <= MAX_FREE_SWING_N
+            and self.largest_hold_swing <= MAX_HOLD_SWING_N
+        )
+        return small and not self.failure
+
+    def minus_plant_swings(self, plant_swings_N: tuple[float, ...]) -> "StepOscillation":
+        """Return the oscillation of the held tensions minus the oscillation of the plant itself [N]."""
+        remaining = (
+            max(0.0, swing - plant_swing)
+            for swing, plant_swing in zip(self.hold_swings_N, plant_swings_N, strict=True)
+        )
+        return replace(self, hold_swings_N=tuple(remaining))
+
+    def __str__(self) -> str:
+        """Return the oscillations as text."""
+        if self.failure:
+            return self.failure
+        angle = np.degrees(self.angle_rad)
+        return f"swings by {angle:.2f} deg, {self.free_tension_N:.1f} N free and {self.largest_hold_swing:.1f} N held"
+
+
+def simulate_swing(
+    hand: Hand, model: HandModel, factors: Mapping[str, float], seed: int
+) -> StepOscillation:
+    """Run both steps on a simulated plant, and return the largest oscillations.
+
+    Args:
+        hand: description of the simulated hand.
+        model: model with the gains.
+        factors: factors of the plant relative to the description.
+        seed: seed of the simulated noise.
+    """
+    ticks, truth, failure = simulate_program(hand, model, StepExercise(), factors, seed)
+    active = [(entry.t_ns, out.phase) for entry, out in ticks if out.mode == HandMode.ACTIVE]
+    ends = {
+        name: max((t for t, phase in active if phase == name), default=None)
+        for name in ("move", "hold")
+    }
+    if failure or ends["hold"] is None or ends["move"] is None:
+        return StepOscillation(
+            np.inf, np.inf, (np.inf,) * model.tendon_count, failure or "never active"
+        )
+    angle, free = _measure_swing(hand, truth, model, ends["move"])
+    _, hold = _measure_swing(hand, truth, model, ends["hold"])
+    return StepOscillation(float(angle.max()), float(free.max()), tuple(hold.tolist()))
+
+
+def _measure_swing(
+    hand: Hand, truth: TruthRecord, model: HandModel, end_ns: int
+) -> tuple[Matrix, Matrix]:
+    """Return the oscillations of angles and tensions during `EVALUATED_DURATION_S` before `end_ns`."""
+    times = np.arange(
+        end_ns - round(EVALUATED_DURATION_S * 1e9),
+        end_ns,
+        round(model.period * 1e9),
+        dtype=np.int64,
+    )
+    real = GroundTruth.from_record(truth, hand, times)
+    return _peak_to_peak(real.angle), _peak_to_peak(real.tension)
+
+
+def _peak_to_peak(values: Matrix) -> Matrix:
+    """Return the peak-to-peak value of each column after a parabola is subtracted.
+
+    The parabola removes slow creep, which is not an oscillation.
+    """
+    t = np.linspace(-1.0, 1.0, len(values))
+    # The columns are t^2, t and 1.
+    powers = np.vander(t, 3)
+    # The residual of the least-squares parabola is the oscillation.
+    return np.asarray(
+        np.ptp(values - powers @ np.linalg.lstsq(powers, values, rcond=None)[0], axis=0)
+    )
+
+
+def is_loop_ringing(model: HandModel, factors: PlantFactors) -> bool:
+    """Return True if a linear tension loop still oscillates when the oscillations after a step are measured.
+
+    The oscillating eigenvalues are the same at every tension below the knee of the tendon. The
+    measurement begins `REST_DURATION_S - EVALUATED_DURATION_S` after the step. By then, the oscillation must be below
+    `MAX_HOLD_SWING_N`.
+
+    Args:
+        model: model with the gains.
+        factors: linear factors of the plant.
+    """
+    ticks = (REST_DURATION_S - EVALUATED_DURATION_S) / model.period
+    for i in distinct_tendons(model):
+        system = open_loop(model, i, LoopKind.TENSION, factors)
+        poles = np.linalg.eigvals(system.A - system.B @ system.C)
+        size = float(
+            np.abs(poles[np.abs(np.angle(poles)) > OSCILLATION_ANGLE_RAD]).max(initial=0.0)
+        )
+        if not size < 1.0 or TENSION_STEP_N * size**ticks > MAX_HOLD_SWING_N:
+            return True
+    return False
+
+
+GAINS_WITHOUT_FEEDBACK = {
+    "motion": {"disturbance_rejection": 0.0},
+    "tension": {
+        "force_N": 0.2,
+        "tension_error_N": 100.0,
+        "speed_error_m_s": 10.0,
+        "integral_per_s": 0.0,
+    },
+}
+"""Gains with almost no feedback while a tension is held."""
+RUNS_WITHOUT_FEEDBACK = 3
+"""Number of runs without feedback. The largest oscillation of these runs is used.
+
+The chatter of pressed links varies by a factor of two between seeds of the noise.
+"""
+LOWEST_FRICTION_FACTORS = {"friction": 1.0 - MIN_FACTOR_SPREAD["friction"]}
+"""Factors of a plant that is nominal except for its friction, which is the lowest of any ensemble."""
+
+
+@dataclass
+class RestTest:
+    """Test in a lockstep simulation whether the hand comes to rest with given gains.
+
+    Four plants are simulated: the nominal plant, the nominal plant with the lowest friction of any
+    ensemble, the plant with the smallest margins, and the plant with the highest friction. A
+    simulation is necessary because the linear models neglect friction.
+
+    The links of a digit that presses on an object may chatter even at constant motor torque. This
+    oscillation is a property of the plant. It is measured on the same plant without feedback, and
+    subtracted for each tendon. Nothing is subtracted if the eigenvalues of a linear tension loop
+    show that the loop itself oscillates.
+
+    Attributes:
+        hand: description of the simulated hand.
+        factors: factors of the plants of the ensemble, the nominal plant first.
+        plants: linear factors of the plants.
+        seed: seed of the simulated noise.
+        reason: reason why the hand did not come to rest with the gains tested last, empty if it
+            did.
+    """
+
+    hand: Hand
+    factors: tuple[dict[str, float], ...]
+    plants: tuple[PlantFactors, ...]
+    seed: int
+    reason: str = ""
+    _results: dict[str, str] = field(default_factory=dict)
+    _chatter: dict[str, tuple[float, ...]] = field(default_factory=dict)
+
+    def __call__(self, model: HandModel) -> bool:
+        """Return True if the hand comes to rest with the gains of a model."""
+        gains = model.gains.model_dump_json()
+        if gains not in self._results:
+            self._results[gains] = self._simulate(model)
+        self.reason = self._results[gains]
+        return not self.reason
+
+    def _simulate(self, model: HandModel) -> str:
+        """Simulate the plants, and return the reason why the hand does not come to rest, empty if it does."""
+        friction = [factors.get("friction", 1.0) for factors in self.factors]
+        indices = sorted({0, weakest_plant(model, self.plants), friction.index(max(friction))})
+        cases = {
+            f"plant {i + 1} of {len(self.plants)}": (self.factors[i], self.seed + i)
+            for i in indices
+        }
+        cases[f"the plant with {LOWEST_FRICTION_FACTORS['friction']:g} of the friction"] = (
+            LOWEST_FRICTION_FACTORS,
+            self.seed,
+        )
+        for name, (factors, seed) in cases.items():
+            result = simulate_swing(self.hand, model, factors, seed)
+            if result.is_at_rest:
+                continue
+            # A simulation without feedback shows how much the plant itself oscillates.
+            ringing = is_loop_ringing(model, linear_factors(factors))
+            if (
+                result.failure
+                or ringing
+                or not result.minus_plant_swings(
+                    self._plant_swing(model, name, factors, seed)
+                ).is_at_rest
+            ):
+                return f": {name} {result}{' of a loop that oscillates' if ringing else ''}"
+        return ""
+
+    def _plant_swing(
+        self, model: HandModel, name: str, factors: Mapping[str, float], seed: int
+    ) -> tuple[float, ...]:
+        """Return the largest oscillation of each held tension without feedback [N].
+
+        In a failed run, the oscillations count as zero.
+        """
+        if name not in self._chatter:
+            still = HandModel.from_hand(
+                model.hand, Gains.model_validate(GAINS_WITHOUT_FEEDBACK), 1.0 / model.period
+            )
+            runs = [
+                simulate_swing(self.hand, still, factors, seed + i)
+                for i in range(RUNS_WITHOUT_FEEDBACK)
+            ]
+            none = (0.0,) * model.tendon_count
+            each = zip(*(none if run.failure else run.hold_swings_N for run in runs), strict=True)
+            self._chatter[name] = tuple(max(values) for values in each)
+        return self._chatter[name]

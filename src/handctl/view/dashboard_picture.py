@@ -1,0 +1,135 @@
+"""Picture of the dashboard at one time of a run. The picture is drawn without a screen."""
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from handctl.errors import HandctlError
+from handctl.output import atomic_path
+from handctl.view.scene.chunk_arrays import RUN_TIME_TIMELINE
+from handctl.view.viewer import Viewer, running_viewer, software_vulkan
+
+if TYPE_CHECKING:
+    from rerun.experimental import ViewerClient, ViewerState
+
+PICTURE_SIZE_PX = "1600x900"
+"""Width and height of the picture [pixels]."""
+LOAD_TIMEOUT_S = 60.0
+"""Longest wait until the viewer answers, and longest wait until the recording is loaded [s]."""
+SCREENSHOT_PAUSE_S = 1.0
+"""Pause between two screenshots that are compared [s]."""
+NOTICE_S = 5.0
+"""Time from the start of the viewer during which notices cover the dashboard [s]."""
+UNCHANGED_TIMEOUT_S = 10.0
+"""Longest wait until two screenshots are equal [s]."""
+
+
+def draw_recording(rrd: Path, at_s: float, out: Path) -> list[str]:
+    """Draw the dashboard of a Rerun recording at one time as PNG.
+
+    Args:
+        rrd: path of the recording, which includes the layout of the dashboard.
+        at_s: time to show, since the start of the run [s].
+        out: path of the PNG file to write.
+
+    Returns:
+        problems that the views of the dashboard report, or an empty list.
+
+    Raises:
+        ConfigError: no Vulkan driver is installed.
+        HandctlError: the viewer failed.
+        OSError: the PNG file cannot be written.
+    """
+    with running_viewer(
+        ["--headless", "--window-size", PICTURE_SIZE_PX, str(rrd)], software_vulkan()
+    ) as running:
+        clear = time.monotonic() + NOTICE_S
+        client = connect_client(running)
+        wait_until_loaded(client, RUN_TIME_TIMELINE, int(at_s * 1e9))
+        client.set_time(RUN_TIME_TIMELINE, duration=at_s, play_state="paused")
+        time.sleep(max(SCREENSHOT_PAUSE_S, clear - time.monotonic()))
+        png = settled_screenshot(client)
+        reports = view_problem_reports(client)
+    with atomic_path(out) as part:
+        part.write_bytes(png)
+    return reports
+
+
+def settled_screenshot(client: "ViewerClient") -> bytes:
+    """Return a screenshot of the viewer once the screenshots no longer change.
+
+    On a busy machine, the viewer draws the views of the dashboard one after the other.
+    """
+    end = time.monotonic() + UNCHANGED_TIMEOUT_S
+    before = client.take_screenshot()
+    while True:
+        time.sleep(SCREENSHOT_PAUSE_S)
+        now = client.take_screenshot()
+        if now == before or time.monotonic() > end:
+            return now
+        before = now
+
+
+def connect_client(running: Viewer) -> "ViewerClient":
+    """Wait for a viewer that is starting, and return a client connected to the viewer."""
+    from rerun.experimental import ViewerClient
+
+    end = time.monotonic() + LOAD_TIMEOUT_S
+    while True:
+        try:
+            client = ViewerClient.connect(running.url)
+            client.get_state()
+        except (RuntimeError, ConnectionError) as error:
+            if running.process.poll() is not None or time.monotonic() > end:
+                raise HandctlError(f"no answer from the viewer: {error}", "rerun", "") from error
+            time.sleep(0.1)
+        else:
+            return client
+
+
+def timeline_end(state: "ViewerState", timeline: str) -> int:
+    """Return the latest end of a timeline in all recordings of a viewer, in the timeline's unit.
+
+    The end is -1 without data.
+    """
+    lines = [
+        line
+        for recording in state.recordings
+        for line in recording.timelines
+        if line.name == timeline
+    ]
+    return max((line.end for line in lines if line.end is not None), default=-1)
+
+
+def wait_until_loaded(client: "ViewerClient", timeline: str, until: int = 0) -> None:
+    """Wait until a viewer has views and has loaded a recording up to a given time.
+
+    A viewer gets a recording and the layout before the first data. Already then the viewer reports
+    the end of loading, so a check of this report alone is not enough.
+
+    Args:
+        client: client of the viewer.
+        timeline: name of a timeline of the recording.
+        until: time up to which the recording must be loaded, in the timeline's unit.
+
+    Raises:
+        HandctlError: the recording is not loaded after `LOAD_TIMEOUT_S`.
+    """
+    end = time.monotonic() + LOAD_TIMEOUT_S
+    while time.monotonic() < end:
+        state = client.get_state()
+        if timeline_end(state, timeline) >= until and state.views and not state.loading:
+            return
+        time.sleep(0.1)
+    raise HandctlError(
+        f"the viewer has not loaded the recording after {LOAD_TIMEOUT_S:g} s", "rerun", ""
+    )
+
+
+def view_problem_reports(client: "ViewerClient") -> list[str]:
+    """Return the problems that the views of the dashboard report."""
+    return [
+        f"{view.name}: {report.severity}: {report.summary}"
+        for view in client.get_state().views
+        for report in view.reports
+    ]

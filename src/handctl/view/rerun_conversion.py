@@ -1,0 +1,161 @@
+"""Conversion of a log to the chunks that Rerun shows. The chunks go to a file or to a viewer."""
+
+import errno
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import chain
+from pathlib import Path
+
+import rerun as rr
+from rerun.chunk import Chunk, McapReader
+
+from handctl.errors import LogError
+from handctl.log.read.record_scan import RecordScan, scan_path
+from handctl.log.read.recover import RecoveryStatus, recover_log
+from handctl.view.scene.blueprint import dashboard_layout
+from handctl.view.scene.chunk_arrays import LOG_TIME_TIMELINE, times_since_start
+from handctl.view.scene.entity_styles import style_chunks
+from handctl.view.scene.geometry import mesh_chunks
+from handctl.view.scene.run_info import RunInfo
+from handctl.view.scene.topic_converters import TopicConverters
+from handctl.view.scene.true_shapes import true_shape_chunks
+from handctl.view.time_slices import SLICE_NS, time_slices
+
+DISK_SPACE_FACTOR = 2
+"""Free disk space that must exist before a recording is written, as a multiple of the log's size.
+
+If the disk became full, Rerun's writer would block forever.
+"""
+MESSAGE_DECODERS = ("ros2msg", "ros2_reflection", "urdf")
+"""Names of the decoders with which Rerun reads the messages of a log."""
+
+
+@contextmanager
+def rerun_errors(name: str) -> Iterator[None]:
+    """Turn an error that Rerun raises about a bad file into a LogError."""
+    try:
+        yield
+    except (RuntimeError, ValueError, OSError) as error:
+        raise LogError(
+            f"damaged log: {error}", name, "an intact file; see `handctl log recover`"
+        ) from error
+
+
+def run_chunks(path: Path, run: RunInfo, first_ns: int = SLICE_NS) -> Iterator[Chunk]:
+    """Return all chunks of a log one after another, see `run_parts`."""
+    return chain.from_iterable(run_chunks_in_parts(path, run, first_ns))
+
+
+def run_chunks_in_parts(
+    path: Path, run: RunInfo, first_ns: int = SLICE_NS, scan: RecordScan | None = None
+) -> Iterator[list[Chunk]]:
+    """Yield all chunks of a log in parts. The first part has the static chunks. The run follows in the order of time.
+
+    Args:
+        path: path of the log. The log may end early.
+        run: run and hand of the log.
+        first_ns: length of the first part of the run [ns].
+        scan: outer records of the log, if the log has been scanned already.
+
+    Raises:
+        LogError: the log is damaged.
+    """
+    yield [*style_chunks(run), *mesh_chunks(run), *true_shape_chunks(run)]
+    with tempfile.TemporaryDirectory(prefix="handctl-view-") as folder:
+        converters = TopicConverters(run)
+        complete, scan = ensure_complete_log(path, Path(folder), scan or scan_path(path))
+        for part, since_ns in time_slices(complete, scan, Path(folder), first_ns):
+            yield list(log_chunks(part, converters, run.name, since_ns))
+
+
+def ensure_complete_log(path: Path, folder: Path, scan: RecordScan) -> tuple[Path, RecordScan]:
+    """Return the path and the scan of a complete log: the log itself, or a repaired copy of a log that ends early.
+
+    Rerun omits parts of the last chunk of an incomplete log.
+
+    Raises:
+        LogError: the log has no complete chunk.
+    """
+    if not scan.problem:
+        return path, scan
+    copy = folder / path.name
+    if recover_log(path, copy).status == RecoveryStatus.NOTHING:
+        raise LogError("no complete chunk in it", str(path), "a log with at least its header")
+    return copy, scan_path(copy)
+
+
+def log_chunks(
+    path: Path, converters: TopicConverters, name: str, since_ns: int = 0
+) -> Iterator[Chunk]:
+    """Yield the chunks that the dashboard needs, made from the topics of a log.
+
+    Args:
+        path: path of the log. The log may end early.
+        converters: converters for the topics of the log.
+        name: name of the log in error messages.
+        since_ns: log time before which the log is not read [ns].
+
+    Raises:
+        LogError: the log is damaged.
+    """
+    with rerun_errors(name):
+        reader = McapReader(
+            path, decoders=MESSAGE_DECODERS, include_topic_regex=converters.topics, recover=True
+        )
+        first, last = reader.time_bounds()
+        # The end of the time range does not belong to the stream, so 1 is added.
+        raw = (
+            reader.stream(start_time_ns=max(first, since_ns), end_time_ns=last + 1)
+            .collect()
+            .stream()
+            .to_chunks()
+        )
+    yield from (new for chunk in sorted(raw, key=_start_time) for new in converters(chunk))
+
+
+def _start_time(chunk: Chunk) -> int:
+    """Return the log time of a chunk's first row [ns].
+
+    A chunk without times gets -1, and so comes first.
+    """
+    return int(times_since_start(chunk, 0)[0]) if LOG_TIME_TIMELINE in chunk.timeline_names else -1
+
+
+def new_recording(run: RunInfo) -> rr.RecordingStream:
+    """Return a new Rerun recording that is not yet connected to a file or a viewer."""
+    stream = rr.RecordingStream(run.application_id, recording_id=run.name, send_properties=False)
+    stream.send_recording_name(run.name)
+    if run.header.offset_ns:
+        stream.send_recording_start_time_nanos(run.header.offset_ns)
+    return stream
+
+
+def write_rrd(path: Path, run: RunInfo, out: Path) -> int:
+    """Write a log as a Rerun recording, which includes the layout of the dashboard.
+
+    Args:
+        path: path of the log.
+        run: run and hand of the log.
+        out: file of the recording.
+
+    Returns:
+        size of the recording's file [bytes].
+
+    Raises:
+        LogError: the log is damaged, or the file cannot be written.
+        OSError: the free disk space is too small.
+    """
+    if shutil.disk_usage(out.absolute().parent).free < DISK_SPACE_FACTOR * path.stat().st_size:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(out))
+    stream = new_recording(run)
+    try:
+        stream.save(out, default_blueprint=dashboard_layout(run))
+    except (RuntimeError, OSError) as error:
+        raise LogError(f"cannot write: {error}", str(out), "a file in a writable folder") from error
+    rr.send_chunks(run_chunks(path, run), recording=stream)
+    stream.flush()
+    stream.disconnect()
+    return out.stat().st_size
