@@ -37,6 +37,8 @@ def note_contacts(entry, out):
     touching_digits.update(event.where for event in out.events if event.name == "contact")
 
 
-state = simulate_controller(controller, SimulatorSettings(hand, "cylinder", homed=True), note_contacts)
+state = simulate_controller(
+    controller, SimulatorSettings(hand, "cylinder", homed=True), note_contacts
+)
 print("in contact:", ", ".join(sorted(touching_digits)))
 print("result:", state.failure or "complete, relaxed and disarmed")

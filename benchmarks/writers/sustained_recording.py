@@ -67,7 +67,11 @@ def measure_sustained(path: Path, seconds: float) -> dict[str, Any]:
         spent = _processor_s(recorder._child.pid)
         start = time.perf_counter()
         logged = _run_loop(
-            seconds, granted, ticks, _record_function(recorder), lambda: list(recorder.take_events())
+            seconds,
+            granted,
+            ticks,
+            _record_function(recorder),
+            lambda: list(recorder.take_events()),
         )
         fraction = (_processor_s(recorder._child.pid) - spent) / (time.perf_counter() - start)
         after = _run_loop(seconds / 2, granted, ticks, lambda entry, out: None, list)

@@ -25,14 +25,17 @@ EXAMPLE_BY_COMMAND = {
 COMMANDS_WITH_FINDINGS = {"doctor", "bus doctor"}
 """Commands whose exit code may be 1, because they find a defect of the test's machine."""
 EXAMPLES_ALONE = sorted(
-    words for words, example in EXAMPLE_BY_COMMAND.items() if not example.parallel_commands)
+    words for words, example in EXAMPLE_BY_COMMAND.items() if not example.parallel_commands
+)
 EXAMPLES_BESIDE_SIMULATOR = sorted(
     words
     for words, example in EXAMPLE_BY_COMMAND.items()
     if example.parallel_commands and RUNNING_HAND not in example.parallel_commands
 )
 EXAMPLES_BESIDE_RUN = sorted(
-    words for words, example in EXAMPLE_BY_COMMAND.items() if RUNNING_HAND in example.parallel_commands
+    words
+    for words, example in EXAMPLE_BY_COMMAND.items()
+    if RUNNING_HAND in example.parallel_commands
 )
 READY_TIMEOUT_S = 60.0
 """Longest time in which a simulator and a controller start [s], including compilation."""

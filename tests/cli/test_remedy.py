@@ -90,7 +90,9 @@ def test_simulator_and_controller_share_a_core(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(time_scale_advice, "ask_simulator", lambda path, question: answer)
     monkeypatch.setattr(time_scale_advice, "usable_cores", lambda: 1)
     plan = RunPlan(load_hand("jamia"), Gains(), 500.0, (0.6,), ("local:lab",))
-    assert time_scale_advice.slower_time_scale(plan, run_with_faults(*LATE_FAULTS, cpu_s=1.8)) == 0.5
+    assert (
+        time_scale_advice.slower_time_scale(plan, run_with_faults(*LATE_FAULTS, cpu_s=1.8)) == 0.5
+    )
 
 
 def test_virtual_time_is_not_slowed(capsys: pytest.CaptureFixture[str]) -> None:

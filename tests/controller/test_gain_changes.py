@@ -112,7 +112,9 @@ def test_a_hand_that_is_commissioned_keeps_its_gains(jamia: HandModel) -> None:
     """A change of gains is refused while a hand is commissioned, because the next run would not have the new gains."""
     desk = ControllerBench(
         uncommissioned_controller(jamia, CommissionProgram()),
-        load_simulator("firmware_sim.lockstep_hand:LockstepHand", hand_path=str(hand_path("jamia"))),
+        load_simulator(
+            "firmware_sim.lockstep_hand:LockstepHand", hand_path=str(hand_path("jamia"))
+        ),
     )
     desk.run_until_mode(HandMode.ACTIVE)
     out = desk.tick(gain_request({"motion.force_N": 20.0}))

@@ -269,7 +269,9 @@ def test_a_wrong_object_refuses_to_arm(name: str) -> None:
         spoil(nodes_of(simulation)[0])
         assert simulation.run_until(lambda out: out.mode == HandMode.DONE, 4.0)
     assert simulation.state.failure == f"amplifier 0x21: {text}"
-    assert not any(HandMode.ARMING <= out.mode <= HandMode.RELAX for _, out in simulation.recorded_ticks)
+    assert not any(
+        HandMode.ARMING <= out.mode <= HandMode.RELAX for _, out in simulation.recorded_ticks
+    )
 
 
 @pytest.mark.nightly

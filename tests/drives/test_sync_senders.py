@@ -53,7 +53,10 @@ def test_a_hand_on_two_buses_has_sync_on_both(tmp_path: Path) -> None:
     ) as run:
         assert run.run_until(lambda out: out.mode == HandMode.ACTIVE, 5.0)
         sent = [
-            (frame.bus, len(frame.data)) for frame in run.last_output.frames if frame.can_id == SYNC_ID]
+            (frame.bus, len(frame.data))
+            for frame in run.last_output.frames
+            if frame.can_id == SYNC_ID
+        ]
         assert sent == [(0, 1), (1, 0)], (
             "once on each bus: with the counter for the sensor node, else empty"
         )

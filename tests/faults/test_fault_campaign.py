@@ -182,7 +182,9 @@ def test_a_missing_reaction_counts_as_late(tmp_path):
     This is its positive control.
     """
     hand = hand_with_protocol("jamia", "mit")
-    never = MatrixRow("B01", "drop node=index_motor p=0", SafetyAction.WARN, 3, accepted_faults=("B01",))
+    never = MatrixRow(
+        "B01", "drop node=index_motor p=0", SafetyAction.WARN, 3, accepted_faults=("B01",)
+    )
     slow = MatrixRow(
         "T04", "drift cell=index_tendon size=1", SafetyAction.RELAX, 3, accepted_faults=("T04",)
     )
@@ -208,7 +210,9 @@ def test_a_missing_reaction_counts_as_late(tmp_path):
 
 def test_a_reaction_to_another_fault_does_not_count():
     """If a run ends because a drive has dropped out, this does not show that faults of load cells are detected."""
-    row = MatrixRow("T05", "error node=index_motor", SafetyAction.RELAX, 3, accepted_faults=("T05",))
+    row = MatrixRow(
+        "T05", "error node=index_motor", SafetyAction.RELAX, 3, accepted_faults=("T05",)
+    )
     with homed_run(hand_with_protocol("jamia", "mit"), RATE_HZ, 0) as simulation:
         advance_to_stage(simulation, ARMING_STAGE)
         advance_to_stage(simulation, FREE_STAGE)

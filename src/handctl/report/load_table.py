@@ -17,7 +17,7 @@ TABLE_RATES_HZ = (250.0, 500.0, 1000.0)
 """Control rates for which the table gives the bus load [Hz]."""
 
 
-class BusLoadRow(NamedTuple):
+class LoadTableRow(NamedTuple):
     """Row of the table of bus loads.
 
     Attributes:
@@ -54,14 +54,14 @@ class BusLoadRow(NamedTuple):
 
 
 BUS_LOAD_ROWS = (
-    BusLoadRow("MIT", False, 4, (8, 8), (8,)),
-    BusLoadRow("MIT", False, 11, (8, 8), (8, 8, 8)),
-    BusLoadRow("MIT", True, 4, (8, 8), (12,)),
-    BusLoadRow("MIT", True, 11, (8, 8), (32,)),
-    BusLoadRow("CiA 402", False, 4, (4, 8), (0, 8)),
-    BusLoadRow("CiA 402", False, 11, (4, 8), (0, 8, 8, 8)),
-    BusLoadRow("CiA 402, four torques in one RPDO", False, 4, (8,), (0, 8, 8)),
-    BusLoadRow("ODrive, torque and encoder", False, 4, (4, 8), (8,)),
-    BusLoadRow("ODrive, with torque feedback", False, 4, (8, 8, 8), (8,)),
+    LoadTableRow("MIT", False, 4, (8, 8), (8,)),
+    LoadTableRow("MIT", False, 11, (8, 8), (8, 8, 8)),
+    LoadTableRow("MIT", True, 4, (8, 8), (12,)),
+    LoadTableRow("MIT", True, 11, (8, 8), (32,)),
+    LoadTableRow("CiA 402", False, 4, (4, 8), (0, 8)),
+    LoadTableRow("CiA 402", False, 11, (4, 8), (0, 8, 8, 8)),
+    LoadTableRow("CiA 402, four torques in one RPDO", False, 4, (8,), (0, 8, 8)),
+    LoadTableRow("ODrive, torque and encoder", False, 4, (4, 8), (8,)),
+    LoadTableRow("ODrive, with torque feedback", False, 4, (8, 8, 8), (8,)),
 )
 """Rows of the table: (protocol, CAN FD, motors, payloads of each motor, shared payloads)."""

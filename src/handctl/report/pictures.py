@@ -207,7 +207,9 @@ def _phase_middles(log: RunLog) -> list[tuple[str, int]]:
     inside = [
         (name, i) for name, i in middles if name not in PASSIVE_PHASES and i < len(log)
     ]  # the ticks may be unordered
-    return [(name, i) for name, i in inside if log.mode[i] == int(HandMode.ACTIVE)][: 2 * POSES_PER_ROW]
+    return [(name, i) for name, i in inside if log.mode[i] == int(HandMode.ACTIVE)][
+        : 2 * POSES_PER_ROW
+    ]
 
 
 def draw_lateness(log: RunLog) -> str:

@@ -177,7 +177,10 @@ class SimulatedRun:
     def begin(controller: Controller, simulated_hand: SimulatedHand) -> "SimulatedRun":
         """Begin a run of a controller with a simulated hand."""
         return SimulatedRun(
-            controller, simulated_hand, round(1e9 * controller.model.period), controller.initial_state()
+            controller,
+            simulated_hand,
+            round(1e9 * controller.model.period),
+            controller.initial_state(),
         )
 
     def __post_init__(self) -> None:
