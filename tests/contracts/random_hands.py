@@ -115,7 +115,7 @@ def random_hand(tendons: int, rng: RandomGenerator) -> Hand:
 def _motors_with_position_loop(hand: Hand, rng: RandomGenerator) -> set[str]:
     """Return about half of the motors that may close a position loop.
 
-    Only motors of digits without antagonists may do so.
+    Only motors of digits without antagonists may close a position loop.
     """
     if hand.motor[0].protocol not in ("mit", "robstride", "moteus"):
         return set()
@@ -151,7 +151,8 @@ def _random_digit(
 def _message_payload(message: Message, given: dict[Quantity, Any], rng: RandomGenerator) -> bytes:
     """Return the payload of a message with given values.
 
-    If a status has several signals, the first has its highest bits.
+    If a message has several status signals, the first signal contains the highest bits of the
+    status.
     """
     values, left = [], sum(one.length for one in message.signals if one.quantity == Quantity.STATUS)
     for signal in message.signals:
