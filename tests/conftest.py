@@ -17,7 +17,10 @@ NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 SLOW_S = float("inf") if NIGHTLY else float(os.environ.get("HANDCTL_SLOW_S", "inf"))
 """Cost above which a sample leaves out a test of tests/slow_tests.txt [s]."""
 PROPERTY_TEST_SETTINGS = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
-"""Property tests have no time limit per example. They judge no time, and the processor cores are shared."""
+"""Property tests have no time limit per example.
+
+Property tests do not judge times, and other processes share the processor cores.
+"""
 
 settings.register_profile(
     "every run", PROPERTY_TEST_SETTINGS, derandomize=True, database=None, max_examples=40
@@ -28,7 +31,7 @@ settings.load_profile("nightly" if NIGHTLY else "every run")
 TIME_SCALE_PER_REPEAT = 0.5
 """Factor by which each repetition of a test reduces its time scale."""
 TIME_WITHOUT_STALL_S = 1.0
-"""Time without a stall of the machine that precedes a repetition [s]."""
+"""Time that must pass without a stall of the machine before a test is repeated [s]."""
 MAX_STALL_WAIT_S = 15.0
 """Longest wait for a time without a stall before a repetition [s]."""
 REAL_CLOCK_TIMEOUT_S = 900.0
@@ -39,7 +42,7 @@ REAL_CLOCK_TIMEOUT_S = 900.0
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 # If Python may not store byte code, each program that the tests start compiles 300 modules. This
-# takes half of its start.
+# takes half of the program's start-up time.
 if os.environ.pop("PYTHONDONTWRITEBYTECODE", None):
     BYTE_CODE = tempfile.TemporaryDirectory(prefix="handctl-byte-code-", ignore_cleanup_errors=True)
     """Folder for the byte code of the programs that tests start. It is removed at the end of this process."""
@@ -51,11 +54,12 @@ if "HANDCTL_RUN_DIR" not in os.environ:
 
 
 REAL_CLOCK_SELECTIONS = ("alone", "realtime and not alone")
-"""Test selections of `make realtime`. They contain only tests on the real clock."""
+"""Test selections of `make realtime`. These selections contain only tests on the real clock."""
 REAL_CLOCK_MARKERS = ("mark.realtime", "mark.alone")
 """Markers of tests on the real clock.
 
-Every file with such tests contains one, except in the folder that marks all its tests.
+Every file with such tests contains one of these markers, except in the folder tests/vcan, which
+marks all of its tests.
 """
 REAL_CLOCK_FOLDER = Path(__file__).parent / "vcan"
 
@@ -85,8 +89,8 @@ class RepeatAfterStall:
 
     A test has at most three tries.
 
-    If a test slows time, each try slows it more by the fixture ``repeat_time_scale``. In slower time a stall
-    has less effect, but a defect has the same effect.
+    If a test slows time, each repetition slows it further by the factor of the fixture
+    ``repeat_time_scale``. In slower time a stall has less effect, but a defect has the same effect.
 
     Attributes:
         stalls: names of the repeated tests, with the longest stall during each [s].
@@ -144,7 +148,7 @@ class RepeatAfterStall:
             )
 
     def pytest_unconfigure(self) -> None:
-        """Close the meter."""
+        """Close the stall meter."""
         if self.meter:
             self.meter.close()
 
@@ -163,9 +167,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Register the repetition of tests, except in a virtual machine.
+    """Register the repetition of tests, except in a guest of the vcan tests.
 
-    A virtual machine has one core, on which every process waits for the others.
+    A guest has only one core, on which every process waits for the others.
     """
     if "HANDCTL_VCAN_REPORTS" not in os.environ:
         config.pluginmanager.register(RepeatAfterStall(), "repeats")

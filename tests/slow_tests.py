@@ -10,10 +10,10 @@
 
 A run leaves out the listed tests whose cost is above ``HANDCTL_SLOW_S``. `make test` sets 0, and CI
 sets 3, with a higher value for tests on the real clock. `make nightly` and plain pytest run all
-listed tests. The cost of a test is its processor time, for a test on the real clock its elapsed
-time. In a sample, each test function keeps its first cases up to a total cost of ``FUNCTION_BUDGET_S`` or
-``REAL_CLOCK_BUDGET_S``. Each file keeps at least its cheapest test if that costs no more than ``FILE_LIMIT_S``. A
-sample therefore still enters nearly every file.
+listed tests. The cost of a test is its processor time. For a test on the real clock, the cost is
+its elapsed time. In a sample, each test function keeps its first cases up to a total cost of
+``FUNCTION_BUDGET_S`` or ``REAL_CLOCK_BUDGET_S``. Each file keeps at least its cheapest test if that
+costs no more than ``FILE_LIMIT_S``. A sample therefore still enters nearly every file.
 """
 
 import json

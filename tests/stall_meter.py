@@ -21,7 +21,9 @@ Even a busy core wakes a sleeper within some milliseconds.
 
 
 class StallMeter:
-    """Processes that sleep and report when they wake up late. They run until :meth:`close`.
+    """Processes that sleep and report when they wake up late.
+
+    These processes run until :meth:`close`.
 
     Attributes:
         pids: processes of the sleepers, one per core.

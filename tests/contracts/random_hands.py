@@ -115,7 +115,7 @@ def random_hand(tendons: int, rng: RandomGenerator) -> Hand:
 def _motors_with_position_loop(hand: Hand, rng: RandomGenerator) -> set[str]:
     """Return about half of the motors that may close a position loop.
 
-    Only motors of digits without antagonists may do so.
+    Only motors of digits without antagonists may close a position loop.
     """
     if hand.motor[0].protocol not in ("mit", "robstride", "moteus"):
         return set()
@@ -153,7 +153,8 @@ def _message_payload(
 ) -> bytes:
     """Return the payload of a message with given values.
 
-    If a status has several signals, the first has its highest bits.
+    If a message has several status signals, the first signal contains the highest bits of the
+    status.
     """
     values, left = (
         [],

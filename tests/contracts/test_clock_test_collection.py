@@ -1,4 +1,7 @@
-"""Some stages of `make test` run only tests on the real clock. They import only the files that have such tests."""
+"""Some stages of `make test` run only tests on the real clock.
+
+These stages import only the files that have such tests.
+"""
 
 import re
 from pathlib import Path

@@ -87,7 +87,7 @@ def test_interpreted_kernels_give_the_same_bytes(name: str) -> None:
 DAILY_RANDOM_HANDS = [(1, 0), (2, 0), (5, 1), (5, 2), (6, 5), (11, 1), (24, 0)]
 """Number of tendons and seed of each random hand that is tested by day.
 
-Drives of (5, 2), (6, 5) and (11, 1) close position loops. Those of (6, 5) are moteus.
+Drives of (5, 2), (6, 5) and (11, 1) close position loops. The drives of (6, 5) are moteus drives.
 """
 
 
@@ -148,7 +148,10 @@ def test_interpreted_kernels_begin_the_same_motions() -> None:
 
 
 def test_a_prepared_kernel_refuses_other_argument_types() -> None:
-    """An array of another type raises. A compilation for it would take a second in the middle of a tick."""
+    """An array of another type raises an exception.
+
+    Compiling the kernel for this type would take a second in the middle of a tick.
+    """
 
     @kernel("vector", "real")
     def scaled_values(values: np.ndarray, by: float) -> np.ndarray:
@@ -286,7 +289,7 @@ def test_without_a_writable_cache_each_process_compiles(
 class KernelSources:
     """Modules of handctl whose text can change a kernel.
 
-    They define names that the kernel uses, directly or indirectly.
+    These modules define names that the kernel uses, directly or indirectly.
     """
 
     def __init__(self) -> None:

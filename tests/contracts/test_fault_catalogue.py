@@ -1,6 +1,6 @@
 """The fault catalogue, the fault table, the campaign, tests and pages agree.
 
-Two lists of other projects map onto the catalogue.
+Each fault in the lists of two other projects has its counterpart in the catalogue.
 """
 
 from pathlib import Path
@@ -41,7 +41,10 @@ AUTOSAR_FAULTS = {
     "wrong address": "B10 N13", "wrong sequence": "B07", "corruption": "B08 B09", "asymmetric information": "B17",
     "subset of receivers": "B17", "blocked access": "B11 B12",
 }  # fmt: skip
-"""Faults of communication that AUTOSAR lists, with faults of this catalogue. Source: FAULTS, section 2.6."""
+"""Communication faults that AUTOSAR lists, each with the corresponding faults of this catalogue.
+
+Source: FAULTS, section 2.6.
+"""
 PX4_FAILURE_KINDS = ("off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent")
 PX4_FAILURES = {
     "link": ("N02", "N15", "B08", "B06", "N15", "B04", "B03"),
@@ -55,7 +58,7 @@ PX4_FAILURES = {
 }  # fmt: skip
 """Fault of this catalogue for each failure kind of PX4 and each measured quantity.
 
-An entry with - does not apply, and gives the reason.
+An entry that starts with - does not apply, and gives the reason.
 """
 
 

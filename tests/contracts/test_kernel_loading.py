@@ -53,6 +53,6 @@ def test_other_versions_of_numba_load_in_their_own_way() -> None:
 
 
 def test_the_installed_version_is_known() -> None:
-    """For a new version of numba, somebody must check the steps in ``kernel_loading``."""
+    """The steps in ``kernel_loading`` must be checked by hand for each new version of numba."""
     version: object = numba.version_info
     assert getattr(version, "short", None) in kernel_loading.TESTED_VERSIONS

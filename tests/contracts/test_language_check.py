@@ -1,4 +1,7 @@
-"""The language check counts as its documentation says. Its limits can only be lowered."""
+"""Test that the language check counts as its documentation says.
+
+The limits of the check can only be lowered.
+"""
 
 import importlib.util
 import sys

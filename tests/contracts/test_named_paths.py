@@ -8,7 +8,7 @@ import pytest
 REPOSITORY = Path(__file__).parents[2]
 FOLDERS = "benchmarks|docs|examples|firmware_sim|fuzz|logs|src|tests|tools"
 PATH_PATTERN = re.compile(rf"(?<![\w/.-])(?:{FOLDERS})/[\w/.*-]*[\w*]")
-"""A path in a text. It may contain the wildcard of a shell."""
+"""A path in a text. The path may contain the wildcard of a shell."""
 PLACEHOLDER_PATTERN = re.compile(r"[A-Z]{3,}|[.]{3}|RUN")
 """A path with a word in capital letters, such as NAME, is a pattern for the reader."""
 DOCUMENTS = [

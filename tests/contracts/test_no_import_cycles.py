@@ -12,7 +12,7 @@ ImportGraph = dict[str, set[str]]
 def module_files() -> dict[str, Path]:
     """Return every module of handctl and firmware_sim with its file.
 
-    A package has the file `__init__.py`, which contains no code.
+    The file of a package is its `__init__.py`, which contains no code.
     """
     files = {}
     for package in (REPOSITORY / "src" / "handctl", REPOSITORY / "firmware_sim"):

@@ -1,4 +1,4 @@
-"""If an optional package is not installed, a command that needs it reports this in one line before it begins."""
+"""A command that needs a missing optional package reports this in one line before any work."""
 
 import ast
 import json
@@ -24,7 +24,7 @@ PLACES_OF_EXTRAS = (
 )  # fmt: skip
 """Folders and files of the source that may import optional packages."""
 PARTS_OF_DEPENDENCIES = {"pydantic_core"}
-"""Packages that are part of a dependency, which pins them to one version."""
+"""Packages that belong to a dependency. The dependency pins them to one version."""
 HIDE_EXTRAS_CODE = f"import sys\nsys.modules.update(dict.fromkeys({list(EXTRA_BY_MODULE)}))\n"
 """Python code that hides every optional package from a process."""
 

@@ -1,4 +1,7 @@
-"""The README is short and agrees with the code. It names unknown properties first."""
+"""The README is short and agrees with the code.
+
+The README states the limits of the project before it shows commands.
+"""
 
 import tomllib
 from pathlib import Path

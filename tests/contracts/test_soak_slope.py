@@ -1,6 +1,6 @@
 """Test the long soak run.
 
-It reports a leak, does not report memory that is freed and allocated again, and can start a
+The run reports a leak, but not memory that is freed and allocated again. The run can start a
 controller.
 """
 
@@ -33,7 +33,7 @@ def test_a_controller_gets_a_calibration_of_its_hand(
 ) -> None:
     """Regression: the soak run wrote a hand file in place of the calibration.
 
-    It ended before its first controller.
+    The soak run therefore ended before it started a controller.
     """
     monkeypatch.chdir(tmp_path)
     done = subprocess.Popen([sys.executable, "-c", ""])

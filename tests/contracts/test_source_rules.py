@@ -74,7 +74,7 @@ def test_only_the_loop_catches_all_exceptions_and_once() -> None:
 def test_only_one_module_builds_the_simulated_hand() -> None:
     """Only ``session.simulate`` builds a simulated hand in lockstep.
 
-    The module of the lockstep clock defines the parts.
+    The parts of this simulated hand are defined in the module of the lockstep clock.
     """
     builders = {
         str(path.relative_to(REPOSITORY))

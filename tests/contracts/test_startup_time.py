@@ -33,7 +33,10 @@ UNUSED_SCIPY_PACKAGES = (
 """Packages of scipy that a run does not import if its hand has springs."""
 HELP_LIMIT_S = 0.3
 HELP_LIMIT_INTERPRETERS = 10
-"""Limit of the time for a help on a slow or busy machine, in start-up times of an empty Python interpreter."""
+"""Limit of the time that ``--help`` may take on a slow or busy machine.
+
+The unit is the start-up time of an empty Python interpreter.
+"""
 HELP_CODE = (
     "from handctl.cli.main import main\ntry:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
 )

@@ -1,4 +1,7 @@
-"""No tick imports a module. An import takes up to 0.3 s, and the run would then end with the fault H03."""
+"""No tick imports a module.
+
+An import takes up to 0.3 s. The run would then end with the fault H03 (the host stalled).
+"""
 
 import subprocess
 import sys

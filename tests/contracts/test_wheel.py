@@ -18,7 +18,8 @@ REPOSITORY = Path(__file__).parents[2]
 CONTROLLER_SIZE_MB = 620
 """Largest size of the packages that a controller needs [MB].
 
-numba with LLVM has 210, scipy 145, numpy 75, and the dependencies of the package control have 105.
+numba with LLVM takes 210 MB, scipy 145 MB, numpy 75 MB, and the dependencies of the package control
+take 105 MB.
 """
 
 pytestmark = [pytest.mark.nightly, pytest.mark.timeout(1800)]

@@ -1,4 +1,7 @@
-"""Models of packaged hands. They are computed once for all tests, because the design of the gains takes long."""
+"""Models of packaged hands.
+
+The models are computed once for all tests, because the design of their gains takes long.
+"""
 
 import pytest
 
@@ -10,7 +13,7 @@ from handctl.programs.live_session import LiveProgram
 from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
 DEFAULT_RATES = {"jamia": 500.0, "jamia11": 200.0}
-"""Default control rate of each hand [Hz]. Its frames fit on the bus at this rate."""
+"""Default control rate of each hand [Hz]. All frames of the hand fit on its bus at this rate."""
 
 
 @pytest.fixture(scope="session")
@@ -27,7 +30,10 @@ def jamia11() -> HandModel:
 
 @pytest.fixture(params=["jamia", "jamia11"])
 def model(request: pytest.FixtureRequest) -> HandModel:
-    """Return the model of one of the two packaged Jamia hands. A test with this fixture runs once for each."""
+    """Return the model of one of the two packaged Jamia hands.
+
+    A test with this fixture runs once with each hand.
+    """
     found: HandModel = request.getfixturevalue(request.param)
     return found
 

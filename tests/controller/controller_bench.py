@@ -1,8 +1,8 @@
-"""A hand with scripted motors, tendons and load cells, and a bench that runs a controller tick by tick with it.
+"""A hand with scripted motors, tendons and load cells, and a bench that runs a controller with it.
 
-This hand models much less than the simulator, and is therefore fast. Every digit stands on its open
-stop, and its rotor winds an elastic tendon against the stop. A test can lose, change or invent
-frames in both directions.
+This hand models much less than the simulator, and is therefore fast. Every digit rests on the
+mechanical stop of its open posture, and a rotor winds an elastic tendon against this stop. A test
+can drop, change or add frames from and to the controller.
 """
 
 from collections.abc import Callable
@@ -83,11 +83,14 @@ class ToyHand:
         return [answer._replace(t_ns=t_ns + 100_000 + i) for i, answer in enumerate(answers)]
 
     def tear_tendon(self, i: int) -> None:
-        """Tear tendon i. From then on its tension is zero, at any speed of its spool."""
+        """Tear tendon i.
+
+        From then on the tension of this tendon is zero, at any speed of its spool.
+        """
         self.tendon_stiffness[i] = self.tendon_damping[i] = 0.0
 
     def close(self) -> None:
-        """Do nothing, because this peer has nothing to close."""
+        """Do nothing, because the simulated hand has no file or connection to close."""
 
     def _feedback_codes(self, i: int) -> tuple[int, int, int]:
         angle, speed = (
@@ -140,7 +143,10 @@ class ToyHand:
 
 
 def _pack_channels(base: int, counter: int, values: list[int]) -> list[Frame]:
-    """Pack up to five channels of 12 bits into each frame, after a counter of four bits, from the lowest bit."""
+    """Pack load-cell channels into frames.
+
+    Each frame has a counter of 4 bits and up to five channels of 12 bits, from the lowest bit.
+    """
     frames = []
     for group, start in enumerate(range(0, len(values), 5)):
         part = values[start : start + 5]
@@ -150,7 +156,7 @@ def _pack_channels(base: int, counter: int, values: list[int]) -> list[Frame]:
 
 
 def uncommissioned_controller(model: HandModel, program: Program, arm: bool = True) -> Controller:
-    """Return a controller of all tendons of a hand that is not commissioned."""
+    """Return a controller for all tendons of a hand that has not been commissioned."""
     hand, n = model.hand, model.tendon_count
     buses = hand.bus_names
     motors = [hand.motor_of(name) for name in hand.tendon_names]
@@ -161,7 +167,7 @@ def uncommissioned_controller(model: HandModel, program: Program, arm: bool = Tr
 
 @dataclass
 class ControllerBench:
-    """A controller and the simulated hand, tick by tick.
+    """Bench that runs a controller and the simulated hand tick by tick.
 
     Attributes:
         controller: the controller under test.
@@ -188,7 +194,7 @@ class ControllerBench:
         missed_ticks: int = 0,
         extra_frames: tuple[Frame, ...] = (),
     ) -> TickOut:
-        """Run one tick of the controller, after ``missed_ticks`` ticks that it missed."""
+        """Run one tick of the controller, after it has missed ``missed_ticks`` ticks."""
         for _ in range(missed_ticks):
             self.frames_on_bus += self.peer.step(self.k * self.period_ns, [])
             self.k += 1
@@ -240,7 +246,7 @@ class ControllerBench:
 
 
 def make_controller_bench(model: HandModel, program: Program, arm: bool = True) -> ControllerBench:
-    """Return a bench that connects a controller with a hand without faults."""
+    """Return a bench that connects a controller with a simulated hand that has no faults."""
     return ControllerBench(
         uncommissioned_controller(model, program, arm),
         ToyHand(model.hand, round(model.period * 1e9)),

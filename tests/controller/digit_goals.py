@@ -18,7 +18,7 @@ def moving_goals(
 ) -> tuple[DigitGoal, ...]:
     """Return goals that move every digit from ``start`` to ``end`` [rad].
 
-    ``duration`` is one value for all digits, or one for each [s].
+    ``duration`` [s] is one number for all digits, or a tuple with one number per digit.
     """
     durations = duration if isinstance(duration, tuple) else (duration,) * len(model.digits)
     sizes = [digit.coupling.shape[1] for digit in model.digits]
@@ -33,7 +33,7 @@ def moving_goals(
 def holding_goals(
     model: HandModel, tension: float, rate: float = 200.0, limit: float = math.inf
 ) -> tuple[DigitGoal, ...]:
-    """Return goals with which the tendons of all digits hold the same tension [N]."""
+    """Return goals that hold the same tension ``tension`` [N] in the tendons of all digits."""
     return tuple(
         DigitGoal(
             GoalKind.TENSION,

@@ -46,7 +46,7 @@ def unknown_motor_force(model: HandModel, regime: TendonRegime) -> tuple[float, 
 def differential_equation_matrices(
     model: HandModel, i: int, regime: TendonRegime
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the matrices A and B of a tendon's linear differential equations, found column by column."""
+    """Determine the matrices A and B of a tendon's linear differential equations by columns."""
     zero = np.zeros(STATE_COUNT)
     A = np.column_stack(
         [rates_of_change(model, i, regime, one, 0.0, 0.0) for one in np.eye(STATE_COUNT)]
@@ -60,8 +60,8 @@ def process_noise_density(model: HandModel, i: int, regime: TendonRegime) -> np.
     """Return the spectral density of the process noise (STATES, STATES).
 
     The density of a Gauss-Markov state with standard deviation sigma and time constant tau is 2
-    sigma^2 / tau. That of a random walk is sigma^2 / tau. A free digit follows the spool, so the
-    noise of the spool acts on it too.
+    sigma^2 / tau. The density of a random walk is sigma^2 / tau. A free digit follows its spool, so
+    the noise on the speed of the spool also acts on the digit.
     """
     space, gains = model.space, model.gains.filter
     disturbance, lasts, shaking = unknown_motor_force(model, regime)
@@ -89,7 +89,7 @@ def integrate_one_period(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return F, B and the noise covariance of one control period in scaled units.
 
-    A Runge-Kutta method integrates them.
+    A Runge-Kutta method integrates the differential equations over the period.
     """
     A, B = differential_equation_matrices(model, i, regime)
     A, B = A * FILTER_STATE_UNITS / FILTER_STATE_UNITS[:, None], B / FILTER_STATE_UNITS[:, None]
@@ -116,7 +116,7 @@ def integrate_one_period(
 
 
 def measurement_noise(model: HandModel, i: int) -> np.ndarray:
-    """Return the standard deviations of encoder and load cell for which the gains are designed."""
+    """Return the standard deviations that the gain design assumes for encoder and load cell."""
     space, gains = model.space, model.gains.filter
     return np.array([space.encoder_step[i] * gains.encoder_noise_counts, space.tension_noise[i]])
 
@@ -138,7 +138,7 @@ def covariance_by_doubling(
 def assumed_measurements(block: FilterBlock, regime: TendonRegime) -> np.ndarray:
     """Return the measurement matrix H (2, 7) of the gain design.
 
-    The load cell's error is in H for slack tendons only.
+    H contains the load cell's error only if the tendon is slack.
     """
     H = block.H[:2].copy()
     H[1, E] = float(regime == TendonRegime.SLACK)
@@ -166,7 +166,7 @@ def joseph_update(
 def assert_same_covariance(found: np.ndarray, expected: np.ndarray) -> None:
     """Assert that covariances (..., n, n) agree.
 
-    Elements may differ by 1e-9 of the deviations of their two states.
+    An element may differ by 1e-9 of the product of the standard deviations of its two states.
     """
     sigma = np.sqrt(np.diagonal(expected, axis1=-2, axis2=-1))
     size = sigma[..., :, None] * sigma[..., None, :]

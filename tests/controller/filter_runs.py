@@ -31,14 +31,15 @@ class FilterState(NamedTuple):
     Attributes:
         filter_states: (7N,) the seven filter states of each tendon, tendon after tendon.
         regimes: members of ``TendonRegime``.
-        stopped: whether the digit is on its open stop.
-        turning_evidence: evidence that the tendon leaves or enters slack.
+        stopped: whether the digit rests on the mechanical stop of its open posture.
+        turning_evidence: evidence that a slack tendon becomes taut, or a taut tendon slack.
         length_known: whether the tendon's length is known.
         cell_surprise: last load-cell innovation, divided by its standard deviation.
         nis_mean, nis_lately: two averages of the normalised innovation squared.
         doubtful: whether the filter doubts its model.
-        doubt_time_s: time for which the filter still doubts its model [s].
-        covariance: (N, 7, 7) of the states while measurements are missing. None stands for the steady-state covariance.
+        doubt_time_s: remaining time for which the filter doubts its model [s].
+        covariance: (N, 7, 7) covariance of the filter states while measurements are missing. None
+            stands for the steady-state covariance.
         started: whether every sensor has been read once.
     """
 
@@ -57,7 +58,7 @@ class FilterState(NamedTuple):
 
     @staticmethod
     def in_regime(x: np.ndarray, regime: TendonRegime, stopped: bool) -> "FilterState":
-        """Return a filter state with every tendon in the same regime, from the states (7N,) of the tendons."""
+        """Return a filter state with given tendon states (7N,) and all tendons in one regime."""
         n = len(x) // STATE_COUNT
         none = np.zeros(n)
         no = (False,) * n
@@ -136,12 +137,13 @@ def run_filter_tick(
     """Correct the filter with the measurements of one tick and predict the present state, by the stages of a real tick.
 
     Args:
-        model: the hand. state: of the filter after the last tick. measured: readings that the sensors took at the last
-            tick.
+        model: the hand. state: state of the filter after the last tick. measured: readings that the
+            sensors took at the last tick.
         force: (N,) motor force on each tendon since the last tick, with motor friction already subtracted [N].
         rate: (N,) rate at which the tension of each tendon is planned to change [N/s].
         contact: for each digit, whether it is known to touch an object.
-        friction_state: (N,) how far the friction of each tendon is developed, where that is known.
+        friction_state: (N,) development of each tendon's friction, from 1 (winding) to -1 (paying
+            out), NaN if unknown.
         missed: number of ticks that were skipped since the last tick.
     """
     controller_state = state_of(model, state)
@@ -179,14 +181,17 @@ def run_unplanned_filter_tick(
     force: np.ndarray,
     contact: tuple[bool, ...],
 ) -> tuple[FilterState, SyntheticEstimate]:
-    """Run one tick of the filter in which no change of tension is planned."""
+    """Run one tick of the filter without a planned change of tension."""
     return run_filter_tick(model, state, measured, force, np.zeros(model.tendon_count), contact)
 
 
 def noiseless_readings(
     model: HandModel, x: np.ndarray, tension: np.ndarray, excursion: bool = False
 ) -> SensorReadings:
-    """Return noiseless readings of filter states (N, 7) and tensions (N,). ``excursion`` adds joint encoders."""
+    """Return noiseless readings of a hand with given filter states (N, 7) and tensions (N,) [N].
+
+    With ``excursion``, the readings include those of the joint encoders.
+    """
     return empty_readings(model)._replace(
         travel=x[:, X].copy(),
         tension=tension,
@@ -195,7 +200,10 @@ def noiseless_readings(
 
 
 def all_in_regime(model: HandModel, regime: TendonRegime, x: np.ndarray) -> FilterState:
-    """Return a filter state with every tendon in the same regime. No digit is on its open stop."""
+    """Return a filter state with every tendon in the same regime.
+
+    No digit rests on its open stop.
+    """
     return FilterState.in_regime(x.ravel(), regime, stopped=False)
 
 
@@ -207,7 +215,10 @@ def no_contact(model: HandModel) -> tuple[bool, ...]:
 def state_after_first_readings(
     model: HandModel, state: FilterState, travel: np.ndarray, cells: bool = True
 ) -> FilterState:
-    """Return the filter state after readings of the encoders [m], and of the load cells if ``cells``."""
+    """Return the filter state after the first encoder readings ``travel`` [m].
+
+    With ``cells``, the load cells have also been read.
+    """
     controller_state = state_of(model, state)
     controller_state.mode = HandMode.SILENT
     controller_state.view("position")[...] = travel / model.space.spool
@@ -221,7 +232,7 @@ def state_after_first_readings(
 def corrected_state(
     model: HandModel, state: FilterState, measured: SensorReadings
 ) -> ControllerState:
-    """Return a controller's state after the filter's measurement update, before its prediction.
+    """Return a controller's state between the filter's measurement update and its prediction.
 
     No digit is in contact.
     """

@@ -1,4 +1,7 @@
-"""Run single ticks of the control law in tests. The module shows the law's state between ticks and its commands."""
+"""Run single ticks of the control law in tests.
+
+Read the state and the commands of the law from the controller's state.
+"""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -31,14 +34,15 @@ class LawState(NamedTuple):
     """State of the control law between two ticks. Each attribute has one value per tendon (N,).
 
     Attributes:
-        setpoint: of the tension loop [N]. integral: integral part of the tension loop [N]. force: commanded motor
-            force, without friction [N].
-        planned: tension of a moving digit's tendon one period from now [N]. rate: planned change of the tension until
-            then [N/s].
-        trim: force that compensates a change of gains [N]. None after it has faded.
+        setpoint: set-point of the tension loop [N]. integral: integral part of the tension loop
+            [N]. force: commanded motor force, without friction [N].
+        planned: tension that is planned for the next tick, for tendons of moving digits [N]. rate:
+            planned rate of change of the tension until then [N/s].
+        trim: force that compensates the step of the command when gains change [N]. None after it
+            has decayed.
         held: limit of the tension while safety holds the hand [N]. None at other times.
-        friction_state: how far the friction of each tendon is developed. NaN where that is not known, None before the
-            first command.
+        friction_state: development of each tendon's friction, from 1 (winding) to -1 (paying out).
+            NaN where it is not known, None before the first command.
     """
 
     setpoint: np.ndarray
@@ -62,7 +66,11 @@ class LawState(NamedTuple):
 
 
 class LawCommand(NamedTuple):
-    """Output of the control law: (N,) motor torque [N m] and tension goal [N], (J,) joint torque [N m] and goals."""
+    """Output of the control law.
+
+    Each tendon (N,) has a motor torque [N m] and a tension goal [N]. Each joint (J,) has a torque
+    [N m], and goals of its angle [rad] and its rate [rad/s].
+    """
 
     torque: np.ndarray
     tension: np.ndarray
@@ -72,7 +80,10 @@ class LawCommand(NamedTuple):
 
 
 def temperatures_for_limits(model: HandModel, limit: np.ndarray) -> np.ndarray:
-    """Return the temperatures (N,) [degC] at which drives are limited to tensions [N] between floor and ceiling."""
+    """Return the drive temperatures (N,) [degC] at which tensions have the limits ``limit`` [N].
+
+    The limits must lie between the floor and the ceiling of the tensions.
+    """
     limits = controller_of(model).limits
     fraction = (limit - model.floor) / (model.ceiling - model.floor)
     return limits.temperature_hard - fraction * (limits.temperature_hard - limits.temperature_soft)
@@ -104,9 +115,9 @@ def run_law_tick(
     """Run one tick of the control law for all digits of a hand.
 
     Args:
-        model: the hand. law: state of the control law after the last tick. estimate: of the hand at t. goals: one per
-            digit. t: time [s].
-        temperature_limit_N: (N,) limit of the tension by the temperature of each drive [N].
+        model: the hand. law: state of the control law after the last tick. estimate: estimate of
+            the hand at time t. goals: one per digit. t: time [s].
+        temperature_limit_N: (N,) tension limit that the temperature of each drive causes [N].
         held_limit_N: (N,) limit of the tension while safety holds the hand [N].
     """
     state = state_with_estimate(model, estimate)
@@ -154,9 +165,9 @@ def _tension_limits(
 
 
 def tension_limits_of(model: HandModel, state: ControllerState) -> np.ndarray:
-    """Return the tension limits (N,) in a controller's state [N], infinite where there is none.
+    """Return the tension limits (N,) [N] in a controller's state, infinite where there is none.
 
-    The limits of the hand file come in addition.
+    The limits of the hand file are not included.
     """
     return _tension_limits(state.block, state.layout.places, *stage_constants(model))
 
@@ -177,7 +188,7 @@ def _required_tensions(
 def required_tensions_of(
     model: HandModel, goals: tuple[DigitGoal, ...], motion: np.ndarray
 ) -> np.ndarray:
-    """Return the tensions (N,) [N] whose torques at the joints of the moving digits make a motion ``motion`` (3, J)."""
+    """Return the tensions (N,) [N] that moving digits need for a joint motion (3, J)."""
     state = active_state(model)
     write_goals(model, state.layout, state.block, goals)
     undecided = _required_tensions(

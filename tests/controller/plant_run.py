@@ -20,7 +20,10 @@ OBJECT_LOST_M = 0.05
 
 @cache
 def model_of(hand: str) -> HandModel:
-    """Return the model of a packaged hand. Its gains are designed once for all calls."""
+    """Return the model of a packaged hand.
+
+    The gains of each model are designed once for all calls.
+    """
     return HandModel.from_hand(load_hand(hand), Gains(), CONTROL_RATE_HZ)
 
 
@@ -41,7 +44,7 @@ class PlantRun:
     events: list[tuple[float, TickEvent]] = field(default_factory=list)
 
     def events_named(self, name: str) -> list[tuple[float, str]]:
-        """Return the time and the place of each event that has a given name."""
+        """Return the time [s] and the place, such as a digit, of each event with a given name."""
         return [(time_s, event.where) for time_s, event in self.events if event.name == name]
 
 
@@ -57,10 +60,12 @@ def run_on_plant(
     """Run a program on a simulated hand whose motor zeros are known.
 
     Args:
-        hand: name of a packaged hand. program: the program to run. scene: text of a scene file. folder: where that file
-            is written.
-        seconds: simulated time. The run ends earlier if the object is lost. seed: of the simulator.
-        plant_factors: factors on parameters of the plant. The controller does not know them.
+        hand: name of a packaged hand. program: the program to run. scene: text of a scene file.
+            folder: folder in which that file is written.
+        seconds: simulated time [s]. The run ends earlier if the object is lost. seed: seed of the
+            simulator.
+        plant_factors: factors on parameters of the plant. The controller does not know these
+            factors.
     """
     result = PlantRun()
     with SimulatorSettings(hand, scene, seed, plant_factors, homed=True).begin_run(

@@ -1,8 +1,9 @@
 """Synthetic estimates, measurements and states of a hand, for tests of the code that uses the filter.
 
 ``ControllerState`` holds all numbers of a tick. ``SyntheticEstimate`` and ``SensorReadings`` are the
-parts of a state that tests make up. ``state_with_estimate`` puts an estimate into a state, and ``estimate_of`` takes it
-out again.
+parts of
+a state that tests make up. ``state_with_estimate`` writes an estimate into a state, and
+``estimate_of`` reads it from a state.
 """
 
 import functools
@@ -34,9 +35,10 @@ class SensorReadings(NamedTuple):
     """Measurements of one tick, one value per tendon (N,). A missing measurement is NaN.
 
     Attributes:
-        travel: by motor encoder, at the spool [m]. tension: by load cell, after its tare [N]. excursion: by joint
-            encoders [m].
-        joints: (J,) angles of the joint encoders [rad]. saturated: tendons whose load cell is at an end of its range.
+        travel: spool travel, read by the motor encoder [m]. tension: tension, read by the load cell
+            and reduced by its tare [N]. excursion: tendon excursion, read by joint encoders [m].
+        joints: (J,) joint angles, read by the joint encoders [rad]. saturated: tendons whose load
+            cell is at an end of its range.
     """
 
     travel: np.ndarray
@@ -47,7 +49,10 @@ class SensorReadings(NamedTuple):
 
 
 class SyntheticEstimate(NamedTuple):
-    """Estimate of the present state of a hand, under the names of ``handctl.core.hand_estimate.Estimate``."""
+    """Estimate of the present state of a hand.
+
+    The attributes of this class are named like those of ``handctl.core.hand_estimate.Estimate``.
+    """
 
     tension: np.ndarray
     tension_sigma: np.ndarray
@@ -76,13 +81,16 @@ BLOCK_FIELD_BY_ATTRIBUTE = {
     "external_tension": "external",
     "contact_force": "grown",
 }  # fmt: skip
-"""Field of the state block for each attribute of an estimate that is named differently there."""
+"""Field of the state block for each attribute of an estimate that has another name in the block."""
 DERIVED_ATTRIBUTES = ("is_slack", "grip_opening", "grip_travel")
 
 
 @functools.cache
 def controller_of(model: HandModel) -> Controller:
-    """Return a controller of a hand that waits for requests. It is constructed once for each model."""
+    """Return a controller of a hand that waits for requests.
+
+    The controller is constructed once for each model.
+    """
     return uncommissioned_controller(model, LiveProgram())
 
 
@@ -99,7 +107,7 @@ def _active_state_template(model: HandModel) -> ControllerState:
 def uncompiled_function(function: Callable[..., Any]) -> Callable[..., Any]:
     """Return the Python function that a kernel was compiled from.
 
-    Tests can call it although only kernels may do so.
+    Tests call this function directly. The compiled kernel can only be called by other kernels.
     """
     return getattr(function, "py_func", function)
 
@@ -107,7 +115,7 @@ def uncompiled_function(function: Callable[..., Any]) -> Callable[..., Any]:
 def active_state(model: HandModel) -> ControllerState:
     """Return the state of an active hand with a running filter.
 
-    Every tendon is taut, every digit is free and off its stop.
+    Every tendon is taut. Every digit is free and does not rest on its stop.
     """
     return _active_state_template(model).copy()
 
@@ -118,7 +126,10 @@ def stage_constants(model: HandModel) -> tuple[BlockArray, TablePlaces]:
 
 
 def constant_tables_of(model: HandModel) -> ConstantTables:
-    """Return the constants of a hand by table. Functions from ``uncompiled_function`` take them in this form."""
+    """Return the constants of a hand by table.
+
+    Functions from ``uncompiled_function`` take the constants in this form.
+    """
     return uncompiled_function(constant_tables)(*stage_constants(model))
 
 
@@ -147,8 +158,10 @@ class LoadStatics(NamedTuple):
 
     Attributes:
         resistance: tension that balances springs and gravity.
-        eager: tension minus friction. The speed at the spool gives the direction of friction.
-        pull: tension minus friction. The known state of friction is used where there is one.
+        eager: tension minus friction. The direction of friction always follows from the speed at
+            the spool.
+        pull: tension minus friction. The known development of friction is used, or the speed at the
+            spool if it is unknown.
     """
 
     resistance: np.ndarray
@@ -272,10 +285,13 @@ def empty_readings(model: HandModel) -> SensorReadings:
 def detect_contacts(
     model: HandModel, state: ControllerState, estimate: SyntheticEstimate
 ) -> SyntheticEstimate:
-    """Return an estimate after contact detection. The state then contains the contacts and the closing digits.
+    """Detect contacts, write them into the state, and return the estimate with the contact forces.
+
+    The closing digits are also written into the state.
 
     Args:
-        model: the hand. state: of the last tick. The present tick is written into it. estimate: of the present tick.
+        model: the hand. state: state of the last tick. The present tick is written into it.
+            estimate: estimate of the present tick.
     """
     for name, value in estimate._asdict().items():
         if name not in (*DERIVED_ATTRIBUTES, "grown"):

@@ -23,7 +23,8 @@ EXTENSOR_MOMENT_ARMS = np.array(
 )
 """Moment arms of four tendons on three joints [m].
 
-The last tendon opens all joints, with radii 3:2:1 (N + 1 class).
+The last tendon opens all joints, with moment arms in the ratio 3:2:1. There is one tendon more than
+joints.
 """
 
 
@@ -70,7 +71,7 @@ def allocation_cost(
 
 @pytest.mark.parametrize("case", DIGIT_CASES)
 def test_bounded_solution_has_the_smallest_error(case: str) -> None:
-    """For no torque does the bounded least-squares solver of scipy find tensions with a smaller cost."""
+    """Allocated tensions cost at most as much as those of scipy's bounded least-squares solver."""
     arms, rng = arms_of(case), np.random.default_rng(2)
     n, r = len(arms), np.abs(arms).mean()
     outside = 0

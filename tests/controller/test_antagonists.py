@@ -1,6 +1,6 @@
-"""Hands without return springs commission, track, grasp and release in the simulator.
+"""Test hands without return springs in the simulator: commissioning, tracking, grasp and release.
 
-Their digits have n + 1 tendons for n joints.
+A digit with n joints has n + 1 tendons, one kind of thumb has 2 n.
 """
 
 import os
@@ -34,14 +34,17 @@ SIMULATOR_SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 2)
 def n_plus_1_hand() -> Hand:
     """Return a hand with two fingers and a thumb.
 
-    A finger has three joints and four tendons, the thumb two and three.
+    A finger has three joints and four tendons. The thumb has two joints and three tendons.
     """
     return load_hand(ANTAGONIST_HAND)
 
 
 @cache
 def hand_without_encoders() -> Hand:
-    """Return the same hand without joint encoders. Its motor zeros refer to the lower joint limits."""
+    """Return the hand with n + 1 tendons per digit, but without joint encoders.
+
+    Its motor zeros refer to the lower joint limits.
+    """
     content = hand_content("n_plus_1")
     return hand_from_content(
         content | {"sensor_node": content["sensor_node"] | {"joints": []}}, "no encoders"
@@ -50,7 +53,7 @@ def hand_without_encoders() -> Hand:
 
 @cache
 def two_n_hand() -> Hand:
-    """Return the same hand with another thumb.
+    """Return the hand with n + 1 tendons per finger, but with another thumb.
 
     Each joint of this thumb has two tendons, a flexor and an extensor.
     """
@@ -84,7 +87,10 @@ def antagonist_model() -> HandModel:
 
 
 def task_of_moves(*angles: tuple[float, float]) -> Task:
-    """Return a task of moves. Each pair is the angle of all joints [deg] and the duration of a move [s]."""
+    """Return a task with one move per pair.
+
+    A pair has the angle of all joints [deg] and the duration of the move [s].
+    """
     phases = [
         {"kind": "move", "name": f"move {i}", "angle_deg": angle, "duration_s": duration}
         for i, (angle, duration) in enumerate(angles)
@@ -146,8 +152,8 @@ def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(
         )
         for row in calibration.tendon.values():
             assert row.answer_N == pytest.approx(PULL_TENSION_N, abs=0.8)
-        # The motor encoder reads its offset where the tendon is just taut and the digit open. An
-        # error of 0.1 mm is one degree of a finger.
+        # At the offset of the motor encoder, the tendon is just taut and the digit is open. An
+        # error of 0.1 mm turns the joints of a finger by one degree.
         offset = [peer.world.encoder_offset[name] for name in hand.motor_names]
         found = (calibration.zero(hand) - offset) * run.controller.model.space.spool
         np.testing.assert_allclose(found, 0.0, atol=5e-5)

@@ -1,4 +1,4 @@
-"""A hand that has rested at its target for a short or a long time, and is then touched."""
+"""Test a hand that rests at its target for a short or a long time and is then touched."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""A controller has died, and the watchdogs of the drives have latched.
+"""Test the first run after a controller died and the watchdogs of its drives latched a fault.
 
 Only a request of the operator enables the drives again.
 """

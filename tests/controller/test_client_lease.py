@@ -1,6 +1,7 @@
 """Test the lease of a client that commands a hand in lockstep.
 
-If the client is silent, first its digits come to rest, and then the hand relaxes.
+If the client is silent, the digits that it commands come to rest first. If it stays silent, the
+hand then relaxes.
 """
 
 import json
@@ -31,7 +32,7 @@ def lease_events(client: StreamClient) -> list[str]:
 
 
 def run_with_signs_of_life(client: StreamClient, seconds: float, every_s: float = 0.1) -> None:
-    """Run ticks for a time. The client sends its sign of life every ``every_s`` seconds."""
+    """Run ticks for some seconds, while the client sends a sign of life every ``every_s``."""
     for _ in range(round(seconds / every_s)):
         client.tick(alive_request_text(client.name))
         client.wait(every_s - client.model.period)
@@ -92,7 +93,11 @@ def test_targets_of_a_stream_are_signs_of_life(jamia: HandModel) -> None:
 
 @pytest.mark.parametrize("after", ["no lease", "leave", "another"])
 def test_a_lease_ends(jamia: HandModel, after: str) -> None:
-    """A lease ends with a command that has no lease, with leaving the command, and with another client's command."""
+    """A lease ends with a command of its client that has no lease.
+
+    A lease also ends when this client gives up the right to command, or another client takes over
+    this right.
+    """
     with live_client(jamia) as client:
         client.send_command("move", angle_deg={"index": 20.0}, duration_s=0.3, lease_s=LEASE_S)
         if after == "leave":
@@ -131,7 +136,10 @@ def test_a_task_goes_on_to_its_hold_before_the_hand_relaxes(jamia: HandModel) ->
 
 
 def test_the_ticks_of_a_lost_client_repeat_to_the_last_bit(jamia: HandModel) -> None:
-    """The ticks repeat from the start, and also from a snapshot in the middle of the run."""
+    """Recorded ticks that are executed again give equal results.
+
+    The test executes the ticks from the start, and from a snapshot in the middle of the run.
+    """
     with live_client(jamia) as client:
         client.send_command("move", angle_deg={"index": 50.0}, duration_s=1.0, lease_s=LEASE_S)
         run_with_signs_of_life(client, LEASE_S)

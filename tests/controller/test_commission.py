@@ -36,7 +36,8 @@ from tests.hand.many_motors import fifteen_motors
 def jamia() -> HandModel:
     """Return the model of ``jamia`` at a low control rate.
 
-    The low rate makes the tests fast, and all times are in seconds.
+    The low rate makes the tests fast. All times of the program are in seconds, and do not depend on
+    the rate.
     """
     return HandModel.from_hand(load_hand("jamia"), Gains(), 50.0)
 
@@ -50,7 +51,10 @@ CELL_BIAS_N, TAUT_TRAVEL_M = 0.7, 1.2e-3
 NOISE_SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 4)
 
 TensionByPull = Callable[[int], np.ndarray]
-"""Function that returns the tension at each load cell while tendon i is pulled. With i = -1 all tendons are limp."""
+"""Function that returns the tension at each load cell while tendon i is pulled.
+
+With i = -1 no tendon is pulled.
+"""
 
 
 def tensions_without_fault(model: HandModel) -> TensionByPull:
@@ -138,7 +142,7 @@ def test_a_load_cell_that_does_not_answer_is_named(model: HandModel) -> None:
 def test_two_load_cells_that_answer_together_are_refused(model: HandModel) -> None:
     """Tension in the second tendon changes the reading of the first load cell.
 
-    Tendons touch, or a cell has two channels.
+    Possible causes are tendons that touch, or a load cell on two channels.
     """
 
     def tension_by_pull(i: int) -> np.ndarray:
@@ -165,7 +169,7 @@ def test_many_load_cells_may_drift_while_one_tendon_after_the_other_is_pulled(
 ) -> None:
     """The load cells drift twice as fast as those of packaged hands.
 
-    The drift of 0.9 N rms at the end is the limit of crosstalk.
+    At the end, their drift of 0.9 N rms is as large as the crosstalk that commissioning accepts.
     """
     progress = run_commissioning(
         fifteen_motor_model,
@@ -180,9 +184,9 @@ def test_many_load_cells_may_drift_while_one_tendon_after_the_other_is_pulled(
 
 
 def test_each_tare_is_measured_just_before_its_pull(jamia: HandModel) -> None:
-    """The tare is the zero of the load cell just before the pull.
+    """The tare of a tendon is the zero of its load cell just before its pull.
 
-    The zero drifts by 0.1 N/s from the first tick of rest.
+    In this test, all zeros drift by 0.1 N/s from the first tick.
     """
     drifted = [0.0]
 
@@ -214,9 +218,9 @@ def test_crosstalk_is_found_while_load_cells_drift(fifteen_motor_model: HandMode
 
 
 def test_tension_that_friction_holds_after_a_pull_is_no_crosstalk(jamia: HandModel) -> None:
-    """A tendon that was pulled relaxes by 2 N/s.
+    """After a pull, the tension of the tendon falls by 2 N/s.
 
-    Its load cell reads 1.4 N at rest, and 0 N when the next tendon is pulled.
+    Its load cell still reads 1.4 N at rest before the next pull, and 0 N during the next pull.
     """
     held = np.zeros(jamia.tendon_count)
 
@@ -233,7 +237,7 @@ def test_tension_that_friction_holds_after_a_pull_is_no_crosstalk(jamia: HandMod
 
 
 def test_a_load_cell_that_falls_below_its_tare_in_another_pull_is_refused(jamia: HandModel) -> None:
-    """The tension of a relaxing tendon cannot fall by more than the last pull has left in it."""
+    """A relaxing tendon cannot lose more tension than its last pull has left in it."""
 
     def tension_by_pull(i: int) -> np.ndarray:
         return tensions_without_fault(jamia)(i) - 0.5 * PULL_TENSION_N * (i == 2) * (
@@ -268,9 +272,9 @@ def commissioning_bench(fast_rate_jamia: HandModel) -> ControllerBench:
 def test_load_cells_that_were_never_tared_are_no_hindrance(
     commissioning_bench: ControllerBench, bias: float
 ) -> None:
-    """After the tare the tension loop uses tared readings of the load cells.
+    """After the tare, the tension loop uses load-cell readings minus their tares.
 
-    Raw readings would add their bias to the pull.
+    Raw readings would add the bias of the load cell to the pull.
     """
     commissioning_bench.peer.cell_bias[:] = np.array([1.0, -1.0, 0.5, 0.0]) + bias
     commissioning_bench.run_until_mode(HandMode.DONE, 30.0)

@@ -1,7 +1,8 @@
 """Test the control law.
 
-It is bounded for any input, switches without a step between its two loops, and is exact with an
-exact model.
+The torque of the law is bounded for any input. The law switches between its motion loop and its
+tension loop without a step. With an exact model and estimate, the hand follows the commanded motion
+and tension.
 """
 
 import math
@@ -36,7 +37,7 @@ from tests.controller.synthetic_states import (
 def test_a_saturated_law_asks_no_drive_for_more_than_its_limit(gain: float | None) -> None:
     """The limit is divided by spool radius and gain and then multiplied again.
 
-    Rounding may exceed the limit by one bit.
+    Without a correction, the rounded result could exceed the limit by one bit.
     """
     hand = load_hand("jamia")
     gains = None if gain is None else np.full(len(hand.tendon), gain)
@@ -209,17 +210,19 @@ def test_tension_goals_stay_below_the_ceiling(model: HandModel) -> None:
 
 
 class ClosedLoopPlant:
-    """Rotors, tendons and digits that are simulated in small time steps, and a control law that gets their exact state.
+    """Simulation of rotors, tendons and digits in small time steps.
+
+    A control law gets their exact state.
 
     Attributes:
-        x: (N, 7) true states of the tendons.
-        held: whether the digits are fixed where they are.
+        tendon_states: (N, 7) true states of the tendons.
+        digits_fixed: whether the digits are fixed where they are.
     """
 
     STEPS_PER_TICK = 40
     """Number of integration steps in a tick.
 
-    It is large because capstan friction reverses within 1 mm/s of tendon speed.
+    The number is large because capstan friction reverses within 1 mm/s of tendon speed.
     """
 
     def __init__(self, model: HandModel, x: np.ndarray, held: bool) -> None:
@@ -345,9 +348,9 @@ def test_a_goal_without_values_leaves_the_digit_limp(jamia: HandModel, kind: Goa
 
 
 def test_motion_without_feedforward_has_only_feedback(model: HandModel) -> None:
-    """The law has no feedforward of digit torque, inertia and friction, and no feedback of tension.
+    """The law has no feedforward of digit torque, inertia and friction.
 
-    Only feedback of motion remains.
+    Without feedback of tension too, the law commands only the feedback of motion.
     """
     none = {
         "inertia_share": 0.0,
@@ -374,9 +377,10 @@ def test_motion_without_feedforward_has_only_feedback(model: HandModel) -> None:
 
 
 def test_the_filter_gets_the_planned_change_of_tension(model: HandModel) -> None:
-    """While a tendon winds with developed friction, its tension changes as planned.
+    """While a tendon is wound and its friction is fully developed, its tension changes as planned.
 
-    The tendon's measured speed decides its friction, not the planned speed.
+    The direction of friction follows from the measured speed of the tendon, not from the planned
+    speed.
     """
     x = balanced_state(model, 0.5)
     x[:, V] = x[:, W] = 0.1

@@ -1,6 +1,7 @@
 """Test contact detection in the simulator.
 
-A contact is detected soon after its force is large enough, and none is reported in free motion.
+A contact is detected soon after its force has become large enough. In free motion, no contact is
+reported.
 """
 
 import json
@@ -40,7 +41,10 @@ position_m = [0.045, 0.0, 0.0]
 [support]
 drop_when = "never"
 """
-"""Scene with a wall that is too heavy to move. Only the last links of the fingers reach it."""
+"""Scene with a wall that is too heavy to move.
+
+Only the last links of the fingers reach the wall.
+"""
 OPEN_ANGLES_DEG = {"index": 6.0, "middle": 6.0, "ring": 6.0, "thumb": 0.0}
 
 
@@ -54,7 +58,7 @@ def task_program(*phases: dict[str, Any]) -> TaskProgram:
 def test_contact_with_a_wall_is_detected_20_ms_after_1_newton(hand: str, tmp_path: Path) -> None:
     """The contact may also be detected below 1 N.
 
-    A benchmark covers more closing speeds and more places of the object than this test.
+    A benchmark tests other closing speeds and other positions of the object.
     """
     closing = {
         "kind": "close",
@@ -140,7 +144,7 @@ def closing_hand(
 def test_a_contact_force_counts_from_its_usual_negative_value(jamia: HandModel) -> None:
     """The force estimate of the free thumb is -0.35 N near the end of its motion.
 
-    In contact it reaches only 0.2 N.
+    In contact the estimate rises to 0.2 N only. Contact detection therefore counts the increase.
     """
     for usual, counts in ((-0.35, 0.55), (0.1, 0.2), (np.nan, 0.2)):
         state = closing_hand(jamia, 0.2, felt=0.2, usual=usual, drift=np.nan)
@@ -148,7 +152,10 @@ def test_a_contact_force_counts_from_its_usual_negative_value(jamia: HandModel) 
 
 
 def test_drift_of_all_closing_digits_is_no_contact_force(jamia: HandModel) -> None:
-    """A positive force over a long time is drift of a load cell, for example by 0.5 N in half a minute."""
+    """A force estimate that stays positive for a long time shows a drift of a load cell.
+
+    A load cell drifts, for example, by 0.5 N in half a minute.
+    """
     for drift, counts in ((0.2, 0.15), (-0.2, 0.35)):
         state = closing_hand(jamia, 0.35, felt=0.35, usual=0.2, drift=drift)
         assert state.view("grown")[0] == pytest.approx(counts)
@@ -157,7 +164,7 @@ def test_drift_of_all_closing_digits_is_no_contact_force(jamia: HandModel) -> No
 def test_means_of_a_closing_digit_follow_with_their_time_constants(jamia: HandModel) -> None:
     """The mean tip force of a closing digit and its drift follow with their time constants.
 
-    Other digits have no mean.
+    Digits that do not close have no mean.
     """
     state = closing_hand(
         jamia,

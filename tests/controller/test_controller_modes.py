@@ -38,7 +38,10 @@ ENABLE_PAYLOAD, DISABLE_PAYLOAD = b"\xff" * 7 + b"\xfc", b"\xff" * 7 + b"\xfd"
 
 @pytest.fixture(scope="module")
 def low_rate_jamia() -> HandModel:
-    """Return a model at a low control rate. The low rate makes the tests fast, and all times are in seconds."""
+    """Return a model at a low control rate.
+
+    The low rate makes the tests fast. All times are in seconds, and do not depend on the rate.
+    """
     return HandModel.from_hand(load_hand("jamia"), Gains(), 200.0)
 
 

@@ -22,9 +22,10 @@ from tests.controller.controller_bench import ControllerBench, make_controller_b
 
 
 def run_session(name: str) -> ControllerBench:
-    """Return the bench of a whole live session.
+    """Return a bench after a whole live session.
 
-    The hand is armed, moves, holds, loses a frame, has a fault, and relaxes.
+    The hand was armed, moved, held a tension and relaxed. Meanwhile a frame was lost and a fault
+    occurred.
     """
     rate = {"jamia": 200.0, "jamia11": 200.0}[name]
     run = make_controller_bench(HandModel.from_hand(load_hand(name), Gains(), rate), LiveProgram())
@@ -56,7 +57,10 @@ def comparable_outputs(out: TickOut) -> tuple[object, ...]:
 
 
 def test_equal_inputs_give_equal_outputs(session_bench: ControllerBench) -> None:
-    """Any tick of a session that is executed again from its state gives the same outputs in every byte."""
+    """A tick that is executed again from the state before it gives equal outputs.
+
+    The outputs are equal in every byte, for any tick of the session.
+    """
     for before, entry, out in session_bench.tick_history[::3]:
         digest = before.digest()
         after, again = session_bench.controller.tick(before, entry)
@@ -111,9 +115,9 @@ def test_frames_with_unknown_identifiers_change_no_decision(session_bench: Contr
 
 
 def test_the_origin_of_time_does_not_matter() -> None:
-    """A run that starts 2560 ticks later has equal ticks.
+    """A run that starts 2560 ticks later has equal modes, phases, actions and events.
 
-    Only its SYNC counter and its order of register reads may differ.
+    Only the SYNC counter and the order of register reads may differ.
     """
     model = HandModel.from_hand(load_hand("jamia"), Gains(), 200.0)
     runs = []
@@ -166,7 +170,10 @@ def test_telemetry_has_the_declared_shapes_and_its_fields_change(
 
 
 def test_old_values_have_no_new_time_stamp() -> None:
-    """In a tick without frames the telemetry shows NaN for every measurement. The age of the last one grows."""
+    """In a tick without frames the telemetry shows NaN for every measurement.
+
+    The age of the last measurement grows.
+    """
     run = make_controller_bench(
         HandModel.from_hand(load_hand("jamia"), Gains(), 200.0), LiveProgram()
     )
@@ -210,7 +217,7 @@ def test_missed_ticks_are_reported_and_many_of_them_relax() -> None:
 def test_load_cells_wired_in_another_order_belong_to_their_tendons() -> None:
     """The sensor node has its channels in reverse order.
 
-    When its second frame is lost, the right tendons are reported.
+    When its second frame is lost, the fault names those tendons whose channels are in this frame.
     """
     content = hand_content("jamia11")
     content["sensor_node"]["tendons"] = content["sensor_node"]["tendons"][::-1]
@@ -253,7 +260,10 @@ random_frames = st.builds(
 def test_no_frame_can_stop_the_tick(
     active_bench: ControllerBench, burst: list[list[Frame]]
 ) -> None:
-    """For any received frames, no tick of an active hand raises, and all torques are finite and within their limits."""
+    """With any received frames, the ticks of an active hand raise no exception.
+
+    All torques are finite and within their limits.
+    """
     state, k = active_bench.state, active_bench.k
     for some in burst:
         state, out = active_bench.controller.tick(
@@ -288,7 +298,10 @@ def test_no_request_event_or_delay_can_stop_the_tick(
 
 
 def test_a_hand_armed_under_tension_is_not_jerked() -> None:
-    """The tension loop starts at the tension that tendons have when they are armed, for example from a held object."""
+    """The tension loop starts at the tension that the tendons have when the hand is armed.
+
+    A held object, for example, causes such a tension.
+    """
     run = make_controller_bench(
         HandModel.from_hand(load_hand("jamia"), Gains(), 200.0), LiveProgram()
     )

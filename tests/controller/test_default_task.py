@@ -1,4 +1,7 @@
-"""Test the default task of a new hand. It opens, closes, holds and releases the hand, with any digits."""
+"""Test the default task of a new hand.
+
+The task opens and closes the hand, holds, and releases. The task suits hands with any digits.
+"""
 
 from pathlib import Path
 

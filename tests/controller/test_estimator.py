@@ -116,7 +116,9 @@ def test_load_cells_may_reply_before_the_encoders_of_a_taut_hand(model: HandMode
 
 
 def regimes_of_readings(model: HandModel, cells: list[float]) -> list[set[int]]:
-    """Return the regimes of each tick while all load cells read the tensions ``cells`` one by one.
+    """Return the set of tendon regimes in each tick.
+
+    In each tick, all load cells read the next tension of ``cells``.
 
     The motors are at rest.
     """
@@ -149,7 +151,10 @@ def test_slack_ends_by_tension_and_not_by_noise(model: HandModel) -> None:
 
 
 def test_a_small_tension_ends_slack_after_a_few_ticks(model: HandModel) -> None:
-    """A tendon that is wound slowly counts as taut before its tension is five standard deviations."""
+    """A slowly wound tendon counts as taut before its tension is five standard deviations.
+
+    The standard deviation is that of the load-cell noise.
+    """
     met = regimes_of_readings(model, [0.2, 0.9, 1.2, 1.6, 1.7, 1.7])
     assert met[2] == {TendonRegime.SLACK}
     assert TendonRegime.SLACK not in met[-1]
@@ -185,9 +190,9 @@ def test_becoming_taut_takes_the_tension_from_the_load_cell(model: HandModel) ->
 
 
 def test_a_stretch_offset_is_kept(model: HandModel) -> None:
-    """A hand that was not commissioned has a stretch offset of millimetres.
+    """In a hand that was not commissioned, tendons have stretch offsets of several millimetres.
 
-    This offset must not change the excursion.
+    These offsets must not change the estimated excursions.
     """
     n = model.tendon_count
     x, cell = np.zeros((n, STATE_COUNT)), np.full(n, 4.0)
@@ -326,9 +331,10 @@ def test_the_filter_step_changes_none_of_its_arguments(model: HandModel) -> None
 
 
 def test_a_digit_held_just_above_its_stop_is_not_on_it(model: HandModel) -> None:
-    """Friction holds a digit just above its open stop.
+    """Friction holds a digit just before the mechanical stop of its open posture.
 
-    If it counted as stopped, each return would add an error to its angle.
+    If the filter took this digit for stopped, each return to the stop would add an error to its
+    angle.
     """
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = 1e-5
@@ -345,7 +351,10 @@ def test_a_digit_held_just_above_its_stop_is_not_on_it(model: HandModel) -> None
 
 
 def test_a_digit_that_comes_to_rest_on_its_stop_has_no_excursion(model: HandModel) -> None:
-    """When a digit stops there, the excursion that the filter had estimated becomes stretch offset of the tendon."""
+    """When a digit comes to rest on its open stop, its excursion becomes zero.
+
+    The filter adds the excursion that it had estimated to the stretch offset of the tendon.
+    """
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S], x[:, O], x[:, W] = 1.5e-5, -4e-5, 1e-3
     cell = np.full(len(x), 4.0)

@@ -1,6 +1,6 @@
 """Test the tension filter on data from its own model.
 
-Its covariance is right, also while measurements are missing.
+The covariance of the filter is right, also while measurements are missing.
 """
 
 from collections.abc import Callable
@@ -80,7 +80,10 @@ MissingMeasurements = Callable[[int, np.random.Generator], np.ndarray]
 
 
 class FilterRun(NamedTuple):
-    """Errors and deviations of a filter run after the filter has settled. Each array has the shape (ticks, N)."""
+    """Errors and standard deviations of a filter's estimates, after the filter has settled.
+
+    Each array has the shape (ticks, N).
+    """
 
     error: np.ndarray
     sigma: np.ndarray
@@ -98,8 +101,8 @@ def run_monte_carlo(
 ) -> FilterRun:
     """Draw a true trajectory from the filter's own model in one regime, and run the filter on it.
 
-    ``missing`` returns for a tick the encoders (first row) and load cells (second row) that are not
-    read in it, (2, N).
+    ``missing`` is a function that returns a mask (2, N) for each tick. The first row marks missing
+    encoder readings, the second row missing load-cell readings.
     """
     rng, n = np.random.default_rng(seed), model.tendon_count
     design_arrays_by_tendon = [integrate_one_period(model, i, regime) for i in range(n)]
@@ -228,7 +231,7 @@ def test_the_covariance_is_updated_only_until_it_is_steady(model: HandModel) -> 
 def test_missing_measurement_is_detected_in_each_regime(
     model: HandModel, column: int | None, regime: TendonRegime, counts: bool
 ) -> None:
-    """A missing joint encoder or a missing load cell of a slack tendon is not counted as missing."""
+    """Missing joint encoders, and missing load cells of slack tendons, do not count as missing."""
     z = np.arange(3.0 * model.tendon_count).reshape(-1, 3)
     if column is not None:
         z[-1, column] = np.nan
@@ -244,7 +247,10 @@ def test_missing_measurement_is_detected_in_each_regime(
 
 
 def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: HandModel) -> None:
-    """In a tick without encoder readings, the first digit gets into contact. The last digit does not."""
+    """In a tick without encoder readings, the first digit comes into contact.
+
+    The last digit stays free.
+    """
     x, force = state_at_rest(model, 25.0, 0.6)
     state, touched = all_in_regime(model, TendonRegime.FREE, x), (True, *no_contact(model)[1:])
     unread, none = empty_readings(model)._replace(tension=force), np.zeros(model.tendon_count)
@@ -289,9 +295,9 @@ MISSING_SAMPLES: dict[str, MissingMeasurements] = {
 def test_the_covariance_is_that_of_a_plain_joseph_update(
     model: HandModel, regime: TendonRegime, missing_pattern: str
 ) -> None:
-    """The filter agrees with numpy for as long as it updates the covariances.
+    """The filter agrees with numpy as long as it updates the covariances.
 
-    A slack tendon has only its encoder.
+    For a slack tendon, the filter updates them only while encoder readings are missing.
     """
     rng, n = np.random.default_rng(9), model.tendon_count
     slack = regime == TendonRegime.SLACK
@@ -349,7 +355,10 @@ def test_covariance_grows_over_skipped_ticks(
 
 
 def test_an_independent_filter_agrees_over_gaps(model: HandModel) -> None:
-    """A second filter computes each tendon in plain loops. A missing measurement has no row in its update."""
+    """A second filter computes each tendon in plain loops.
+
+    The update of the second filter has no rows for missing measurements.
+    """
     rng, n = np.random.default_rng(3), model.tendon_count
     x, force = state_at_rest(model, 25.0, 0.6)
     state, second = all_in_regime(model, TendonRegime.FREE, x), x.copy()

@@ -20,7 +20,10 @@ HELD_TENSION_N = 20.0
 
 
 class HeldHand:
-    """A hand whose tendons have a constant tension. Its filter gets one sample per call."""
+    """A hand whose tendons have a constant tension.
+
+    The filter of the hand gets one sample per call.
+    """
 
     def __init__(self, model: HandModel, regime: TendonRegime = TendonRegime.HELD) -> None:
         self.model, n = model, model.tendon_count
@@ -64,7 +67,10 @@ def test_single_outlier_is_rejected(model: HandModel) -> None:
 
 @pytest.mark.parametrize("jump", [-8.0, 6.0, 30.0])
 def test_two_outliers_in_a_row_are_accepted(model: HandModel, jump: float) -> None:
-    """Two equal outliers are an impact and no error, so the filter follows the second sample at once."""
+    """Two equal outliers in a row show an impact and not an error.
+
+    The filter therefore follows the second sample at once.
+    """
     hand = HeldHand(model).settle()
     hand.run_sample(HELD_TENSION_N + jump)
     estimate = hand.run_sample(HELD_TENSION_N + jump)
@@ -93,7 +99,7 @@ def slack_state(
 ) -> SyntheticEstimate:
     """Return the estimate of slack tendons.
 
-    The load cell of tendon 0 reads ``error`` [N] where there is no tension.
+    The load cell of tendon 0 reads ``error`` [N], although the tendon has no tension.
     """
     model = hand.model
     x = np.zeros((model.tendon_count, STATE_COUNT))
@@ -185,7 +191,10 @@ def test_the_filter_predicts_every_tick_that_was_skipped(
 
 
 def winding_state(model: HandModel) -> tuple[FilterState, np.ndarray]:
-    """Return half closed digits held at 20 N while their rotors wind, and the forces that balance the tension [N]."""
+    """Return the filter state of half closed digits whose rotors wind, and balancing forces [N].
+
+    The tendons are at 20 N.
+    """
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = model.hand.moment_arms @ np.full(len(model.hand.joints), 0.5)
     x[:, X], x[:, V] = x[:, S] + 20.0 / model.space.stiffness, 1e-3

@@ -62,9 +62,9 @@ def test_a_digit_is_on_its_stop_below_its_limits_and_not_at_them(was: bool) -> N
 
 
 def filter_state(model: HandModel, regime: TendonRegime, **columns: float) -> FilterState:
-    """Return a filter state with every tendon in the same regime and off its stop.
+    """Return a filter state with every tendon in the same regime and no digit on its stop.
 
-    Columns of the states are set by name.
+    Keyword arguments set columns of the states by name.
     """
     x = np.zeros((model.tendon_count, STATE_COUNT))
     for name, value in columns.items():
@@ -73,7 +73,10 @@ def filter_state(model: HandModel, regime: TendonRegime, **columns: float) -> Fi
 
 
 def explained_by_contact(model: HandModel, regime: TendonRegime, rate: float) -> np.ndarray:
-    """Return the part of 20 N that contact explains while the digits move at a rate [m/s], without readings."""
+    """Return the tensions that contact explains if all tendons have 20 N and move at a rate [m/s].
+
+    The filter gets no readings.
+    """
     stretch = (20.0 + model.space.damping * rate) / model.space.stiffness
     state = filter_state(model, regime, S=2e-3, W=rate)
     x = state.filter_states.reshape(-1, STATE_COUNT).copy()
@@ -123,7 +126,7 @@ def test_slack_length_is_digit_excursion_minus_spool_travel(
 
 
 def regimes_after_sample(model: HandModel, state: FilterState, cell: float) -> FilterState:
-    """Return the filter state after all load cells read ``cell`` [N]. The digits are free."""
+    """Return the filter state after all load cells have read ``cell`` [N]. All digits are free."""
     return filter_state_of(
         corrected_state(
             model, state, empty_readings(model)._replace(tension=np.full(model.tendon_count, cell))
@@ -138,9 +141,9 @@ def regimes_after_sample(model: HandModel, state: FilterState, cell: float) -> F
 def test_a_tendon_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
     model: HandModel, hangs_m: float, known: bool, turns: bool
 ) -> None:
-    """The encoder tells this only if the length of the tendon is known from an earlier take-up.
+    """The encoder shows this only if the length of the tendon is known from an earlier take-up.
 
-    The count then starts again.
+    When the tendon has become taut, the count of evidence starts again at zero.
     """
     n = model.tendon_count
     above = next(

@@ -36,7 +36,10 @@ from tests.controller.synthetic_states import active_state, stage_constants, unc
 TESTED_HANDS = ("jamia", "jamia11", "jamia_bench")
 FRICTION_FACTORS = (0.5, 1.0, 1.5, 2.0)
 EVALUATED_AFTER_S = 1.2
-"""Time at which slack is taken up and the filter has noticed the wrong friction [s]."""
+"""Time from which the errors are evaluated [s].
+
+By then slack is taken up and the filter has noticed the wrong friction.
+"""
 TAUT_N = 0.5
 BACK_AND_FORTH_TASK = {
     "schema": 1,
@@ -76,7 +79,10 @@ def estimate_and_raw_rmse(run: PlantRun) -> tuple[float, float]:
 def test_estimate_is_no_worse_than_the_raw_load_cell_with_wrong_friction(
     hand: str, friction: float, seed: int, tmp_path: Path
 ) -> None:
-    """The hand moves freely to and fro. The simulated friction is that of the hand file (factor 1.0) or another."""
+    """The hand moves freely to and fro.
+
+    The simulated friction is the friction of the hand file times a factor.
+    """
     estimate, cell = estimate_and_raw_rmse(run_with_friction(hand, friction, seed, tmp_path))
     assert estimate < cell, f"{estimate:.3f} N, the cell {cell:.3f} N"
 
@@ -124,7 +130,10 @@ def _judge_innovations(
 def averages_and_doubts(
     model: HandModel, lately: np.ndarray, wary: np.ndarray, nis: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the averages (N,) of the normalised innovation squared and the times of doubt (N,) [s] after one tick."""
+    """Return the filter's averages (N,) and remaining times of doubt (N,) [s] after one tick.
+
+    The averages are those of the normalised innovation squared.
+    """
     state, n = active_state(model), model.tendon_count
     state.view("nis_lately")[...], state.view("wary")[...] = lately, wary
     innovation = np.column_stack((np.zeros(n), np.sqrt(nis), np.full(n, np.nan)))
@@ -187,7 +196,7 @@ def test_doubt_ends_and_missing_samples_do_not_change_it(jamia11: HandModel) -> 
 
 @pytest.mark.parametrize("hand", TESTED_HANDS)
 def test_the_filter_in_doubt_is_stable(hand: str) -> None:
-    """For every taut tendon, the errors of all estimated states decay while the filter is in doubt."""
+    """While the filter doubts its model, the errors of all states of a taut tendon decay."""
     for blocks in model_of(hand).filter.blocks:
         for regime in (TendonRegime.FREE, TendonRegime.HELD):
             block = blocks[regime + len(TendonRegime)]

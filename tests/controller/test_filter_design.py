@@ -219,7 +219,7 @@ def rng() -> np.random.Generator:
 def test_tendons_that_are_alike_share_a_design(jamia11: HandModel) -> None:
     """Tendons of equal fingers share one design.
 
-    The tendons of the thumb have others, because their loads differ.
+    The tendons of the thumb have other designs, because their loads differ.
     """
     blocks = dict(zip(jamia11.hand.tendon_names, jamia11.filter.blocks, strict=True))
     assert blocks["index_t1"] is blocks["ring_t1"]

@@ -1,4 +1,7 @@
-"""Test how friction changes a tension when a digit reverses, in the friction band alone and in the simulator."""
+"""Test how friction changes a tension when a digit reverses its motion.
+
+One part tests the computation of the friction band alone, another part runs the simulator.
+"""
 
 from pathlib import Path
 
@@ -42,7 +45,10 @@ def test_winding_and_paying_out_are_the_edges_of_the_band(model: HandModel) -> N
 
 
 def test_reversal_takes_the_travel_of_the_friction_band(model: HandModel) -> None:
-    """The fall from 15 to 9.6 N at 100 N/mm and 5 mm/s takes 11 ms, and slightly less because the tendon creeps."""
+    """At a stiffness of 100 N/mm and a speed of 5 mm/s, a fall from 15 to 9.6 N takes 11 ms.
+
+    The computed fall takes slightly less, because the tendon creeps.
+    """
     turned = tensions_at_speeds(model, [-5e-3] * 40, 15.0)
     ticks = int(np.argmax(turned[:, 0] <= 9.6 + 1e-9)) + 1
     way = 5.4 / model.space.stiffness[0] / 5e-3

@@ -1,6 +1,6 @@
 """Test gains that change during a run.
 
-They stay within bounds, cause no step in torque, and are part of the hashed state.
+The gains stay within bounds, cause no step in torque, and are part of the hashed state.
 """
 
 import json
@@ -49,7 +49,7 @@ def gain_request(values: Mapping[str, float]) -> str:
 def noiseless_hand(model: HandModel) -> ControllerBench:
     """Return a bench with the simulated hand, which has noiseless load cells.
 
-    Its tendons are taut, and it waits for requests.
+    The tendons of the hand are taut, and the hand waits for requests.
     """
     options = {"hand_path": str(hand_path("jamia")), "homed": True, "perturb": {"noise": 0.0}}
     peer = load_simulator("firmware_sim.lockstep_hand:LockstepHand", **options)
@@ -143,8 +143,8 @@ LawCall = tuple[Controller, ControllerState, ControllerState, SafetyAction, int]
 def record_law_calls(monkeypatch: pytest.MonkeyPatch) -> list[LawCall]:
     """Return a list that records calls of the control law.
 
-    A call has its controller, the states before and after it, the action of the safety monitor, and
-    the number of ticks.
+    Each entry has the controller, its states before and after the call, the action of the safety
+    monitor, and the number of ticks.
     """
     calls, real = list[LawCall](), Controller._compute_torques
 
@@ -172,7 +172,7 @@ def record_law_calls(monkeypatch: pytest.MonkeyPatch) -> list[LawCall]:
 def test_a_change_makes_no_step_in_torque(
     jamia: HandModel, monkeypatch: pytest.MonkeyPatch, request_: str, values: dict[str, float]
 ) -> None:
-    """In the tick of the change, the new gains and the trim together give the command of the old gains."""
+    """A trim force keeps the command unchanged in the tick in which the gains change."""
     desk = noiseless_hand(jamia)
     desk.tick(request_)
     desk.run(0.1)
@@ -196,7 +196,10 @@ def test_a_change_makes_no_step_in_torque(
 def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
     jamia: HandModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """If only the old gains were limited, the difference would become a trim that makes the tendon slack."""
+    """The commands of old and new gains are limited in the same way.
+
+    Otherwise their difference would become a trim force that makes the tendon slack.
+    """
     desk = noiseless_hand(jamia)
     desk.tick(MOVE_REQUEST)
     desk.run(0.05)
@@ -296,9 +299,9 @@ def test_every_key_has_bounds_and_its_default_is_within(jamia: HandModel) -> Non
 
 @pytest.mark.parametrize("high", [False, True])
 def test_every_corner_of_the_live_bounds_can_be_designed(jamia: HandModel, high: bool) -> None:
-    """One gain at a time is set to its bound, the others keep their defaults.
+    """One gain at a time is set to its bound, and the others keep their defaults.
 
-    A bound that is not allowed itself is approached to one hundredth of the default.
+    If a gain must exceed its lower bound, the test adds one hundredth of its default to the bound.
     """
     for key, bound in gain_bounds().items():
         if bound.live:

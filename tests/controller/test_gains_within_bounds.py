@@ -1,4 +1,4 @@
-"""Gains within their bounds either give a controller, or one line with the reason why there is none."""
+"""Gains within their bounds give either a controller or one error line with the reason."""
 
 import math
 from contextlib import suppress

@@ -17,7 +17,7 @@ def arms_of(model: HandModel) -> np.ndarray:
 def hand_with_equal_readings(model: HandModel, goal: float | Vector, ticks: int) -> ControllerState:
     """Return the state of a hand with the targets ``goal`` [m].
 
-    Its motors have had equal readings for some ticks.
+    The readings of its motors have not changed for some ticks.
     """
     state = active_state(model)
     state.view("followed")[...] = goal
@@ -82,7 +82,7 @@ def test_a_goal_that_went_ahead_while_the_motor_moved_is_no_reason_to_move_on(
 ) -> None:
     """Friction stops a motor short of its target.
 
-    Only the motion of the target since that stop shows a stuck motor.
+    The motor is stuck only if the target has moved since that stop.
     """
     arms = arms_of(jamia)
     then = targets_after_command(
@@ -96,7 +96,10 @@ def test_a_goal_that_went_ahead_while_the_motor_moved_is_no_reason_to_move_on(
 
 
 def test_motor_at_rest_at_its_goal_is_not_stuck(jamia: HandModel) -> None:
-    """After a quick motion, the slower filtered target must not move on while the motor already rests at its goal."""
+    """After a quick motion, the filtered target lags behind the motor.
+
+    The filtered target must not move on while the motor already rests at its goal.
+    """
     arms = arms_of(jamia)
     at_goal, lagging = arms * 0.4, hand_with_equal_readings(jamia, arms * 0.2, 0)
     lagging.view("motor_anchor")[...] = 1e-3

@@ -67,7 +67,7 @@ class ProgramRun:
     """A program that runs tick by tick on synthetic estimates.
 
     Attributes:
-        progress: of the program after the last tick.
+        progress: progress of the program after the last tick.
         events: all events of the program so far.
         t: time of the last tick [s].
     """
@@ -89,7 +89,7 @@ class ProgramRun:
         return events
 
     def run_until_contact(self, estimate: SyntheticEstimate) -> None:
-        """Run so many ticks with an estimate that contact detection has time to find its contact."""
+        """Run enough ticks with the same estimate for contact detection to find a contact."""
         for _ in range(
             round(5 * TIP_FORCE_TIME_CONSTANT_S / self.model.period)
             + self.model.gains.contact.ticks
@@ -123,7 +123,7 @@ def hand_in_contact(
 ) -> SyntheticEstimate:
     """Return the estimate of a taut hand.
 
-    ``external`` gives the unexplained tension of the digits that touch [N].
+    ``external`` gives the unexplained tension [N] of each digit that touches an object.
     """
     estimate = estimate_under_tension(model, tension, 0.5)
     force = np.zeros(model.tendon_count)
@@ -174,7 +174,7 @@ def test_a_tendon_that_stays_loose_ends_the_run_with_its_name(model: HandModel) 
 
 
 def test_tightening_must_last(model: HandModel, taut_estimate: SyntheticEstimate) -> None:
-    """Slack in a tick delays the end of tightening, but not by more than a limited time."""
+    """A slack tendon delays the end of tightening, but only up to a time limit."""
     run = ProgramRun(model)
     run.run_until_phase("tighten", taut_estimate)
     for seconds, estimate in (
@@ -256,7 +256,7 @@ def tip_forces_while_closing(model: HandModel, estimate: SyntheticEstimate) -> n
 
 
 def tension_for_tip_force(model: HandModel, newtons: float) -> float:
-    """Return the unexplained tension of each index tendon [N] that shows a force at the index tip [N]."""
+    """Return the unexplained tension [N] of each index tendon under a given tip force [N]."""
     found = tip_forces_while_closing(
         model,
         estimate_under_tension(model, 15.0, 0.5)._replace(
@@ -298,7 +298,10 @@ def test_contact_is_a_force_at_the_tip_that_lasts(
 
 
 def test_tip_force_estimate_equals_the_applied_force(model: HandModel) -> None:
-    """Contact detection finds the force at a tip from the tensions that balance it, at any pose of the digit."""
+    """Contact detection computes the force at a tip from the tensions that balance this force.
+
+    This works at any pose of the digit.
+    """
     q, balance, forces = np.empty(len(model.hand.joints)), np.empty(model.tendon_count), []
     for d, digit in enumerate(model.digits):
         own = np.linspace(0.2, 0.6, digit.joint_count)

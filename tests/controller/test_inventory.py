@@ -61,7 +61,10 @@ def test_the_inventory_waits_for_load_cells_that_reply_in_alternate_ticks(
 
 
 def hand_in_inventory(hand_bench: ControllerBench, seconds: float) -> ControllerState:
-    """Return the state of a complete hand some time after its inventory started. Tests then remove parts of it."""
+    """Return the state of a hand some time after its inventory started.
+
+    The state has readings of all nodes, some of which tests remove.
+    """
     hand_bench.run_until_mode(HandMode.READY)
     state = hand_bench.state.copy()
     state.mode, state.mode_since = HandMode.INVENTORY, -seconds
@@ -87,9 +90,9 @@ def mode_after_inventory(
 def test_a_ready_drive_that_never_reports_its_position_is_named(
     hand_bench: ControllerBench,
 ) -> None:
-    """A drive may be ready without a position.
+    """A drive may report that it is ready and yet send no position.
 
-    The heartbeat of an ODrive comes even if its encoder messages are disabled.
+    An ODrive, for example, sends heartbeats even if its encoder messages are disabled.
     """
     known = hand_in_inventory(hand_bench, INVENTORY_TIMEOUT_S + 0.1)
     blind, unread = known.drives[1]._replace(position=math.nan), known.copy()

@@ -102,7 +102,10 @@ def test_a_tip_force_for_all_digits_names_the_first_that_cannot_make_it():
 
 
 def test_a_tip_force_is_refused_before_the_bus_is_opened(tmp_path, capsys):
-    """The bus of this command does not exist. If the run opened it first, the error would be another one."""
+    """The command names a bus that does not exist.
+
+    If the run opened the bus before checking the task, the error would name the bus.
+    """
     path = tmp_path / "tip.toml"
     path.write_text(
         'schema = 1\nname = "t"\n[[phase]]\nkind = "close"\n[[phase]]\nkind = "hold"\ntip_force_N = 4.0\n'

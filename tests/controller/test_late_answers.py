@@ -1,6 +1,6 @@
 """After a pause of the host or of the simulator, several replies of a node arrive in one tick.
 
-They are no sign of a second node.
+Late replies must not be taken for those of a second node with the same identifier.
 """
 
 import pytest
@@ -88,7 +88,10 @@ def test_replies_after_a_pause_longer_than_the_reply_limit_are_no_second_node(be
 
 
 def active_on_a_bus_without_stamps() -> ControllerBench:
-    """Return a bench whose hand is active. Its frames get their time stamps only when the host reads them."""
+    """Return a bench whose hand is active.
+
+    Frames on the bus of this bench get their time stamps only when the host reads them.
+    """
     run = make_controller_bench(
         HandModel.from_hand(load_hand("jamia"), Gains(), 500.0), LiveProgram()
     )
@@ -113,7 +116,7 @@ def second_node_reports(out: TickOut) -> list[str]:
 def test_replies_may_be_in_time_again_after_many_late_ones() -> None:
     """A node may reply just after each deadline.
 
-    When it becomes faster, two of its replies arrive in the same tick.
+    When the node becomes faster, two of its replies arrive in the same tick.
     """
     run = active_on_a_bus_without_stamps()
     held: list[list[Frame]] = [[]]

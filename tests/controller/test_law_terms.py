@@ -96,7 +96,10 @@ def test_the_disturbance_estimate_is_subtracted_in_a_hold(model: HandModel) -> N
 
 
 def test_an_idle_control_law_forgets_earlier_commands(model: HandModel) -> None:
-    """After an idle tick the tension loop starts at the present tension, whatever the control law commanded before."""
+    """After an idle tick, the tension loop starts at the present tension.
+
+    Earlier commands have no effect on this start.
+    """
     state, tension = active_state(model), np.linspace(3.0, 4.0, model.tendon_count)
     for name in (
         "setpoint",
@@ -144,7 +147,7 @@ def test_a_holding_hand_has_no_goal_angles(model: HandModel) -> None:
 
 
 def test_the_hold_law_opposes_speed_and_tension_error(model: HandModel) -> None:
-    """While a digit holds, the control law opposes a deviation of the tension and damps a motion of the motor."""
+    """A digit that holds a tension opposes tension errors and damps motions of its motor."""
     estimate, goals, design = (
         estimate_under_tension(model, 20.0),
         holding_goals(model, 20.0),

@@ -1,7 +1,7 @@
 """Test the control law with limited tensions.
 
-Limits come from a warm drive, from safety that holds the hand (HOLD), and from the trim after a
-change of gains.
+Tensions are limited while a drive is warm and while the safety monitor holds the hand (HOLD). The
+tests also cover the trim force after a change of gains.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ HIGH_TENSION_N = 60.0
 
 
 IMMEDIATE_RATE_N_PER_S = 1e6
-"""Rate of a set-point that is so fast that it reaches its goal in one tick [N/s]."""
+"""Rate at which a tension set-point reaches its goal within one tick [N/s]."""
 
 
 def idle_law_state(model: HandModel) -> LawState:

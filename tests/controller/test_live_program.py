@@ -28,7 +28,7 @@ def goal_of_request(text: str) -> MoveDigits | HoldTension:
 def begin_live_program(
     model: HandModel, estimate: SyntheticEstimate
 ) -> tuple[LiveProgram, ProgramProgress]:
-    """Return a live program and its progress at the moment at which it waits for requests."""
+    """Return a live program that waits for requests, and the progress of this program."""
     program = LiveProgram()
     progress, t = program.initial_progress(model), 0.0
     while progress.phase != "live":

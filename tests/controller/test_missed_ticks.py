@@ -1,6 +1,7 @@
 """Test ticks that the controller skips.
 
-Motions continue meanwhile. test_estimator_gate tests the effect on the filter.
+Planned motions continue in the meantime. The module test_estimator_gate tests the effect on the
+filter.
 """
 
 import pytest

@@ -86,9 +86,9 @@ def test_slow_rates_are_stable_too(model: HandModel, rate_hz: float) -> None:
 
 @pytest.mark.parametrize("rate_hz", CONTROL_RATES_HZ)
 def test_the_gains_are_optimal(model: HandModel, rate_hz: float) -> None:
-    """No gains close to the designed gains have a lower cost, from any of several initial states.
+    """From each of several initial states, gains close to the designed gains have no lower cost.
 
-    The cost is summed over the ticks.
+    The cost of a motion is summed over its ticks.
     """
     gains, full = Gains(), min(1.0, (rate_hz / 500.0) ** 0.5)
     weights = [

@@ -1,4 +1,7 @@
-"""Moves of a task that are too fast for a rotor are refused. A sudden stop at such a speed tears a tendon."""
+"""Test that moves of a task which are too fast for a rotor are refused.
+
+A sudden stop at such a speed tears a tendon.
+"""
 
 from typing import Any
 

@@ -53,7 +53,9 @@ def waving_task(hand: Hand) -> Task:
 
 
 def simulate_control_errors(known: Hand, hand: Hand, seed: int) -> ControlErrors | None:
-    """Simulate ``hand`` with a controller that knows the description ``known``, and return the errors of the motion.
+    """Simulate ``hand`` under a controller that is made for the hand ``known``.
+
+    Return the control errors.
 
     The result is None if a fault ended the run.
     """
@@ -87,7 +89,11 @@ def simulate_control_errors(known: Hand, hand: Hand, seed: int) -> ControlErrors
 @pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
 @pytest.mark.parametrize("name", TESTED_HANDS)
 def test_a_digit_follows_while_the_wrist_turns(name: str, seed: int) -> None:
-    """The error is more than four times as large if the controller assumes that tendons pass through the axis."""
+    """A digit follows its goal while the wrist turns.
+
+    The tracking error is more than four times as large if the controller assumes that tendons pass
+    through the axis of the wrist.
+    """
     hand = mount_on_wrist(name)
     aware = simulate_control_errors(hand, hand, seed)
     assert aware is not None
@@ -98,7 +104,11 @@ def test_a_digit_follows_while_the_wrist_turns(name: str, seed: int) -> None:
 
 
 def test_the_wrist_bears_the_tendons_that_pass_it() -> None:
-    """If the controller neglects their torque, the tension of bent fingers looks like an object at the wrist."""
+    """The wrist carries the torque of the tendons that pass it.
+
+    If the controller neglected this torque, the tension of bent fingers would look like an object
+    at the wrist.
+    """
     hand = mount_on_wrist("jamia")
     aware = simulate_control_errors(hand, hand, 0)
     blind = simulate_control_errors(mount_on_wrist("jamia", 0.0), hand, 0)

@@ -42,12 +42,16 @@ MOTEUS_SEEDS = range(20) if NIGHTLY else range(3)
 PROTOCOLS_AND_SEEDS = [("mit", seed) for seed in SIMULATOR_SEEDS] + [
     ("moteus", seed) for seed in MOTEUS_SEEDS
 ]
-"""Protocol and seed: drives that keep the commanded position, and drives that move it."""
+"""Protocol of the drives and seed of the simulator.
+
+MIT drives keep the commanded position until the next command. Moteus drives move the position on
+with the commanded velocity.
+"""
 RATE_HZ = 500.0
 STIFF_KP = 2.5
 """Stiffness of a tendon of ``jamia`` at its spool [N m/rad].
 
-It is the largest position gain that the hand file may have.
+This stiffness is the largest position gain that the hand file may have.
 """
 TENSION_TRIP_N = 140.0
 
@@ -116,8 +120,8 @@ def sent_stiffness(run: SimulatedRun) -> np.ndarray:
 def mean_errors(hand: Hand, seed: int) -> tuple[np.ndarray, float]:
     """Return the RMS error along each tendon (N,) [deg] while a hand moves, and the largest true tension [N].
 
-    It is the error of the mean joint angle. The springs of ``jamia`` decide about its single
-    joints.
+    The error is that of the mean joint angle along a tendon. The springs of ``jamia`` determine how
+    the single joints share this error.
     """
     errors, peak = list[np.ndarray](), 0.0
     with begin_to_and_fro(hand, seed, moves=2) as run:
@@ -147,7 +151,10 @@ def moteus_command(data: bytes) -> tuple[float, ...]:
 
 @pytest.mark.parametrize("direction", [1, -1])
 def test_a_moteus_command_makes_the_predicted_torque(direction: int) -> None:
-    """The target moves with the velocity, so on average it is half a period of motion ahead of the command."""
+    """The drive moves its target on with the commanded velocity.
+
+    On average, the target is therefore ahead of the command by the motion of half a period.
+    """
     hand = hand_with_position_loop(protocol="moteus")
     motors = tuple(
         motor.model_copy(update={"direction": direction, "zero_rad": 0.7}) for motor in hand.motor
@@ -206,8 +213,8 @@ def test_a_position_command_makes_the_predicted_torque() -> None:
                     + given.kd * (given.velocity - v)
                     + given.torque
                 )
-                # The tolerance is the torque of one count of position at this stiffness, one of
-                # velocity and one of torque.
+                # The tolerance is the torque of one count of position at this stiffness, plus that
+                # of one count of velocity, plus one count of torque.
                 assert torque == pytest.approx(run.state.view("torque")[n], abs=2.0e-3)
                 sent += given.kp > 0.0
                 assert given.kp == pytest.approx(run.state.view("servo_kp")[n], abs=1e-9)
@@ -227,9 +234,9 @@ def test_a_stiff_drive_follows_twice_as_well(seed: int) -> None:
 
 
 LARGEST_ERROR_RATIO = {"jamia": 0.75, "jamia11": 0.85, "t42": 1.01}
-"""Largest error with position loops as a fraction of that with torque commands.
+"""Largest ratio of the error with position loops to the error with torque commands.
 
-The springs of ``t42`` decide about its error.
+The error of ``t42`` is determined by its springs.
 """
 
 
@@ -299,7 +306,10 @@ def test_an_obstacle_bounds_the_tension(kp: float | None, protocol: str, seed: i
 def test_a_dead_host_at_an_obstacle_is_bounded_by_the_limit_in_the_command(
     ahead_ms: int, seed: int
 ) -> None:
-    """A moteus moves its target on until its watchdog fires after 50 ms. Without the limit it pulls 70 N here."""
+    """Without a host, a moteus drive moves its target on until its watchdog fires after 50 ms.
+
+    Without the limit in its command, the drive would pull 70 N in this test.
+    """
     with begin_to_and_fro(hand_with_position_loop(protocol="moteus"), seed) as run:
         for _ in range(round((0.1 + 0.06 * seed) * RATE_HZ)):
             run.run_tick()
@@ -321,7 +331,7 @@ def test_a_dead_host_at_an_obstacle_is_bounded_by_the_limit_in_the_command(
         assert [motor.servo.kp for motor in motors.values()] == [0.0] * 4, (
             "the watchdogs have fired"
         )
-        # The moving rotor adds its kinetic energy.
+        # The kinetic energy of the moving rotor may raise the tension above the limit.
         assert (peak < np.maximum(at_host, limit) + 10.0).all(), f"{peak} N, limits {limit} N"
         assert peak.max() < 55.0
 
@@ -367,7 +377,7 @@ EXPECTED_FAULTS = {
     "stuck encoder=index_motor": {"N04"},
     "swap node=index_motor with=thumb_motor": {"N05b", "N14", "N17"},
     "cross node=index_motor with=thumb_motor": {"N14", "N17", "N04", "T04b", "N05b"},
-    # Replayed answers of a moteus may come in addition to its own answers.
+    # Replayed replies of a moteus drive may arrive in addition to its genuine replies.
     "replay node=index_motor size=16": {"N05b", "N14", "N17", "N04", "B06", "N13"},
     "disobey node=index_motor size=0.4": {"N14", "N17"},
     "offset encoder=index_motor size=-0.5": {"N05b", "T02a", "T03", "N14"},
@@ -403,7 +413,10 @@ def test_a_drive_that_ignores_kp_is_found(protocol: str, seed: int) -> None:
     ("protocol", "sigma"), [("mit", 0.3), ("robstride", 0.3), ("moteus", 0.12)]
 )
 def test_a_healthy_drive_reports_what_is_predicted(protocol: str, sigma: float) -> None:
-    """The reported force of a drive agrees with the prediction. Detectors of disobedience compare these two."""
+    """The reported force of a drive agrees with the predicted force.
+
+    Detectors of drives that do not obey compare these two forces.
+    """
     with begin_to_and_fro(hand_with_position_loop("jamia", protocol)) as run:
         apart = []
         for _ in range(600):
@@ -421,7 +434,7 @@ def test_a_report_is_predicted_within_the_limit_of_its_command(sign: int) -> Non
         limit = float(run.state.view("servo_limit")[1]) / run.controller.model.space.spool[1]
         run.state.view("servo_position")[1] += 2.0 * sign
         run.run_tick()
-        # The report of a tick belongs to the command before the last.
+        # The report that arrives in a tick answers the command before the last one.
         run.run_tick()
         assert run.state.view("servo_report")[1] == pytest.approx(sign * limit)
         assert (
@@ -453,7 +466,10 @@ def test_a_moteus_without_gains_is_refused(key: str) -> None:
 @pytest.mark.parametrize("rate_hz", [100.0, 500.0])
 @pytest.mark.parametrize("gain", [0.9, 1.2])
 def test_fractions_of_the_gains_of_a_moteus_are_at_most_1(gain: float, rate_hz: float) -> None:
-    """An identified torque per command below 1 requires more than the gains in the drive: kp and kd are limited."""
+    """The fractions of kp and kd in a command are limited to 1.
+
+    An identified torque per command below 1 would require larger fractions.
+    """
     hand = hand_with_position_loop(protocol="moteus")
     model = HandModel.from_hand(hand, packaged_gains("jamia"), rate_hz, np.full(4, gain))
     controller = make_controller(

@@ -1,4 +1,7 @@
-"""Compare estimated joint angles and their deviations with the simulator in grasps, and with linear algebra."""
+"""Compare estimated joint angles and their standard deviations with the simulator in grasps.
+
+Compare their equations with plain linear algebra.
+"""
 
 import os
 from collections.abc import Iterator
@@ -47,8 +50,8 @@ HELD_PHASES, FREE_PHASES = ("close", "hold", "release"), ("tighten", "home")
 class PostureTick(NamedTuple):
     """Values of a tick of a grasp.
 
-    It has the phase, the true and estimated joint angles, the deviation of the estimate, the angles
-    that a free digit would have (J,) [rad], and the contact force on each digit [N].
+    A tick has the phase, the true and estimated joint angles, the deviation of the estimate, the
+    angles that a free digit would have (J,) [rad], and the contact force on each digit [N].
     """
 
     phase: str
@@ -101,9 +104,9 @@ def root_mean_square(values: np.ndarray) -> float:
     GRASPS_AND_OBJECTS if os.environ.get("HANDCTL_NIGHTLY") else GRASPS_AND_OBJECTS[:2],
 )
 def test_the_truth_is_within_two_sigma_in_a_grasp(task: str, scene: str, seed: int) -> None:
-    """This holds for at least 95 % of joints and ticks.
+    """The true joint angle is within two standard deviations for at least 95 % of joints and ticks.
 
-    During the hold, the angles of free digits would be further off.
+    During the hold, angles that are computed as for free digits are further from the truth.
     """
     seen = list(run_grasp(packaged_task("jamia"), task, scene, seed))
     held = [one for one in seen if one.phase in HELD_PHASES]
@@ -146,7 +149,7 @@ def angles_of_tick(
 ) -> JointAngles:
     """Return the joint angles that are estimated in tick k with unexplained tensions (D,) [N].
 
-    The state then contains the tick.
+    The function writes this tick into the state.
     """
     state.view("touch")[...] = touched
     state.set_run_integer(s.K, k)
@@ -231,8 +234,8 @@ def state_after_fusion(
 def test_encoders_are_fused_as_a_kalman_filter_does(tmp_path: Path) -> None:
     """Only one joint has an encoder.
 
-    Covariances weight its prior and its reading. The angles of other joints follow by their
-    correlation.
+    Covariances weight the prior and the reading of this joint. The angles of other joints follow by
+    their correlation.
     """
     model = HandModel.from_hand(
         load_hand(str(hand_file_with_encoders(tmp_path, joints=1))), Gains(), RATE_HZ
@@ -264,7 +267,8 @@ def test_encoders_are_fused_as_a_kalman_filter_does(tmp_path: Path) -> None:
 def test_sequential_encoder_updates_equal_one_matrix_update(tmp_path: Path, seed: int) -> None:
     """Encoders are fused one after the other.
 
-    The result is that of the matrix form, although some frames are too old.
+    The result equals that of one update in matrix form. Readings from frames that are too old are
+    left out of both.
     """
     model = HandModel.from_hand(load_hand(str(hand_file_with_encoders(tmp_path))), Gains(), RATE_HZ)
     rng, constants, state = (

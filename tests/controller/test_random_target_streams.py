@@ -38,7 +38,7 @@ def model_of(name: str) -> HandModel:
 
 
 def white_noise_targets(rng: np.random.Generator, low: Array, high: Array, t: Array) -> Array:
-    """Return targets of white noise, which also exceeds the limits."""
+    """Return targets of white noise. Some of these targets exceed the limits."""
     beyond = 0.1 * (high - low)
     return rng.uniform(low - beyond, high + beyond, (len(t), len(low)))
 
@@ -126,10 +126,10 @@ SAMPLED_CASES = [
 def test_random_targets_cause_no_fault(
     space: str, hand: str, kind: Callable[..., Array], seed: int
 ) -> None:
-    """Regression: random streams ended within 45 ms with the fault T01.
+    """Regression: random streams ended within 45 ms with the fault T01 (a tendon snapped).
 
-    The set-point of a tension ran ahead of a free digit. The reference of an angle ran ahead of a
-    held digit.
+    The tension set-point ran ahead of a free digit, or the reference angle ran ahead of a held
+    digit.
     """
     model = model_of(hand)
     digit = model.hand.digit_names[0]

@@ -85,7 +85,7 @@ def test_a_tension_that_is_still_growing_is_not_waited_for(low_rate_jamia: HandM
 
 
 def fastest_setpoint_fall(run: ControllerBench, index: int = 0) -> float:
-    """Return how fast the set-point of a tendon falls at most while the hand relaxes [N/s]."""
+    """Return the fastest fall of a tendon's set-point while the hand relaxes [N/s]."""
     goals = [
         out.telemetry.tension_goal[index]
         for _, _, out in run.tick_history

@@ -23,7 +23,7 @@ def motion_goals(
 def test_a_motion_depends_on_the_time_since_its_start_only(
     hand: str, durations: tuple[float, ...], request: pytest.FixtureRequest
 ) -> None:
-    """This holds if all digits have the same duration, and if their durations differ."""
+    """All digits move for the same duration in one case, for different durations in another."""
     model: HandModel = request.getfixturevalue(hand)
     first, later = (motion_goals(model, since, durations) for since in (0.0, 2.0))
     motion = joint_motion_at(model, first, 0.1)
@@ -48,7 +48,7 @@ def required_tensions_by_digit(model: HandModel, motion: np.ndarray) -> np.ndarr
 def test_the_load_of_each_digit_is_limited_separately(
     hand: str, request: pytest.FixtureRequest
 ) -> None:
-    """The tensions of some digits are within their bounds, of others at a bound.
+    """Some digits have all tensions within their bounds, and others have tensions at a bound.
 
     A bound of one digit does not change the tensions of other digits.
     """

@@ -22,7 +22,7 @@ def test_a_tendon_whose_length_is_known_is_taut_at_the_first_clear_sample(
 ) -> None:
     """At 200 Hz the tension of a tendon grows by 1 N from one sample to the next.
 
-    No sample may therefore be wasted.
+    The filter must therefore use the first clear sample.
     """
     points, taken = 0, 0
     while not uncompiled_function(is_regime_over)(SLACK_REGIME, points, False):

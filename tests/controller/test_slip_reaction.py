@@ -1,7 +1,7 @@
 """Test slip of a grasped object.
 
-It is detected when a digit is pushed open. The grasp then raises its force up to the limit of the
-task.
+Slip is detected when the object pushes a digit open. The grasp then raises its force up to the
+limit of the task.
 """
 
 import json
@@ -30,7 +30,10 @@ HELD_TENSION_N = 20.0
 
 
 class GraspRun:
-    """A grasp with all digits except the last. It runs tick by tick on synthetic estimates."""
+    """A grasp with all digits except the last.
+
+    The grasp runs tick by tick on synthetic estimates.
+    """
 
     def __init__(self, model: HandModel, limit: float = np.nan, stiffness: float = 0.0) -> None:
         self.model, self.resting_estimate = (

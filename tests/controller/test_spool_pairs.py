@@ -57,8 +57,8 @@ def test_the_net_tension_is_the_difference_of_two_tensions_that_only_pull(seed: 
     random = np.random.default_rng(seed)
     net, pretension = random.uniform(-60.0, 60.0), random.uniform(0.0, 20.0)
     assert uncompiled_function(net_tension_at_joint)(net, pretension, 1.0) == pytest.approx(net)
-    # The net tension with half the first and twice the second tendon's tension gives a second
-    # equation for both.
+    # The net tension for half the first tendon's tension and twice the second gives another
+    # equation for the two tensions.
     halved = uncompiled_function(net_tension_at_joint)(net, pretension, 0.5)
     first = (2.0 * net - halved) / 1.5
     second = first - net
@@ -94,9 +94,9 @@ def test_a_single_tendon_is_the_limit_of_a_pair_without_pretension() -> None:
 
 @pytest.mark.parametrize("stretch_mm", [0.0, 0.1, -0.1, 0.16, 0.4, -0.4])
 def test_the_simulated_spool_pulls_one_tendon_and_slackens_the_other(stretch_mm: float) -> None:
-    """Both tendons are taut and their stiffnesses add until the net tension is twice the pretension.
+    """Up to a net tension of twice the pretension, both tendons are taut and their stiffnesses add.
 
-    Above, only one is taut.
+    Above this net tension, only one tendon is taut.
     """
     tendon, motor = spool_finger().tendon[0], spool_finger().motor[0]
     pretension = tendon.pretension_N
@@ -213,9 +213,10 @@ class PullProgram:
 
 @pytest.mark.parametrize("tension", [-200.0, -40.0, 12.0, 40.0, 200.0])
 def test_it_pulls_both_ways_and_never_above_the_limit(tension: float) -> None:
-    """At a joint's stop the net tension is the goal.
+    """When a joint rests on its stop, the net tension reaches its goal.
 
-    A larger goal is limited to the limit of the hand minus sigma of an estimated tension.
+    A goal above the limit of the hand is lowered to this limit minus a margin for the standard
+    deviation of the estimated tension.
     """
     hand = spool_finger()
     limit = hand.tendon[0].tension_max_N

@@ -196,7 +196,7 @@ def test_a_copy_is_another_block_of_the_same_numbers(state: ControllerState) -> 
 def test_a_difference_names_its_field(state: ControllerState, field: BlockField) -> None:
     """The message names the first field that differs, in the order of the schema.
 
-    It has the element and both values.
+    The message also gives the element and its two values.
     """
     other = state.copy()
     values = other.view(field.name).reshape(-1)
@@ -226,9 +226,10 @@ def test_nan_is_the_same_as_nan_and_zero_is_not_minus_zero(state: ControllerStat
 
 
 def random_hand(seed: int) -> HandModel:
-    """Return some digits of a packaged hand or of a hand with 15 motors.
+    """Return the model of a random hand.
 
-    Masses, springs and friction are varied at random.
+    The hand has some digits of a packaged hand or of a hand with 15 motors. Their masses, springs
+    and friction are varied at random.
     """
     rng = random.Random(seed)
     raw: dict[str, Any] = fifteen_motors()
@@ -332,9 +333,9 @@ def test_every_constant_that_kernels_see_is_what_was_packed(
 def test_every_element_of_every_field_changes_the_digest(
     active_bench: ControllerBench, field: BlockField
 ) -> None:
-    """Change each element of a state by one unit in the last place.
+    """Change each element of a state by one unit in the last place, and expect another digest.
 
-    By day the test takes only 16 elements of each field.
+    By day the test changes only 16 elements of each field.
     """
     state = active_bench.state
     seen = {state.digest()}
@@ -461,7 +462,10 @@ def test_every_decision_changes_the_digest(active_bench: ControllerBench) -> Non
 
 
 def other_values(value: Any) -> list[Any]:
-    """Return other values of the same type as a value. Those of a named tuple differ from it in one part each."""
+    """Return other values of the same type as a value.
+
+    For a named tuple, each returned value differs in one part.
+    """
     if isinstance(value, bool):
         return [not value]
     if isinstance(value, DrivePhase):

@@ -1,6 +1,6 @@
 """Test the hash of the controller's decisions.
 
-It reuses values of the last tick, but never a value that has changed.
+The hash function reuses parts of the last tick's hash, but never for a value that has changed.
 """
 
 import numpy as np

@@ -91,7 +91,10 @@ def test_friction_takes_from_a_closing_tendon_and_gives_to_an_opening_one(model:
 
 
 def test_pull_is_what_the_capstan_leaves_at_each_pulley(model: HandModel) -> None:
-    """This holds for any state of friction, while a tendon is wound and while it is paid out."""
+    """The pull at the joints is the tension that capstan friction leaves at each pulley.
+
+    The test covers any state of friction, while a tendon is wound and while it is paid out.
+    """
     rng = np.random.default_rng(7)
     theta = [rng.uniform(0.1, 1.4, digit.coupling.shape[1]) for digit in model.digits]
     q = np.concatenate(

@@ -46,7 +46,7 @@ class StreamClient:
     Attributes:
         run: the simulation of the hand.
         sent: number of targets that the client has sent so far.
-        outs: outputs of all ticks since the hand began to wait for requests.
+        tick_outputs: outputs of all ticks since the hand started to wait for requests.
     """
 
     def __init__(self, run: SimulatedRun, model: HandModel, name: str = "one") -> None:
@@ -82,7 +82,7 @@ class StreamClient:
         return self.send_command("stream", stream="s", space=space, names=names, **fields)
 
     def target_request(self, *values: float, number: int | None = None, age_s: float = 0.0) -> str:
-        """Return the request of a streamed target. It was sent ``age_s`` seconds ago."""
+        """Return the request of a streamed target. The target was sent ``age_s`` seconds ago."""
         self.sent += number is None
         return target_request_text(
             "s", self.sent if number is None else number, self.t_ns - round(1e9 * age_s), values
@@ -131,7 +131,8 @@ def true_angle(run: SimulatedRun) -> float:
 def test_a_streamed_sine_is_followed_like_a_trajectory(jamia: HandModel) -> None:
     """The client knows the motion in advance.
 
-    It therefore sends the angle that the hand shall have after the horizon.
+    The client therefore sends the angle that the hand shall have after the delay of the stream
+    (``horizon_s``).
     """
     errors = {}
     for interpolation in ("linear", "minimum_jerk"):
@@ -166,7 +167,7 @@ def test_a_streamed_sine_is_followed_like_a_trajectory(jamia: HandModel) -> None
 
 
 def error_of_trajectory(model: HandModel) -> float:
-    """Return the RMS error of a hand that performs the sine as a trajectory of a task [deg]."""
+    """Return the RMS error [deg] of a hand that follows the test sine as a trajectory of a task."""
     times = np.arange(0.0, 3.001, 0.02)
     stay = {
         "kind": "move",
@@ -193,7 +194,10 @@ def error_of_trajectory(model: HandModel) -> float:
 
 
 def test_the_ticks_of_a_stream_repeat_to_the_last_bit(jamia: HandModel) -> None:
-    """The ticks repeat from the start, and also from a snapshot in the middle of the stream."""
+    """Recorded ticks that are executed again give equal results.
+
+    The test executes the ticks from the start, and from a snapshot in the middle of the stream.
+    """
     with live_client(jamia) as client:
         client.open_stream(
             space="joint",
@@ -303,7 +307,7 @@ def test_a_stale_stream_holds_then_relaxes(jamia: HandModel) -> None:
 def test_a_late_target_waits_at_the_last_one(jamia: HandModel) -> None:
     """While a target is late, the stream is not extrapolated.
 
-    The reference passes the last target only by its braking distance.
+    The reference angle passes the last target only by its own braking distance.
     """
     with live_client(jamia) as client:
         client.open_stream()
@@ -385,7 +389,10 @@ def test_a_target_from_the_future_counts_as_sent_now(jamia: HandModel) -> None:
 
 
 def test_targets_between_the_deadline_and_a_late_tick_are_in_order(jamia: HandModel) -> None:
-    """Both targets count as sent at the time of the tick. Regression: the second one was refused as overtaken."""
+    """Targets that were sent after the deadline of a late tick count as sent at this tick.
+
+    Regression: the second target was refused as overtaken by the first.
+    """
     with live_client(jamia) as client:
         client.open_stream()
         client.tick(
@@ -440,7 +447,10 @@ def test_a_stream_goes_on_from_a_moving_digit(jamia: HandModel) -> None:
 
 
 def test_goals_with_a_long_horizon_move_the_hand(jamia: HandModel) -> None:
-    """Regression: each new goal began at rest at the estimated angle, so a hand with 50 goals a second stood still."""
+    """Regression: the trajectory to each new goal started at rest at the estimated angle.
+
+    A hand with 50 goals per second therefore stood still.
+    """
     with live_client(jamia) as client:
         client.send_command("move", angle_deg={"index": SINE_MIDDLE_DEG})
         client.wait(1.2)
@@ -457,7 +467,11 @@ def test_goals_with_a_long_horizon_move_the_hand(jamia: HandModel) -> None:
 
 
 def test_a_long_move_of_a_fast_digit_stays_within_the_range() -> None:
-    """A quintic polynomial that continues 300 deg/s over five seconds would swing 280 degrees beyond its end."""
+    """The motion does not swing beyond its end.
+
+    A quintic polynomial that starts at 300 deg/s and lasts five seconds would swing 280 degrees
+    beyond it.
+    """
     reference = np.radians([[90.0], [300.0], [0.0]])
     reach = np.radians([0.0]), np.radians([100.0])
     move = continued_move(reference, np.radians([10.0]), 5.0, reach)
@@ -468,7 +482,7 @@ def test_a_long_move_of_a_fast_digit_stays_within_the_range() -> None:
 
 
 def test_three_goals_out_of_range_are_no_fault(jamia: HandModel) -> None:
-    """Regression: three such goals caused a latched fault that relaxed the hand."""
+    """Regression: three goals out of range caused a latched fault, which relaxed the hand."""
     with live_client(jamia) as client:
         for _ in range(5):
             assert "from 0 to 100 deg" in client.send_command("move", angle_deg={"index": 120.0})

@@ -1,4 +1,7 @@
-"""Test task files. Packaged tasks suit all hands that can follow them, and an error names its key."""
+"""Test task files.
+
+The packaged tasks are valid for all hands that can follow them. An error names the wrong key.
+"""
 
 from pathlib import Path
 

@@ -121,7 +121,10 @@ def test_curve_derivatives_match_differences(points: list[float], share: float) 
 
 
 def test_every_number_of_a_way_is_in_its_plain_form() -> None:
-    """The plain form of a trajectory contains all of its numbers, because the state is hashed from it."""
+    """The plain form of a trajectory contains all of its numbers.
+
+    The hash of the state is computed from this form.
+    """
     ways = [
         MinimumJerk(np.array([0.0]), np.array([1.0]), 1.0),
         MinimumJerk(np.array([0.1]), np.array([1.0]), 1.0),

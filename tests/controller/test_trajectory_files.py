@@ -99,7 +99,7 @@ def test_radians_are_not_degrees(tmp_path: Path) -> None:
 def test_very_close_times_do_not_bypass_the_speed_limit(gap, recwarn):
     """Very close times make the coefficients of the spline overflow.
 
-    A speed that is NaN does not pass the limit either.
+    A speed of NaN is refused like a speed above the limit.
     """
     angles = {"index": (0.0, 1.0, 0.0)}
     with pytest.raises(ValueError, match="at most 700 deg/s"):

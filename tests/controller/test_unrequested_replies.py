@@ -9,7 +9,7 @@ from handctl.programs.live_session import LiveProgram
 from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
 UNREQUESTED_REPLY = Frame(0x11, bytes([0x11, 0x80, 0, 0x80, 8, 0, 30, 30]))
-"""Feedback frame of the first motor. It reports that the motor is enabled."""
+"""Feedback frame of the first motor. The frame reports that the motor is enabled."""
 
 
 @pytest.fixture
@@ -137,8 +137,8 @@ def test_only_replies_in_excess_are_compared_with_the_expected_reply(
 def change_first_motor(answer: Frame, kinds: str) -> list[Frame]:
     """Return a motor's reply once for each letter.
 
-    For A it is unchanged, and for B it has another temperature. Only replies of the first motor are
-    repeated.
+    For A the reply is unchanged, and for B it has another temperature. Only replies of the first
+    motor are repeated.
     """
     if answer.can_id != 0x11:
         return [answer]

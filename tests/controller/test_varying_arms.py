@@ -1,4 +1,4 @@
-"""Control of hands whose moment arms depend on the joint angle."""
+"""Test the control of hands whose moment arms depend on the joint angle."""
 
 from functools import cache
 

@@ -1,6 +1,7 @@
 """Test hands without load cells at some or all tendons.
 
-They estimate tension from motor, encoder and friction, and the simulator has the true tension.
+The controller estimates their tensions from motor force, encoder and friction. The tests compare
+them with the true tensions of the simulator.
 """
 
 import os
@@ -32,7 +33,7 @@ SIMULATOR_SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 2)
 def hand_without_cells(*tendons: str) -> Hand:
     """Return jamia without the load cells of the named tendons.
 
-    If no tendon is named, it has no sensor node at all.
+    If no tendon is named, the hand has no sensor node at all.
     """
     content: dict[str, Any] = hand_content("jamia")
     if not tendons:
@@ -113,7 +114,7 @@ def run_without_sensors(
 ) -> RunWithoutCells:
     """Run a program on a hand without sensors whose motor zeros are known.
 
-    Injected faults contain their own times.
+    The text of each injected fault contains its time.
     """
     rows = RunWithoutCells()
     with SimulatorSettings(hand_without_cells(), scene, seed, homed=True).begin_run(

@@ -1,4 +1,6 @@
-"""Typical use of motor clients from other projects. They command ``python -m firmware_sim drive`` on any bus.
+"""Typical use of motor clients from other projects.
+
+The clients command simulated drives of ``python -m firmware_sim drive`` on any bus.
 
 Each function enables a drive, lets it make a torque, checks that its free shaft turns, and disables
 it. The clients wait for replies for 0.4 s to 1 s. The functions here wait longer.
@@ -90,15 +92,15 @@ def use_damiao_modes(interface: str, channel: str, node: int = 2) -> None:
 
 
 def use_odrive_can(bus: can.BusABC, node: int = 1) -> None:
-    """Use odrive-can: closed loop, a torque, a position, an emergency stop that is reported as an error, and clear."""
+    """Use odrive-can: closed loop, torque, position, emergency stop, and clearing of its error."""
     asyncio.run(_use_odrive(bus, node))
 
 
 async def _use_odrive(bus: can.BusABC, node: int) -> None:
     """Use odrive-can in its event loop.
 
-    Positions come by the cyclic message. A request for it by a remote frame can block the client
-    forever.
+    The client gets positions from the cyclic message of the drive. Requesting this message with a
+    remote frame can block the client forever.
     """
     drive = ODriveCAN(axis_id=node, can_bus=bus)
     seen = [0.0]

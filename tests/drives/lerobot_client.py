@@ -1,6 +1,6 @@
 """Use of LeRobot's bus class for RobStride motors.
 
-It commands ``python -m firmware_sim drive robstride_mit`` on any bus.
+The class commands simulated motors of ``python -m firmware_sim drive robstride_mit`` on any bus.
 """
 
 import time
@@ -13,7 +13,8 @@ from lerobot.motors.robstride import RobstrideMotorsBus
 REPLY_TIMEOUT_S = 0.5
 """Time that the client waits for a reply [s].
 
-Its own limit of 1 ms is less than a process needs on a busy machine.
+The client's default of 1 ms is too short on a busy machine, where the simulated motor is another
+process.
 """
 WAIT_TIMEOUT_S = 20.0
 

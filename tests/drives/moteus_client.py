@@ -1,6 +1,6 @@
 """Use of the vendor's Python client for moteus controllers.
 
-It commands ``python -m firmware_sim drive moteus`` on any bus.
+The client commands a simulated drive of ``python -m firmware_sim drive moteus`` on any bus.
 """
 
 import asyncio
@@ -18,7 +18,7 @@ VALUE_RESOLUTIONS = (moteus.INT8, moteus.INT16, moteus.INT32, moteus.F32)
 
 
 def use_moteus(interface: str, channel: str, node: int = 2) -> None:
-    """Use moteus: queries in every type, configuration, a torque, a position by the drive's gains, and stop."""
+    """Use moteus: query in every number type, configure, command torque and position, and stop."""
     asyncio.run(asyncio.wait_for(_use_transport(interface, channel, node), CLIENT_TIMEOUT_S))
 
 

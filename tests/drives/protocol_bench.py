@@ -33,7 +33,8 @@ def hand_file(folder: Path, protocols: Sequence[str], extra: str = "") -> Path:
 
     Args:
         folder: folder of the new file.
-        protocols: protocol of each motor in order. The last one is also that of all further motors.
+        protocols: protocol of each motor in order. The last protocol is used for all further
+            motors.
         extra: text of further options of every motor.
     """
     head, *motors = load_hand("jamia").to_toml().split("[[motor]]")
@@ -56,7 +57,10 @@ SECOND_BUS_SECTION = '[[bus]]\nname = "second"\nbitrate = 1000000\n\n[sensor_nod
 
 
 def move_to_second_bus(path: Path, motors: Sequence[int] = (2, 3)) -> Path:
-    """Move some motors of a hand file to a second bus, and return the path. The second bus has no load cells."""
+    """Move some motors of a hand file to a second bus, and return the path of the file.
+
+    The second bus has no load cells.
+    """
     head, *sections = (
         path.read_text().replace("[sensor_node]", SECOND_BUS_SECTION).split("[[motor]]")
     )
@@ -67,7 +71,7 @@ def move_to_second_bus(path: Path, motors: Sequence[int] = (2, 3)) -> Path:
 
 
 class ProtocolBench:
-    """All drives and the sensor node of a hand, run together tick by tick against the simulator."""
+    """Bench that runs the drives and the sensor node of a hand against the simulator."""
 
     def __init__(
         self, path: Path, wire: Sequence[str] | None = None, period_ns: int = PERIOD_NS
@@ -131,7 +135,10 @@ class ProtocolBench:
 def motor_on_bench(
     protocol: str, node: int, torque: float, options: dict[str, object], **changes: object
 ) -> Motor:
-    """Return the hand-file section of a motor that is alone on a bus. It has the ranges of a Damiao motor."""
+    """Return the hand-file section of a motor that is alone on a bus.
+
+    The motor has the ranges of a Damiao motor.
+    """
     return Motor.model_validate(
         {
             "name": "m", "protocol": protocol, "bus": "bench", "node_id": node, "spool_radius_m": 0.005,

@@ -1,4 +1,7 @@
-"""Independent model of a motor, written from its manual. It takes and returns bytes, and can have faults."""
+"""Independent model of a motor, written from its manual.
+
+The model takes and returns bytes. Tests can give it faults.
+"""
 
 import struct
 from dataclasses import dataclass, field

@@ -1,6 +1,6 @@
 """Test the drives and the sensor node of the packaged hand against simulated firmware.
 
-The firmware shares no code with them.
+The firmware shares no code with the drives and the sensor node.
 """
 
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ PACKAGED_HAND = load_hand("jamia")
 
 
 class PackagedHandBench:
-    """All drives and the sensor node of a hand, run together tick by tick against the simulator."""
+    """Bench that runs the drives and the sensor node of the packaged hand against the simulator."""
 
     def __init__(self) -> None:
         """Start the simulator and the drives of the packaged hand."""

@@ -1,4 +1,4 @@
-"""Compare the predicted bus load with a worst-case table made by counting bits, and with bit-exact stuffing."""
+"""Compare the predicted bus load with a table of counted bits, and with exactly stuffed frames."""
 
 import pytest
 from hypothesis import given
@@ -80,7 +80,7 @@ def test_no_classical_frame_takes_longer_than_its_worst_case(can_id: int, data: 
 
 
 def test_the_worst_case_can_nearly_happen() -> None:
-    """A classical frame of zeros reaches at least 85 % of the worst case."""
+    """A classical CAN frame of zeros has more than 85 % of the bits of the worst case."""
     body = "0" * 19 + "0" * 64
     bits = len(stuff_bits(body + crc15(body))) + 13
     assert bits > 0.85 * 135

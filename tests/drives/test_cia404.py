@@ -141,7 +141,7 @@ def test_the_dbc_decodes_the_same_tensions(value: str, raw: bytes) -> None:
 
 
 class AmplifierBench:
-    """The amplifiers of a hand, run against the simulator without the drives."""
+    """Bench that runs the amplifiers of a hand against the simulator, without drives."""
 
     def __init__(self, hand: Hand, path: str) -> None:
         """Start the simulator of a hand file."""
@@ -284,9 +284,9 @@ def test_a_missing_amplifier_is_named() -> None:
 
 
 def test_frames_before_the_set_up_are_not_used() -> None:
-    """The amplifiers still run from an earlier session in their default unit.
+    """The amplifiers have been running since an earlier session, and send in their default unit.
 
-    Their readings are 100 times the tension.
+    In this unit, the numbers are 100 times the tension.
     """
     with homed_run(hand_with_amplifiers(), 500.0, 0) as simulation:
         for node in nodes_of(simulation):
@@ -325,7 +325,11 @@ def nodes_of(simulation: SimulatedRun) -> list[Any]:
 def faults_of(
     hand: Hand, seed: int, start: Callable[[SimulatedRun], None], ticks: int = 60
 ) -> tuple[set[str], int]:
-    """Return the faults that follow a disturbance of a grasp, and the tick in which the controller first reacts."""
+    """Disturb a grasp.
+
+    Return the faults that follow, and the number of ticks until the controller reacts. The number
+    is -1 if the controller does not react.
+    """
     with homed_run(hand, 500.0, seed) as simulation:
         advance_to_stage(simulation, GRASP_STAGE)
         start(simulation)

@@ -83,7 +83,8 @@ def random_frame(chance: random.Random, heard: tuple[Frame, ...], t_ns: int) -> 
 def are_states_equal(one: DriveState, other: DriveState, drive: Drive) -> bool:
     """Return True if two states of a drive are equal.
 
-    The time of a CiA 402 drive's last heartbeat may be stored in the time of its feedback.
+    One state of a CiA 402 drive may store the time of its last heartbeat as the time of its
+    feedback.
     """
     if isinstance(drive, Cia402Drive):
         one, other = (
@@ -180,7 +181,7 @@ def test_an_enabled_drive_is_steady_until_it_is_due(name: str) -> None:
 def test_cyclic_frames_are_what_the_bus_is_planned_for(name: str) -> None:
     """The cyclic commands and replies of a drive are those for which the bus load is planned.
 
-    A drive may also read a table of unsolicited or rare messages.
+    The drive may decode further messages, which are unsolicited or rare.
     """
     drive, _, _, _ = enable_drive(name)
     command_layouts = sorted(

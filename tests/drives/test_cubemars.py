@@ -1,6 +1,6 @@
 """Test CubeMars motors in MIT mode with their simulated firmware.
 
-Payloads of both are compared with those of TMotorCANControl.
+The payloads of handctl and of the firmware are compared with those of the library TMotorCANControl.
 """
 
 import math

@@ -65,7 +65,7 @@ def values_read_by_controller(
 def test_cantools_reads_what_the_controller_reads(bench: ProtocolBench) -> None:
     """The frames come from a lockstep run with the simulated firmware.
 
-    They are commands and feedback of drives, and readings of load cells and joint encoders.
+    The frames are commands and feedback of drives, and readings of load cells and joint encoders.
     """
     dbc, hand = exported_dbc(bench.hand), bench.hand
     bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
@@ -109,7 +109,10 @@ def test_cantools_reads_what_the_controller_reads(bench: ProtocolBench) -> None:
 
 
 def is_torque_command(dbc: Database, frame: Frame, bench: ProtocolBench, torque: float) -> bool:
-    """Return True if a frame is a command with a torque. Check that its torque is that sent, within one count."""
+    """Return True if a frame is a torque command.
+
+    Check that its torque equals the sent torque within one count.
+    """
     for drive in bench.drives:
         for message in drive.cyclic_messages.commands:
             signals = [

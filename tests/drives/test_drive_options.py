@@ -74,7 +74,7 @@ def test_a_whole_number_may_be_written_with_a_point(heartbeat: float) -> None:
 def test_position_step_is_reported() -> None:
     """The filter needs the resolution of a drive's position.
 
-    An encoder of 1000 counts is coarser than 16 bits over the range.
+    An encoder with 1000 counts per turn is coarser than a position report of 16 bits.
     """
     coarse = CIA402_OPTIONS | {"counts_per_turn": 1000, "gear_ratio": 2.0}
     assert make_drive(motor_on_bench("cia402", 1, 0.01, coarse), 0).position_step == pytest.approx(

@@ -1,4 +1,8 @@
-"""Test the state of drives after a run. A host that is no longer there is a fault only if the run failed."""
+"""Test the state of drives after a run.
+
+Between two runs the host sends nothing. For the drives, this silence is a fault only after a failed
+run.
+"""
 
 from pathlib import Path
 
@@ -18,7 +22,10 @@ def run_until_mode(simulated_run: SimulatedRun, mode: HandMode) -> None:
 
 
 def run_again(simulated_run: SimulatedRun) -> SimulatedRun:
-    """Return a second run on the same drives. It starts one second after the end of the first run."""
+    """Return a second run on the same drives.
+
+    The second run starts one second after the end of the first run.
+    """
     for k in range(SILENCE_TICKS):
         simulated_run.simulated_hand.step((simulated_run.k + k) * simulated_run.period_ns, [])
     return SimulatedRun(

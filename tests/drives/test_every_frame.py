@@ -1,4 +1,7 @@
-"""Give every decoder frames with random data of every identifier and length, and every encoder random numbers."""
+"""Give every message decoder frames of random data, with every identifier and length.
+
+Give every message encoder random numbers.
+"""
 
 import functools
 import math
@@ -125,7 +128,8 @@ def test_a_number_is_refused_or_arrives_as_it_is(protocol: str, torque: float) -
     if abs(torque) <= TORQUE_LIMIT_N_M:
         _, frames = rig.drive.advance(rig.state, rig.t_ns, DriveTarget.ENABLE, torque)
         virtual_bench.send(frames)
-        # In these protocols, the motor model scales a torque. In the others, the torque limit does.
+        # In these two protocols, the motor model determines the range of torque codes. In the
+        # others, the torque limit determines it.
         step = {"cubemars": 36.0 / 4095, "robstride_mit": 11.0 / 4095}.get(
             protocol, TORQUE_LIMIT_N_M / 1000
         )

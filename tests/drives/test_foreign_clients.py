@@ -1,6 +1,6 @@
 """Run motor clients of other projects with the simulated drives on a local bus.
 
-tests/vcan/inside runs them on SocketCAN.
+The tests in tests/vcan/inside run the same clients on SocketCAN.
 """
 
 import subprocess

@@ -1,7 +1,7 @@
 """Test the reference firmware of the load-cell node.
 
-It is compiled for the host and runs with a model of its ADC. Its frames are compared with the DBC
-file.
+The firmware is compiled for the host and runs with a model of its ADC. The frames of the firmware
+are compared with the DBC file.
 """
 
 import ctypes
@@ -134,7 +134,10 @@ class Ads131m04Chip:
 
 
 class FirmwareBench:
-    """The compiled firmware on a board with model chips. The bench collects the frames that it sends."""
+    """The compiled firmware on a board with model chips.
+
+    The bench collects the frames that the firmware sends.
+    """
 
     def __init__(self, firmware_library: Any, channels: int) -> None:
         self.library = firmware_library

@@ -1,6 +1,6 @@
 """Test faults of a motor, of its power supply, and by a second controller.
 
-A motor counts as disabled only when it has confirmed this.
+A motor counts as disabled only when it has confirmed that it is disabled.
 """
 
 import pytest

@@ -1,4 +1,4 @@
-"""Test the life cycle of a motor. It is silent, its registers are set up, and it is enabled and disabled."""
+"""Test the life cycle of a motor: silence, set-up of its registers, enabling and disabling."""
 
 import math
 

@@ -48,7 +48,7 @@ def test_two_buses_and_three_protocols_work_as_one_hand(tmp_path: Path) -> None:
 def test_no_drive_is_silent_while_the_others_are_enabled(tmp_path: Path) -> None:
     """Regression: an ODrive verified its settings again before it was enabled.
 
-    Its five silent ticks were then a fault.
+    This drive was silent for five ticks, which counted as a fault.
     """
     bench = ProtocolBench(hand_file(tmp_path, ["mit", "odrive", "cubemars", "cia402"]))
     bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
@@ -153,9 +153,9 @@ def test_can_fd_needs_its_data_bit_rate(tmp_path: Path) -> None:
 def test_the_load_is_that_of_the_table(
     tmp_path: Path, protocol: str, extra: str, microseconds: float
 ) -> None:
-    """The load counts the frames of the motors and one frame with 8 bytes of tensions.
+    """The bus load includes the frames of the motors and one frame with 8 bytes of tensions.
 
-    With CiA 402, it counts an empty SYNC too.
+    With CiA 402, it also includes an empty SYNC.
     """
     bench = ProtocolBench(hand_file(tmp_path, [protocol], extra))
     frames = [(size, fd, 1.0) for drive in bench.drives for size, fd in drive.frames_per_tick] + [
@@ -172,9 +172,9 @@ def test_the_load_is_that_of_the_table(
 
 
 def test_the_numbers_that_the_page_recommends_for_odrives_are_free_beside_canopen() -> None:
-    """Regression: the page recommended 0x10.
+    """Regression: the page recommended the node number 0x10 for an ODrive.
 
-    Its identifiers overlapped with those of RPDO1 of CANopen nodes 1 to 31.
+    The identifiers of this number overlapped with those of RPDO1 of CANopen nodes 1 to 31.
     """
     page = (Path(__file__).parents[2] / "docs" / "how-to" / "adding-a-drive.md").read_text(
         encoding="utf-8"
@@ -210,7 +210,7 @@ def test_an_identifier_with_two_meanings_is_refused_whatever_the_protocols(
 ) -> None:
     """A CubeMars motor replies with its node number as identifier.
 
-    Here another motor or SYNC already has this identifier.
+    In each case, another motor or the SYNC already has this identifier.
     """
     sensors = make_sensors(load_hand("jamia"))
     first = make_drive(motor_on_bench("cubemars", cubemars, 0.8, {"motor_type": "ak80-9"}), 0)

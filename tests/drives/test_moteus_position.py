@@ -1,4 +1,4 @@
-"""A moteus that closes a position loop: its command, its settings, and their loss."""
+"""Test a moteus drive that closes a position loop: commands, settings, and loss of settings."""
 
 import math
 import os
@@ -137,7 +137,7 @@ def test_a_setting_that_is_lost_while_enabled_is_found(item: str) -> None:
 
 
 def test_a_restart_is_found_by_two_reads() -> None:
-    """At least one of two consecutive items has another value after a restart."""
+    """After a restart, at least one of any two consecutive settings has another value."""
     items = position_configuration(codec.PositionGains(*GAIN_BY_ITEM.values()))
     for one, two in zip(items, items[1:] + items[:1], strict=True):
         assert not all(
@@ -193,7 +193,7 @@ def test_a_number_that_cannot_be_encoded_becomes_a_torque_command(row: int, valu
 
 
 def sent_frames(block, layout, tables, torque) -> list[bytes]:
-    """Return the payloads of the commands of a block."""
+    """Encode the commands in a state block, and return their payloads."""
     out = np.zeros((len(tables.templates), WORDS_PER_RECORD), np.uint64)
     first, count = cyclic_frames.encode_commands(
         block, layout.places, out, tables.commands, tables.sent_wholes, tables.sent_reals, tables.templates, torque,

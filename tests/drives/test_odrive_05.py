@@ -1,6 +1,7 @@
 """Test ODrives with firmware 0.5.x.
 
-They have the life cycle of later ones, but another heartbeat, and their guards cannot be verified.
+The life cycle of these drives is that of later firmware, but the heartbeat differs. The guards of
+these drives, such as the watchdog, cannot be verified.
 """
 
 import struct

@@ -1,4 +1,7 @@
-"""Test faults of ODrive and CiA 402 drives, and their messages. The simulated firmware injects the faults."""
+"""Test faults of ODrive and CiA 402 drives, and the messages about these faults.
+
+The simulated firmware injects the faults.
+"""
 
 import struct
 from collections.abc import Iterator
@@ -84,7 +87,10 @@ def lose_first_frames(
 def test_an_odrive_that_restarts_while_it_is_armed_is_set_up_anew(
     odrive_bench: ProtocolBench, moment: str
 ) -> None:
-    """An ODrive restarts in position control and without its watchdog. Only its idle state shows the restart."""
+    """An ODrive restarts in position control and without its watchdog.
+
+    Only the idle state of the drive shows the restart.
+    """
     node = first_odrive_node(odrive_bench)
     odrive_bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
     if moment != "ready":
@@ -107,9 +113,9 @@ def test_an_odrive_that_restarts_while_it_is_armed_is_set_up_anew(
 def test_a_mode_or_limit_that_is_lost_on_the_wire_is_not_lost_for_good(
     odrive_bench: ProtocolBench, command: int
 ) -> None:
-    """An ODrive does not confirm its mode and limits.
+    """An ODrive does not confirm the commands that set its mode and limits.
 
-    In position control, the first torque command would be a position jump.
+    If it stayed in position control, the first torque command would cause a position jump.
     """
     node = first_odrive_node(odrive_bench)
     lost = lose_first_frames(node, command)
@@ -124,9 +130,9 @@ def test_a_mode_or_limit_that_is_lost_on_the_wire_is_not_lost_for_good(
 def test_a_setting_that_is_lost_on_the_wire_is_written_again(
     odrive_bench: ProtocolBench, losses: int
 ) -> None:
-    """No reply confirms the write of a setting.
+    """No reply confirms that a setting was written.
 
-    If 1 of 1000 frames is lost, a tenth of the starts of 11 motors would fail.
+    If 1 of 1000 frames is lost and no write is repeated, a tenth of the starts of 11 motors fail.
     """
     node = first_odrive_node(odrive_bench)
     lost = lose_first_frames(node, codec.RX_SDO, bytes((codec.SDO_WRITE,)), losses)
@@ -268,7 +274,7 @@ def test_a_bus_without_sync_is_reported(cia402_bench: ProtocolBench) -> None:
 def refuse_sync_counter(bench: ProtocolBench) -> ProtocolBench:
     """Let the CiA 402 drives of a bench ignore a SYNC with data, and return the bench.
 
-    The stack CANopenNode does so while object 0x1019 is 0.
+    The CANopen stack CANopenNode ignores such a SYNC while object 0x1019 is 0.
     """
     for node in bench.simulated_hand.world.nodes[0]:
         if isinstance(node, Cia402Node):

@@ -47,7 +47,7 @@ def test_a_drive_goes_from_silent_to_enabled_to_confirmed_disabled(bench: Protoc
 def test_any_control_rate_that_the_watchdogs_allow_comes_to_torque(
     protocol: str, period_ms: int, tmp_path: Path
 ) -> None:
-    """A setting of a drive that was verified in the last tick counts as verified, however long a tick is."""
+    """A setting that was verified in the last tick counts as verified at any length of a tick."""
     slow = ProtocolBench(hand_file(tmp_path, [protocol]), period_ns=period_ms * 1_000_000)
     slow.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
     for _ in range(5):
@@ -90,7 +90,9 @@ def test_a_cut_removes_the_torque_in_the_same_tick_and_disarms(bench: ProtocolBe
 
 
 def test_a_cut_removes_the_torque_before_the_node_leaves_operational(bench: ProtocolBench) -> None:
-    """A cut stops the torque first, because PDOs act only in the state operational (CiA 301).
+    """A cut removes the torque before the node leaves the state operational.
+
+    PDOs act only in this state (CiA 301).
 
     CiA 402-2 requires no reaction of a drive that leaves this state.
     """

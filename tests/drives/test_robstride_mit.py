@@ -87,9 +87,9 @@ def test_faults_are_read_before_torque_and_await_a_clear(
 
 
 def test_only_a_disabled_motor_is_asked_for_its_faults(bench: ProtocolBench) -> None:
-    """A request for faults is a motion command to other MIT motors.
+    """To other MIT motors, the frame that requests faults is a motion command.
 
-    It is therefore sent only while the motor is disabled.
+    This frame is therefore sent only while the motor is disabled.
     """
     seen = []
     for target, phase in (

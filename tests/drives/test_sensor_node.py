@@ -57,7 +57,10 @@ def node() -> SensorNode:
 def encode_frames(
     first_id: int, prefix: str, counter: int, values: Sequence[float], t_ns: int = 0
 ) -> list[Frame]:
-    """Return frames of the sensor node as the DBC file encodes them. Each is only as long as its channels need."""
+    """Return frames of the sensor node as the DBC file encodes them.
+
+    Each frame is only as long as its channels need.
+    """
     frames = []
     for group in range(math.ceil(len(values) / 5)):
         part = values[5 * group : 5 * group + 5]
@@ -85,8 +88,8 @@ def test_counters_keep_the_turn_of_the_joints(decimation: int) -> None:
 def test_no_age_of_a_frame_makes_it_fresh(decimation: int) -> None:
     """A frame that is up to 7 ticks old never counts as new.
 
-    An older frame may count as new by chance. Over 40 of 100 frames are then lost, which is the
-    fault B03b.
+    An older frame may count as new by chance. Then more than 40 of 100 frames still count as lost,
+    which is the fault B03b (many replies are being lost).
     """
     nibbles = [counter & 0xF for counter in sync_counters(decimation)]
     n = len(nibbles)
@@ -173,7 +176,10 @@ def test_only_the_answer_to_the_last_sync_counts(k: int, counter: int) -> None:
 def test_a_stale_frame_that_comes_after_the_fresh_one_is_reported(
     node: SensorNode, base: int, prefix: str
 ) -> None:
-    """A stale frame behind a fresh one was delayed and overtaken, or another node sends it again."""
+    """A stale frame that arrives after the fresh frame is reported.
+
+    Either the fresh frame has overtaken it, or another node sends it again.
+    """
     (fresh, *_), (stale, *_) = (
         encode_frames(base, prefix, nibble, [7] * CHANNEL_COUNT) for nibble in (3, 2)
     )

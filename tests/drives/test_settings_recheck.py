@@ -1,6 +1,6 @@
 """Test drives that lose their settings and are still enabled.
 
-Their torque limit and watchdog are read again while they are enabled.
+The torque limit and watchdog of a drive are read again while the drive is enabled.
 """
 
 import os
@@ -65,9 +65,9 @@ CORRECT_REGISTERS = {codec.TIMEOUT: 1000, codec.TMAX: 0.8}
 
 @pytest.mark.parametrize("node_id", [1, 11, 0x11, 0x1F])
 def test_two_registers_are_read_by_turns_and_feedback_goes_on(node_id):
-    """Register replies are told apart from feedback.
+    """Register replies are not taken for feedback.
 
-    Their first byte may equal that of an enabled motor's feedback.
+    The first byte of a register reply may equal that of an enabled motor's feedback.
     """
     drive, state = enabled_mit_drive(node_id)
     state, asked = run_drive(drive, state, 2001, CORRECT_REGISTERS)
@@ -129,7 +129,8 @@ def test_a_hand_whose_drive_lost_its_settings_is_cut(protocol, seed):
 def test_a_hand_whose_moteus_lost_its_settings_relaxes(seed):
     """A moteus that lost its settings may no longer obey.
 
-    If this shows before its settings are read again, N14 is the first fault.
+    If this is noticed before its settings are read again, the first fault is N14 (a command is not
+    obeyed).
     """
     hand = hand_with_protocol("jamia", "moteus")
     with homed_run(hand, default_rate(hand), seed) as course:

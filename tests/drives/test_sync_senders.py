@@ -1,6 +1,6 @@
 """Test SYNC for CiA 402 drives.
 
-On every bus, either the request to the sensor node is the SYNC, or one drive sends it.
+On every bus, either the request to the sensor node is the SYNC, or one drive sends a SYNC.
 """
 
 import tomllib

@@ -16,9 +16,15 @@ from handctl.session.simulate import SimulatorSettings, homed_controller
 
 SIMULATOR_SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 1)
 RATE_HZ = 250.0
-"""Control rate [Hz]. Its ticks fall between the drive's unasked messages, which come every 10 ms."""
+"""Control rate [Hz].
+
+Ticks at this rate fall between the drive's unrequested messages, which come every 10 ms.
+"""
 LARGEST_SWING_N = 5.0
-"""Largest permitted oscillation of a tension in motion [N RMS]. The limit of the fault N14b is 8 N."""
+"""Largest permitted oscillation of a tension in motion [N RMS].
+
+The fault N14b (the tension oscillates) has the limit 8 N.
+"""
 BENT_ANGLES_DEG = {"index": (20.0, 76.0, 61.0), "middle": (20.0, 76.0, 61.0), "thumb": (40.0, 40.0)}
 OPEN_ANGLES_DEG = {"index": (0.0, 0.0, 0.0), "middle": (0.0, 0.0, 0.0), "thumb": (0.0, 0.0)}
 BEND_AND_OPEN_TASK = Task.model_validate(
@@ -37,7 +43,7 @@ BEND_AND_OPEN_TASK = Task.model_validate(
 def test_the_tension_does_not_oscillate_by_late_positions(seed: int) -> None:
     """Regression: the tensions of a hand without springs oscillated by 15 N RMS.
 
-    This ended the default task with N14b.
+    The default task therefore ended with the fault N14b (the tension oscillates).
     """
     model = HandModel.from_hand(hand_with_protocol("n_plus_1", "odrive"), Gains(), RATE_HZ)
     with SimulatorSettings(model.hand, None, seed, homed=True).begin_run(

@@ -117,7 +117,7 @@ def test_the_same_wire_gives_the_same_answers(tmp_path: Path) -> None:
 def test_feedback_is_as_late_as_the_usb_frames_of_the_adapter(
     adapter: str, ticks: int, tmp_path: Path
 ) -> None:
-    """Drives behind each USB adapter become ready at 250 Hz.
+    """Drives behind an adapter of any kind become ready at 250 Hz.
 
     The latency of the adapter causes ticks without feedback.
     """

@@ -29,7 +29,7 @@ class VirtualBench:
     name = "bench"
 
     def __init__(self, protocol, fault="", inertia=None, delay_ticks=0, **options):
-        """Put one simulated drive on the bench, with a fault and a delay in ticks."""
+        """Put a simulated drive on the bench, with a fault and a delay of its frames in ticks."""
         spec = drive_spec(protocol, DRIVE_NODE_ID, inertia=inertia)
         self.bench = SimulatedDriveBench(
             [replace(spec, options=options or spec.options)], fault=fault
@@ -40,7 +40,7 @@ class VirtualBench:
         ]  # frames still on their way, one list per tick
 
     def start(self):
-        """Begin a run at the present time, which is that of its tick 0."""
+        """Begin a run. The present time becomes the time of tick 0."""
         self.origin_ns = self.bench.t_ns
 
     def wait(self, k):

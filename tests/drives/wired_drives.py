@@ -64,7 +64,7 @@ class WiredDrives:
         cyclic_frames.begin_tick(self.block, self.layout.places, *numbers)
 
     def begin_tick_with_sync(self, k: int) -> Frame:
-        """Return the request to the sensors as the end of a tick sends it, and begin the next tick."""
+        """Return the request that the end of a tick sends to the sensors. Begin the next tick."""
         frame = self.sensors.sync(k)
         self.field_view("sync_asked")[...], self.field_view("syncs")[...] = (
             self.sensors.counter(k) & 0xF,
@@ -161,7 +161,7 @@ class WiredDrives:
 
     @cached_property
     def _constants(self) -> tuple[NDArray, NDArray]:
-        """Constants of a hand in which only the frames of the load cells are set."""
+        """Return constants of a hand in which only the frames of the load cells are set."""
         axes = self.layout.axes
         kept = {name: axes[name] for name in ("tendon", "joint", "digit", "coordinate")}
         layout = CONSTANT_SCHEMA.layout(

@@ -59,7 +59,7 @@ def campaign_report():
 def test_only_existing_load_cells_fail():
     """Regression: the campaign let a load cell of a spool pair saturate, but spool pairs have none.
 
-    It ended with a traceback.
+    The campaign then ended with a traceback.
     """
     for hand in (mount_on_wrist("jamia"), load_hand("orca_like")):
         cells = set(hand.sensor_node.tendons)
@@ -145,7 +145,7 @@ def test_a_reaction_or_a_missing_grasp_without_fault_is_a_false_alarm():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_exchanged_drives_are_found_soon_after_the_fingers_touch_an_object(seed: int) -> None:
-    """Regression: the large changes of the commands at the contact hid the exchange for 2.3 s."""
+    """Regression: large changes of the commands at the contact hid exchanged drives for 2.3 s."""
     hand = hand_with_protocol("t42", "mit")
     with homed_run(hand, RATE_HZ, seed) as simulation:
         advance_to_stage(simulation, GRASP_STAGE)
@@ -159,11 +159,14 @@ def test_exchanged_drives_are_found_soon_after_the_fingers_touch_an_object(seed:
 def test_every_hand_with_every_protocol_has_a_rate_at_which_faults_are_found_in_time(
     hand: str, protocol: str
 ) -> None:
-    """Eleven moteus, ODrive or RobStride drives on a single bus allow 100 Hz only. They get a second bus."""
+    """Eleven moteus, ODrive or RobStride drives on one bus allow a control rate of 100 Hz only.
+
+    Such a hand gets a second bus.
+    """
     replaced = hand_with_protocol(hand, protocol)
     assert default_rate(replaced) >= MIN_CONTROL_RATE_HZ
     assert {motor.bus for motor in replaced.motor} <= set(replaced.bus_names)
-    # The file of the hand, which `demo --protocol` writes, describes the same hand.
+    # The hand file that `demo --protocol` writes describes the same hand.
     assert hand_from_content(tomllib.loads(replaced.to_toml()), "hand") == replaced
 
 
@@ -179,7 +182,7 @@ def test_at_100_hz_noise_prevents_no_grasp():
 def test_a_missing_reaction_counts_as_late(tmp_path):
     """The judge reports a fault without effect, and a fault that cannot be detected in time.
 
-    This is its positive control.
+    The test shows that the judge can fail a run.
     """
     hand = hand_with_protocol("jamia", "mit")
     never = MatrixRow(
@@ -247,7 +250,8 @@ def test_the_offset_of_a_load_cell_exceeds_the_limits_of_its_tendon():
 def test_silent_joint_encoders_are_detected(joint):
     """Four missing frames of a joint encoder are a fault.
 
-    Three missing frames in a row cause no fault, neither N06 nor T08.
+    Three missing frames in a row cause no fault, neither N06 (encoder drift or slip) nor T08 (a
+    tendon left its pulley).
     """
     every = hand_with_protocol("jamia11", "mit").sensor_node.joint_decimation
     for frames, found in ((3, ""), (4, f"N02b {joint}")):
@@ -280,7 +284,7 @@ def test_runaway_drive_stays_below_the_tension_of_its_limit_and_momentum():
     The drive's force limit F moves the rotor against the tendon. The rotor has the mass m at the
     tendon and the initial speed v, the tendon the stiffness k and the initial tension T. Without
     friction the tension rises to F + sqrt((F - T)^2 + k m v^2). The reaction of the host can only
-    lower it.
+    lower this tension.
     """
     hand = hand_with_protocol("jamia", "mit")
     with homed_run(hand, RATE_HZ, 0) as simulation:
@@ -305,7 +309,7 @@ def test_runaway_drive_stays_below_the_tension_of_its_limit_and_momentum():
 def test_a_drive_that_does_not_relax_is_cut_although_its_load_cell_is_saturated():
     """The drive is an ODrive without torque feedback.
 
-    Its load cell saturates below the tension that causes an immediate cut.
+    The load cell of its tendon saturates below the tension that causes an immediate cut.
     """
     hand = hand_with_protocol("jamia_bench", "odrive")
     row = next(row for row in FAULT_MATRIX if row.fault == "runaway node={node} size=1 seed=1")

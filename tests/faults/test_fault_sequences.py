@@ -79,9 +79,10 @@ def test_sequence_violates_no_rule():
 
 
 def test_a_sequence_that_breaks_a_rule_names_it(arming_copy, monkeypatch):
-    """The sequence has a drive that runs away.
+    """A drive runs away in this sequence.
 
-    If the rule does not count this as the reason, its tension breaks the rule.
+    If the rule does not accept a runaway as a reason for high tension, the sequence breaks the
+    rule.
     """
     results = []
     sequence = FaultSequence(0, ARMING_STAGE, (FaultStep(20, "runaway node=index_motor"),))
@@ -151,7 +152,7 @@ def test_a_tick_with_another_result_is_found(arming_copy):
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 @pytest.mark.parametrize("protocol", ALL_PROTOCOLS)
 def test_random_sequences_violate_no_rule(hand, protocol):
-    """Each hand runs 334 random sequences of faults with each drive protocol."""
+    """With each hand and each drive protocol, 334 random sequences of faults break no rule."""
     described = hand_with_protocol(hand, protocol)
     results = run_sequences(
         described, protocol, default_rate(described), range(334), jobs=2, **NO_CALLBACKS

@@ -1,6 +1,7 @@
 """Relaxing never raises a tension.
 
-The hands, simulated parameters, faults and times are random, and the true tension decides.
+The hands, simulated parameters, faults and times are random. The tests check the true tension of
+the simulator.
 """
 
 import math
@@ -47,7 +48,7 @@ RATE_HZ_BY_HAND = {"jamia": 500.0, "jamia11": 250.0}
 COMMAND_DELAY_S = 0.06
 """Longest time after which a delayed motor executes a command [s]."""
 COMMAND_ROUNDING_N = 0.05
-"""Largest increase of a commanded force by its rounding to twelve bits, at the tendon [N]."""
+"""Largest increase of a commanded tendon force that its rounding to twelve bits causes [N]."""
 BOUND_MARGIN_N = 3.0
 """Margin of the tension bound, which neglects capstan friction and contacts [N]."""
 
@@ -79,9 +80,10 @@ def tension_bound(
 ) -> np.ndarray:
     """Return the largest tension (N,) of each tendon that its rotor and its stretch explain [N].
 
-    A rotor has the mass m at the tendon and the speed v. A force of at most F pulls it against the stiffness k of the
-    tendon. From a tension T, the tension rises to at most F + sqrt((F - T)^2 + k m v^2). If the finger is free, the
-    rotor gains speed until the force has ended.
+    A rotor has the mass m at the tendon and the speed v. A force of at most F pulls the rotor
+    against the stiffness k of the tendon. From a tension T, the tension rises to at most F +
+    sqrt((F - T)^2 + k m v^2). If the finger is free, the rotor gains speed until the force has
+    ended.
     """
     space = simulation.controller.model.space
     largest = np.maximum(force, 0.0)

@@ -1,4 +1,7 @@
-"""Packaged hands on a wrist. Their tendons pass the axis of the wrist at a distance."""
+"""Packaged hands on a wrist.
+
+The tendons of these hands pass the axis of the wrist at a distance.
+"""
 
 import json
 from typing import Any

@@ -1,4 +1,4 @@
-"""Hands with more motors than the packaged ones. They are made from jamia11."""
+"""Hands with more motors than the packaged ones. These hands are made from jamia11."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ from handctl.hand.hand_loading import hand_content
 def fifteen_motors() -> dict[str, Any]:
     """Describe a hand of five fingers with three joints each, and with a tendon and a motor per joint.
 
-    It is jamia11 without its thumb and with two more fingers.
+    The hand is jamia11 without its thumb and with two more fingers.
     """
     raw = hand_content("jamia11")
     parts = {

@@ -32,7 +32,8 @@ def tetrahedron_triangles() -> NDArray[np.float64]:
 def tetrahedron_obj(scale: float = 1.0, mixed: bool = False) -> bytes:
     """Return the tetrahedron as an OBJ file.
 
-    If ``mixed``, its faces use all forms of a corner, which MuJoCo cannot read.
+    If ``mixed``, its faces use all forms in which OBJ writes a corner. MuJoCo cannot read such a
+    mixture.
     """
     lines = [
         "# a tetrahedron",
@@ -60,7 +61,9 @@ def write_meshes(folder: Path) -> None:
 
 
 def hand_with_meshes(name: str) -> Hand:
-    """Return a packaged hand with the meshes of ``write_meshes`` on the palm and on all but the first links.
+    """Return a packaged hand with the meshes of ``write_meshes`` on its palm and links.
+
+    The first link of a digit with several links has no mesh.
 
     The mesh on the last link of each digit has a scale and a pose.
     """

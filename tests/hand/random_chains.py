@@ -11,7 +11,10 @@ RANDOM_CHAIN_SEEDS = range(20)
 
 
 def random_tree(seed: int) -> Hand:
-    """Return a hand of five random digits of 1 to 3 links. Each is mounted on the palm or on an earlier digit."""
+    """Return a hand of five random digits of 1 to 3 links.
+
+    Each digit is mounted on the palm or on an earlier digit.
+    """
     rng = np.random.default_rng(seed + 100)
     return random_hand(seed, *rng.integers(1, 4, 5).tolist(), rng=rng)
 
@@ -58,7 +61,7 @@ def random_hand(seed: int, *counts: int, rng: np.random.Generator | None = None)
 def random_digit(rng: np.random.Generator, name: str, count: int) -> dict[str, Any]:
     """Return a digit of random links.
 
-    Some links have length zero. Some have a single number for centre of mass and inertia.
+    Some links have length zero. Some give their centre of mass and their inertia as single numbers.
     """
     length = rng.uniform(0.01, 0.05, count)
     length[:-1] *= rng.random(count - 1) > 0.2

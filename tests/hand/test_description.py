@@ -91,7 +91,10 @@ def test_limits_of_streams_do_not_change_the_identity(hand, tmp_path):
 
 
 def changeable_values(content):
-    """Yield paths and values of a hand's content. Each may change slightly without a change of other values."""
+    """Yield paths and values of a hand's content.
+
+    Each of these values may change slightly without a change of others.
+    """
     for key in ("stiffness_N_per_m", "damping_N_s_per_m", "friction_coefficient", "tension_max_N"):
         yield ("tendon", 0, key), content["tendon"][0][key]
     for i in range(2):
@@ -210,7 +213,10 @@ def test_a_directory_is_no_hand(tmp_path):
 
 
 def test_a_copy_with_other_buses_has_their_names() -> None:
-    """Regression: a copy kept cached properties of the fields before the change, such as the names of the buses."""
+    """Regression: a copy with changed fields kept cached properties of the original.
+
+    The names of the buses are such a property.
+    """
     hand = load_hand("jamia")
     assert hand.bus_names == ("main",)
     renamed = hand.model_copy(update={"bus": (hand.bus[0].model_copy(update={"name": "left"}),)})

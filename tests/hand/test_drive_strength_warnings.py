@@ -26,8 +26,8 @@ def hand_with_ratings(
 ) -> Hand:
     """Return a hand with the same values for all its parts.
 
-    They are the rating of a joint [N m], the peak torque of a motor [N m] and the strength of a
-    tendon [N].
+    The values are the rating of a joint [N m], the peak torque of a motor [N m] and the strength of
+    a tendon [N].
     """
     digits, motors, tendons = hand.digit, hand.motor, hand.tendon
     if rated is not None:

@@ -1,4 +1,7 @@
-"""Compare the kinematics with pinocchio, which reads the exported URDF, with differences, and with their inverse."""
+"""Compare the kinematics with finite differences, their inverse, and the library pinocchio.
+
+The library reads the exported URDF.
+"""
 
 import math
 

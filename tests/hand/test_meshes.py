@@ -1,6 +1,6 @@
 """Test meshes of the links and the palm: their files, refused files, their place on the link, and their export.
 
-They have no effect on the dynamics.
+Meshes have no effect on the dynamics.
 """
 
 import re

@@ -1,4 +1,7 @@
-"""Test the MJCF export. MuJoCo reads it, and the result is compared with the hand's model."""
+"""Test the MJCF export.
+
+MuJoCo reads the exported file, and the result is compared with the hand's model.
+"""
 
 import mujoco
 import numpy as np

@@ -96,7 +96,10 @@ def inverse_by_mujoco(model, q, dq, ddq):
 def test_exports_and_the_simulator_s_own_model_are_the_same_hand(
     random_hand_and_digits, rng, tmp_path
 ):
-    """The MJCF export has the dynamics of the hand. So has the model that the simulator makes by separate code."""
+    """The MJCF export has the dynamics of the hand.
+
+    The model that the simulator makes by separate code also has these dynamics.
+    """
     hand, digits = random_hand_and_digits
     path = tmp_path / "random.toml"
     path.write_text(hand.to_toml())
@@ -140,7 +143,7 @@ def test_the_urdf_describes_the_same_hand(random_hand_and_digits, rng):
 def test_transforms_of_the_log_are_those_of_the_model(random_hand_and_digits, rng):
     """The transforms of the log are made from the text of the hand file alone.
 
-    Composed, they are those of the model.
+    Combined along each digit, they equal the transforms of the model.
     """
     hand, digits = random_hand_and_digits
     q = rng.uniform(-2.0, 2.0, len(hand.joints))
@@ -266,7 +269,10 @@ def test_logged_transforms_of_a_tree_equal_the_model(random_hand_tree, rng):
 
 
 def test_a_digit_on_a_resting_carrier_moves_like_that_digit_alone(random_hand_tree, rng):
-    """The weight of a digit alone equals that of the digit in the tree, while all digits that carry it are at zero."""
+    """The static torque of a digit in the tree equals that of the same digit alone.
+
+    All digits that carry this digit are at angle zero.
+    """
     hand, whole = random_hand_tree
     for digit in whole.digits:
         if digit.name in hand.carrier_digits:

@@ -1,4 +1,7 @@
-"""Test the URDF export as a document. The tests of dynamics and kinematics compare its mechanics."""
+"""Test the URDF export as a document.
+
+The tests of dynamics and kinematics compare the mechanics of the exported URDF.
+"""
 
 from xml.etree import ElementTree as ET
 

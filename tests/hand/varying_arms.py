@@ -11,13 +11,16 @@ from handctl.hand.hand_loading import hand_from_content, load_hand
 def with_varying_arms(
     name: str, fraction: float, kind: str = "polynomial", encoders: bool = True
 ) -> Any:
-    """Return a hand with arms from ``1 - fraction`` at the lower to ``1 + fraction`` at the upper limits of the joints.
+    """Return a hand whose moment arms vary over the joint range.
+
+    Each arm is scaled by ``1 - fraction`` at the lower joint limit, and by ``1 + fraction`` at the
+    upper.
 
     Args:
         name: name of a packaged hand.
         fraction: largest variation of each moment arm, relative to the arm.
-        kind: polynomial for a straight line, table for half a period of a sine, or content for the content of the hand
-            file with its constant arms.
+        kind: "polynomial" for a straight line, "table" for half a period of a sine. "content"
+            returns the content of the hand file, with its constant arms.
         encoders: whether the hand has its joint encoders.
     """
     hand = load_hand(name)

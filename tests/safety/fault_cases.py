@@ -30,7 +30,7 @@ from tests.safety.synthetic_monitor import (
 )
 
 TENDON_COUNT = 8
-"""Number of tendons of the hand.
+"""Number of tendons of the synthetic hand.
 
 Faults that exclude each other in one tendon are shown in two tendons, so that all faults can be
 present at once.
@@ -45,8 +45,8 @@ LOAD_CELLS_NODE = TENDON_COUNT
 class TickInput(NamedTuple):
     """Input of the safety monitor for one tick.
 
-    Rows of the state that differ from those at rest are given by field and index. Reports come from
-    buses and host.
+    The input has the rows of the state that differ from a hand at rest, by field and index. The
+    input also has the reports of buses and host.
     """
 
     rows: Mapping[str, dict[object, float]] = MappingProxyType({})
@@ -84,8 +84,8 @@ def state_rows(**cells: object) -> TickInput:
 def frame_ages(field: str, **late: int) -> TickInput:
     """Return an input with the ages of frames in ticks.
 
-    The frames are feedback of motors (m1=...), or of load cells (t1=...) or joint encoders
-    (j1=...).
+    A keyword names a node and gives the age of its frame: motor 1 (m1=...), load cell 1 (t1=...) or
+    joint encoder 1 (j1=...).
     """
     first = TENDON_COUNT if field == "group_ns" and min(late)[0] == "j" else 0
     return state_rows(
@@ -106,7 +106,11 @@ def late_sensors(**late: int) -> TickInput:
 
 
 def lost_frames(**number: int) -> TickInput:
-    """Return an input with lost frames of nodes (m1=..., cells=...) in the last ticks before the present one."""
+    """Return an input in which nodes have lost their frames in the ticks before the present tick.
+
+    A keyword names a node and gives its number of lost frames: motor 1 (m1=...) or the load cells
+    (cells=...).
+    """
     return state_rows(
         lost={
             (0, LOAD_CELLS_NODE if name == "cells" else int(name[1:])): (1 << n) - 1
@@ -160,7 +164,7 @@ def merge_inputs(*tick_input: TickInput) -> TickInput:
 
 
 def without_torque(tick_input: TickInput) -> TickInput:
-    """Return an input with the mode of a hand that is ready to be armed."""
+    """Return an input like a given one, but in the mode of a hand that is ready to be armed."""
     return TickInput({**tick_input.rows, "mode": {...: int(HandMode.READY)}}, tick_input.reports)
 
 
@@ -172,14 +176,20 @@ def slack_tendon(before: int, tendon: int = 3) -> TickInput:
 
 
 def derailed_tendon(tendon: int, deg: float) -> TickInput:
-    """Return an input with an angle between joint and spool of a tendon. It is the third such reading in a row."""
+    """Return an input with an angle between the joint and the spool of a tendon [deg].
+
+    The input has the third such reading in a row.
+    """
     excursion = -20.0 / 1e5 - 0.02 * np.radians(deg)
     return state_rows(joints_read=1, taut_s={tendon: 1.0}, slip_from={tendon: 0.0}, derailed={tendon: 2.0},
                 measured_excursion={tendon: excursion})  # fmt: skip
 
 
 def open_stream(silence_ns: int) -> TickInput:
-    """Return an input with an open stream of targets. Its latest target was sent ``silence_ns`` ago."""
+    """Return an input with an open stream of targets.
+
+    The latest target of the stream was sent ``silence_ns`` ago.
+    """
     return state_rows(streaming=2, stream_sent_ns=NOW_NS - silence_ns)
 
 
@@ -223,7 +233,7 @@ def swinging_tension(tendon: int, before: float) -> TickInput:
 
 
 def partial_torque_reports(motor: int, part: float) -> TickInput:
-    """Return an input with a motor that reports the fraction ``part`` of each change of its command by 1 N."""
+    """Return an input with a motor that reports a fraction ``part`` of its command changes."""
     return state_rows(
         report_moments={
             (row, motor): value for row, value in enumerate((1.0, part, part, 1.0, 0.95))

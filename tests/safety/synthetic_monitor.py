@@ -44,7 +44,10 @@ PERIOD_S, NAN = 0.002, np.nan
 SPOOL_RADIUS_M = 0.005
 """Radius of the spools [m]."""
 NOW_NS = 10_000_000_000
-"""Time of every tick [ns]. It can stay the same, because only the age of readings counts."""
+"""Time of every tick [ns].
+
+The time can stay the same in all ticks, because only the age of readings counts.
+"""
 PERIOD_NS = round(PERIOD_S * 1e9)
 StateRows = dict[str, Any]
 """Values of the state by the name of a field: one value for all elements of the field, or values by index."""
@@ -60,7 +63,9 @@ def synthetic_limits(tendons: int) -> SafetyLimits:
 
 
 class SyntheticMonitor:
-    """A hand of N tendons. Each has a motor, a joint, and separate frames for its load cell and its joint encoder.
+    """A hand of N tendons.
+
+    Each tendon has a motor, a joint, and separate frames for its load cell and its joint encoder.
 
     The hand is active and at rest, and all nodes have just replied. Load cells, motors and commands
     are at 20 N.
@@ -262,6 +267,9 @@ def _uncompiled(function: Any) -> Any:
 
 
 def call_interpreted(function: Any, *arguments: Any) -> Any:
-    """Call an inner function in uncompiled form. It may call other inner functions of its module."""
+    """Call an inner function in uncompiled form.
+
+    The function may call other inner functions of its module.
+    """
     with np.errstate(all="ignore"):
         return _uncompiled(function)(*arguments)

@@ -33,7 +33,7 @@ print(json.dumps({
 
 
 def add_fault_of_page(package: Path) -> None:
-    """Add the fault that the how-to page uses as its example to a copy of the package."""
+    """Add the example fault of the how-to page to a copy of the package."""
     declaration, detector = re.findall(r"```python\n(.*?) *```", ADDING_A_FAULT_PAGE, re.DOTALL)
     kind = package / "safety" / "faults" / "tendon.py"
     with kind.open("a", encoding="utf-8") as file:

@@ -189,7 +189,10 @@ FAULTS_OF_TENSION_LOOP = {
     "B06",
     "H13",
 }
-"""Faults that cast doubt on the tension loop. Its measurements may be wrong, or a drive may not obey it."""
+"""Faults that cast doubt on the tension loop.
+
+The measurements of this loop may be wrong, or a drive may not obey its commands.
+"""
 
 
 def test_faults_of_the_tension_loop_relax_without_it() -> None:
@@ -211,7 +214,7 @@ def test_the_safety_page_lists_how_each_fault_relaxes() -> None:
     ]
     listed = {row[1].strip(): set(re.findall(r"[A-Z]\d\d[a-c]?", row[3])) for row in rows}
     for release in (RelaxMethod.FAST_LOOP, RelaxMethod.OPEN_LOOP):
-        # A fault that cuts the torque does not relax.
+        # A fault that cuts the torque does not relax the hand.
         relaxing = {
             one.id
             for one in FAULT_TABLE
@@ -298,7 +301,10 @@ def declare_changed(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
 
 @pytest.mark.parametrize("id_", CASE_BY_FAULT)
 def test_a_changed_row_would_be_noticed(id_: str, declare_changed) -> None:
-    """If a number or a word of a row is changed by one step, the result differs. The cases can therefore fail."""
+    """If a number or a word of a row is changed by one step, the cases of its fault fail.
+
+    This shows that the cases can fail.
+    """
     fault = FAULT_BY_ID[id_]
     other = ENDED_BY_ITSELF if fault.latched else ENDED_BY_OPERATOR
     changed = [replace(fault, debounce=fault.debounce + 1), replace(fault, clears=other)]

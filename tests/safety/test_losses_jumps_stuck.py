@@ -142,7 +142,7 @@ def test_the_count_of_unknown_frames_decays_in_a_second():
 def refusal_counter(rate: float) -> Any:
     """Return a function that counts the targets refused in tick k.
 
-    It returns the ticks of all refusals that still count.
+    The function returns the ticks of all refusals that still count.
     """
     window = LossWindows()
     state = ControllerState(window.layout, window.block, ControllerDecisions((), None))  # type: ignore[arg-type]
@@ -180,7 +180,7 @@ def test_lost_and_malformed_replies_are_counted_separately():
 class ScreenedPositions(SyntheticMonitor):
     """Motors whose reported positions are screened.
 
-    Each has the largest step that is permitted in a period [rad].
+    Each motor has its own largest permitted step per period [rad].
     """
 
     def __init__(self, limits: list[float], **before: list[float]) -> None:
@@ -263,7 +263,10 @@ def test_consecutive_rejected_readings_are_counted_and_missing_ones_are_not():
     (1, (1.0, 2.0, 1.1), (0, 0, 1)), (4, (5.0, 5.0), (0, 0)), (4, (5.1, 0.0), (1, 0)), (4, (5.0, 5.1), (0, 1)),
 ])  # fmt: skip
 def test_allowed_step_grows_over_skipped_ticks(missed, steps, allowed_steps):
-    """The other motor is once at a known position, and once it has never been read."""
+    """In one run, the position of the other motor is known.
+
+    In a second run, this motor has never been read.
+    """
     for other in (0.0, NAN):
         positions, at, seen = ScreenedPositions([1.0] * 2, accepted=[0.0, other]), 0.0, []
         for k, step in enumerate(steps):
@@ -284,7 +287,7 @@ def add_reading(
     """Run a tick with an encoder reading, a target and a tension.
 
     Return the number of ticks without a change of the reading, and the motion of target and tension
-    since its last change.
+    since the last change of the reading.
     """
     rows: StateRows = {"measured_position": value, "followed": goal, "residual": {TENSION: tension}}
     monitor.tick(rows)
@@ -315,7 +318,10 @@ def test_constant_reading_counts_while_its_references_move():
 
 
 def test_an_encoder_is_stuck_although_the_carrier_of_its_digit_moves():
-    """A wrist changes the travel of tendons that pass it. This change does not show that their motors turn."""
+    """The motion of a wrist changes the travel of tendons that pass it.
+
+    Such a change does not show that the motors of these tendons turn.
+    """
     monitor = SyntheticMonitor(synthetic_limits(1), residual_fraction=0.0)
     for k in range(5):
         monitor.tick({"measured_position": 1.0, "measured_travel": 1e-4 * k, "followed": 0.0})

@@ -66,7 +66,7 @@ FIELD_BY_NAME = {"tension": "measured_tension", "travel": "measured_travel", "po
 def resting_tick(**given: Any) -> dict[str, Any]:
     """Return the measurements of two tendons that rest under 20 N, with some changes.
 
-    A single number is for both tendons.
+    A single number applies to both tendons.
     """
     facts = {
         "tension": 20.0,
@@ -96,7 +96,7 @@ def run_ticks(
 ) -> tuple[SyntheticMonitor, FindingsByFault]:
     """Run the same tick several times. Return the monitor and the last findings.
 
-    Values that are functions get the number of the tick.
+    A value may be a function of the tick's number.
     """
     monitor, found = monitor or monitor_at_20_newton(), {}
     for k in range(number):
@@ -119,7 +119,7 @@ def test_at_rest_nothing_is_reported():
 def test_a_hand_that_is_armed_while_its_tendons_are_taut_is_not_stuck():
     """The filters start at the values that are present when the hand is armed.
 
-    Tension and force have not changed since, so no reading must change.
+    Tension and force have not changed since then. Constant readings therefore show no stuck sensor.
     """
     _, found = run_ticks(200, monitor_at_20_newton(wanted=NAN, followed=NAN, asked=NAN))
     assert found == {}
@@ -192,9 +192,10 @@ def test_missing_torque_is_a_fault(force, is_reported):
 
 @pytest.mark.parametrize(("rub", "is_reported"), [(5.8, False), (6.1, True)])
 def test_friction_above_the_hand_file_is_a_fault(rub, is_reported):
-    """After seconds of motion, a friction counts that exceeds the model by 3 N and a tenth of the force of 29 N.
+    """Friction is a fault if, after seconds of motion, it exceeds the model by more than a limit.
 
-    The tenth is the tolerance of the torque constant.
+    The limit is 3 N plus a tenth of the force of 29 N, which is the tolerance of the torque
+    constant.
     """
     monitor = run_ticks(30)[0]
     monitor.set_rows({"residual": {EXCESS_FRICTION: rub, MOTOR_FORCE: 29.0}})
@@ -205,7 +206,10 @@ def test_friction_above_the_hand_file_is_a_fault(rub, is_reported):
 
 
 def test_a_noisy_encoder_is_detected():
-    """An encoder whose position alternates by d in each tick has a mean squared second difference of 16 d^2."""
+    """The position of the encoder alternates between -d and d.
+
+    The mean squared second difference of this position is 16 d^2.
+    """
     for size, expected in (
         (2.4e-3, {}),
         (2.6e-3, dict.fromkeys(("ma", "mb"), pytest.approx(1.08e-4, rel=0.02))),
@@ -389,7 +393,7 @@ def test_constant_joint_reading_is_stuck_while_the_spool_turns():
 def test_a_turning_spool_with_a_slack_tendon_does_not_make_a_joint_stuck():
     """While a tendon is slack, its spool turns without its joint.
 
-    They move together only after the tendon has become taut.
+    Spool and joint move together only after the tendon has become taut.
     """
     turn, joints = np.radians(10.1) / 50.0, {"joints": 0.3, "excursion": 0.0, "read": True}
 
@@ -445,7 +449,8 @@ def test_constant_load_cell_is_stuck_while_the_torque_moves(number, force, tensi
 def test_steady_motion_over_skipped_ticks_is_neither_noise_nor_force(late):
     """After a gap, one reading shows the motion of five ticks.
 
-    It comes in the first tick after the gap or, if its reply is late by a tick, in the second.
+    This reading comes in the first tick after the gap or, if the reply is late by a tick, in the
+    second.
     """
 
     def run_over_gap(missed):
@@ -505,7 +510,11 @@ def test_missed_ticks_increase_the_allowed_step_of_motors_and_joints():
 
 
 def rows_with_ages(**ages: int) -> dict[str, Any]:
-    """Return rows of the state with ages in ticks of the replies of motors (ma=...) and load cells (a=...)."""
+    """Return rows of the state with the ages of replies in ticks.
+
+    The keyword ``ma`` is the age for the motor of tendon a, the keyword ``a`` the age for its load
+    cell.
+    """
     heard = {name: NOW_NS - ages.get(name, 0) * PERIOD_NS for name in ("ma", "mb", "a", "b")}
     return {"feedback_ns": [heard["ma"], heard["mb"]], "group_ns": {0: heard["a"], 1: heard["b"]}}
 

@@ -1,6 +1,6 @@
 """Test the detection of repeated load-cell readings and of oscillating tensions.
 
-Neither is reported when it is absent.
+Without such readings or oscillations, neither is reported.
 """
 
 import math
@@ -31,7 +31,7 @@ def noisy_readings(seed: int, ticks: int, noise: float, n: int = 4) -> np.ndarra
 
 
 def first_found(rows: np.ndarray) -> tuple[int, list[tuple[int, int]]]:
-    """Return the first tick in which repeated readings are found, and the tendons with their age.
+    """Return the first tick with repeated readings, and the tendons with their readings' ages.
 
     The tick is -1 if none are found.
     """
@@ -58,7 +58,10 @@ def test_repeated_content_is_found_within_sixteen_ticks(seed: int, age: int) -> 
 @pytest.mark.parametrize("noise", [0.0, 0.02, 0.05, 0.1, 0.5, 1.5])
 @pytest.mark.parametrize("seed", range(20 if NIGHTLY else 4))
 def test_fresh_readings_are_no_repetition_at_any_noise(seed: int, noise: float) -> None:
-    """This includes a load cell whose readings are constant or toggle between two counts."""
+    """Fresh readings with any noise are not taken for repeated readings.
+
+    This also holds for readings that are constant or toggle between two counts.
+    """
     assert first_found(noisy_readings(seed, 20_000 if NIGHTLY else 3_000, noise)) == (-1, [])
 
 

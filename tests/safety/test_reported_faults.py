@@ -45,7 +45,10 @@ def test_only_missing_acknowledges_mean_alone_on_the_bus() -> None:
 
 
 def test_missing_acknowledges_are_reported_only_until_a_node_has_answered() -> None:
-    """The fault B18 counts only before the hand is armed. A reply proves that the bus has other nodes."""
+    """The fault B18 (alone on the bus) counts only before the hand is armed.
+
+    A reply proves that the bus has other nodes.
+    """
     unheard = ("error_frame", "can0 no acknowledge", 3.0)
     for word in ("no acknowledge", "bus error", "protocol"):
         one = ("error_frame", f"can0 {word}", 1.0)

@@ -111,7 +111,10 @@ def test_two_events_of_one_bus_in_one_tick_are_one_tick() -> None:
 
 
 INPUTS_WITH_MANY_FRAMES = {id_: state_rows(frames=6 * 64 + 1) for id_ in ("B11a", "B11b")}
-"""Inputs with too many frames. There are too many even if another fault of the test is shown by missed ticks."""
+"""Inputs with too many frames.
+
+The number is above the limit even if another fault of the test comes with missed ticks.
+"""
 INPUT_BY_FAULT = {
     id_: INPUTS_WITH_MANY_FRAMES.get(id_, CASE_BY_FAULT[id_].input_with_fault)
     for id_ in FAULTS_WHILE_ARMED
@@ -125,9 +128,9 @@ course_of_faults = st.lists(st.tuples(inputs_with_faults, fault_ids, st.booleans
 def test_additional_faults_never_weaken_the_action(
     ticks: list[tuple[TickInput, list[str], bool]],
 ) -> None:
-    """Of two runs with the same clear requests, one has additional faults in some ticks.
+    """Two runs have the same clear requests, and one of them has additional faults in some ticks.
 
-    Its action is never weaker.
+    The action of this run is never weaker than that of the other.
     """
     less, more = rested_monitor(), rested_monitor()
     for tick_input, extra, cleared in ticks:

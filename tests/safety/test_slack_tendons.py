@@ -100,9 +100,9 @@ def test_slack_is_reported_by_name_and_in_seconds():
     (0, 0.0, 24.0, NAN, False),
 ])  # fmt: skip
 def test_a_snapped_tendon_is_detected(ago, cell, goal, speed, found):
-    """The tested tendon lies between slack and taut, so its ticks since it was taut go on.
+    """The tested tendon is neither slack nor taut.
 
-    The other tendon is taut.
+    Its count of ticks since it was taut therefore continues. The other tendon is taut.
     """
     tendons = FilteredTendons(2, taut_ago=[0, ago - 1 if ago > 0 else ago])
     taut = 20.0 if ago == 0 else 2.2
@@ -171,7 +171,7 @@ def test_a_tendon_without_a_sample_before_the_cut_counts_from_its_first_reading(
 def test_a_tendon_still_pulled_by_its_motor_is_detected(ticks, before, now, found):
     """A tendon without an earlier reading takes its first reading as its reference.
 
-    This reading is not below the reference.
+    The first reading itself is not below this reference.
     """
     tendons = FilteredTendons(2, cut_ticks=ticks - 1, cut_from=[0.0, before], cut_bears=NAN)
     reported = tendons.run_tick_after_cut([0.0, now])
@@ -185,9 +185,9 @@ def test_a_tendon_still_pulled_by_its_motor_is_detected(ticks, before, now, foun
 
 
 def test_the_last_tension_counts_if_the_latest_sample_is_missing():
-    """The check uses readings from 80 ms after the cut on.
+    """The check uses readings that are taken at least 80 ms after the cut.
 
-    Earlier readings do not show whether the motor let the tendon go.
+    Earlier readings do not show whether the motor has released the tendon.
     """
     tendons = FilteredTendons(2)
     for k in range(50):

@@ -134,7 +134,7 @@ def test_a_torque_constant_within_its_tolerance_is_no_fault():
 def test_friction_that_has_grown_is_seen_in_motion_only():
     """The friction is 8 N above that of the hand file.
 
-    It shows as fault T09 when the motor moves to and fro for 15 s.
+    When the motor moves to and fro for 15 s, this causes the fault T09 (friction has grown).
     """
     w, a = 2 * np.pi, 0.02
 

@@ -15,7 +15,7 @@ class ReportingMotors(SyntheticMonitor):
     def __init__(self, torque_step: float = 0.078) -> None:
         super().__init__(synthetic_limits(2), torque_step=torque_step)
         self.ever_unfollowed = np.zeros(2, dtype=bool)
-        """Whether a tick has reported that the motor does not follow its commands, for each motor."""
+        """For each motor, whether any tick has reported that it does not follow its commands."""
 
     def run_tick(self, force: np.ndarray, report: np.ndarray) -> None:
         """Run one tick with the force commands of the last tick and the present reports."""
@@ -63,9 +63,9 @@ def test_a_report_that_follows_is_never_doubted(seed: int, size: float) -> None:
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("fraction", [0.1, 0.2, 0.3, 0.5, 1.0])
 def test_a_report_in_coarse_steps_is_never_doubted(seed: int, fraction: float) -> None:
-    """Regression: commissioning ended with the fault N17.
+    """Regression: commissioning ended with the fault N17 (drives exchanged, or obeying late).
 
-    One count of an AK80-6 motor is 1.17 N at a spool of 5 mm.
+    One count of an AK80-6 motor's torque report is 1.17 N at a spool of 5 mm.
     """
     step = 1.17
     commanded = 90.0 * (1.0 + 0.01 * np.random.default_rng(seed).random()) + fraction * step * (
@@ -114,7 +114,10 @@ def test_one_outlier_is_not_a_fault() -> None:
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("size", [0.02, 0.1, 1.0])
 def test_a_report_that_is_a_tick_late_is_not_a_fault(seed: int, size: float) -> None:
-    """Regression: a demo in real time ended with the fault N17, because a busy host read every reply one tick late."""
+    """Regression: a demo in real time ended with the fault N17 (drives exchanged, or obeying late).
+
+    A busy host had read every reply one tick late.
+    """
     commanded = noisy_commands(seed, size)
     assert not doubted_motors(commanded, delayed_reports(commanded, 2)).any()
 
@@ -122,8 +125,8 @@ def test_a_report_that_is_a_tick_late_is_not_a_fault(seed: int, size: float) -> 
 def stalled_commands(seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Return commands (COMMAND_TICKS, 2) [N] and the reports of drives that obey, on a bus that sometimes stands still.
 
-    A standstill lasts one to five ticks, and commands change meanwhile. The first reports after it
-    still show the command from before the standstill.
+    A standstill lasts one to five ticks, and commands change meanwhile. The first reports after a
+    standstill still show the command from before it.
     """
     random = np.random.default_rng(seed)
     commanded, made = noisy_commands(seed), np.full((COMMAND_TICKS, 2), np.nan)

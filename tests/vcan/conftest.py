@@ -1,4 +1,6 @@
-"""Run the tests in inside/ with real vcan interfaces in three guests, and report each test as if it had run here.
+"""Run the tests of inside/ in three guests with real vcan interfaces.
+
+Report each test as if it had run in this process.
 
 A guest is a virtual machine with user-mode Linux, or a network namespace. In the guest this file
 writes each report of pytest to the file that HANDCTL_VCAN_REPORTS names. With
@@ -43,7 +45,7 @@ def pytest_itemcollected(item: pytest.Item) -> None:
         if not REPORTS_FILE:
             item.add_marker(
                 pytest.mark.timeout(0), append=False
-            )  # the first test waits for all of its guest
+            )  # the first test waits for all tests of its guest
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)

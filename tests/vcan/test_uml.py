@@ -1,4 +1,7 @@
-"""Test the runner of guests. It returns the status with which a command ends in any way, and no process remains."""
+"""Test the program that runs guests.
+
+The program returns the exit status of a command that ends in any way, and leaves no process behind.
+"""
 
 import contextlib
 import os
@@ -19,7 +22,10 @@ def _require_guest() -> None:
 
 
 def processes_of(folder: str) -> list[int]:
-    """Return the processes whose command lines name a folder. They belong to a running guest."""
+    """Return the processes whose command lines name a folder.
+
+    These processes belong to a running guest.
+    """
     pids = []
     for path in Path("/proc").glob("[0-9]*/cmdline"):
         with contextlib.suppress(FileNotFoundError, ProcessLookupError):

@@ -75,7 +75,8 @@ def run_with_vcan(
         timeout_s: time after which the whole guest is killed [s].
         report_line: function that is called with each line of the command's output.
 
-    Returns: The exit status of the command. Without one: TIMED_OUT, NO_STATUS or NO_VCAN.
+    Returns: The exit status of the command. If there is none: TIMED_OUT_STATUS, NO_EXIT_STATUS or
+        NO_VCAN_STATUS.
     """
     kind, reason = vcan_access()
     if not kind:
@@ -103,7 +104,10 @@ def _job_script(command: Sequence[str], environment: Mapping[str, str]) -> str:
 
 
 def _environment() -> dict[str, str]:
-    """Return the environment of this process. Its PATH contains the system programs, even for an ordinary user."""
+    """Return the environment variables of this process.
+
+    Their PATH contains the folders of system programs, even for an ordinary user.
+    """
     return {**os.environ, "PATH": f"{os.environ.get('PATH', '')}:{SYSTEM_PATH}"}
 
 
@@ -155,7 +159,7 @@ def _run_in_guest(job: Path, timeout_s: float, report_line: Callable[[str], None
 
 @contextlib.contextmanager
 def _on_one_core() -> Iterator[None]:
-    """Keep the child processes of this thread on one core. The guest after it gets the next core.
+    """Keep the child processes of this thread on one core. The next guest gets the next core.
 
     The kernel and a program of a guest run in turn as two processes of the host. It takes five
     times as long to wake a process on another core. With both on one core, a system call took 20 us
@@ -197,7 +201,7 @@ def _guest_command(job: Path) -> list[str]:
 def _with_all_registers(job: Path) -> list[str]:
     """Return the prefix of the guest's command.
 
-    A processor with AMX needs one, because the guest does not save its registers.
+    A processor with AMX needs a prefix, because the guest does not save the AMX registers.
     """
     if "amx_tile" not in Path("/proc/cpuinfo").read_text(
         encoding="utf-8"
@@ -258,7 +262,8 @@ def _read_lines(process: "subprocess.Popen[bytes]", deadline_s: float) -> Iterat
 def _report_job(lines: Iterator[str], job: Path, report_line: Callable[[str], None]) -> list[str]:
     """Report the lines that the job in a guest prints.
 
-    Returns: The lines before and after those of the job. They are from the kernel and from init.
+    Returns: The lines before and after those of the job. These lines are from the kernel and from
+        init.
     """
     other_lines: list[str] = []
     started = False

@@ -31,8 +31,8 @@ runpy.run_module("firmware_sim", run_name="__main__", alter_sys=True)
 """Program that runs the simulator with another clock for MuJoCo's profile.
 
 MuJoCo reads the clock about forty times in a step, which takes 1 ms in the guest. With a C function
-that needs no system call, the step is a hundred times faster. Its values are used only in MuJoCo's
-profile.
+that needs no system call, the step is a hundred times faster. The values of the clock are used only
+in MuJoCo's profile.
 """
 
 
@@ -76,7 +76,10 @@ def run_simulator(
 
 @pytest.fixture(scope="module")
 def simulator(request: pytest.FixtureRequest) -> Iterator["subprocess.Popen[str]"]:
-    """Run a simulated hand for all tests of a module. The parameter of the fixture has its options."""
+    """Run a simulated hand for all tests of a module.
+
+    The parameter of the fixture contains the options of the simulator.
+    """
     with run_simulator(*getattr(request, "param", ())) as process:
         yield process
 

@@ -34,7 +34,7 @@ def other_bus() -> Iterator[Bus]:
 
 
 def drain_bus(bus: Bus, count: int) -> list[Frame]:
-    """Read frames until at least ``count`` have arrived or the time is over."""
+    """Read frames until at least ``count`` frames have arrived or a time limit has passed."""
     frames, end = list(bus.drain()), time.monotonic() + WAIT_S
     while len(frames) < count and time.monotonic() < end:
         time.sleep(0.005)
@@ -143,7 +143,7 @@ def wait_for(bus: Bus, kind: str) -> list[Frame]:
 def test_a_full_transmit_queue_refuses_and_is_an_event(slow_tunnel: tuple[str, str]) -> None:
     """A queue of ten frames is in front of a wire of 50 kbit/s.
 
-    netem makes this wire, because vcan alone never refuses a frame.
+    netem simulates this wire, because vcan alone never refuses a frame.
     """
     sender, receiver = (
         open_bus(f"socketcan:{name}", BUS_INDEX, NOMINAL_BITRATE, stamp=int) for name in slow_tunnel

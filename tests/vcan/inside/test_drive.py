@@ -19,7 +19,9 @@ from tests.replay.short_runs import CYLINDER_SCENE
 HANDCTL_COMMAND = Path(sys.executable).with_name("handctl")
 GOLDEN_LOG = Path(__file__).parents[3] / "logs" / "golden" / "jamia-grasp.mcap"
 RATE_HZ, SLOW_TIME_SCALE = 200, 0.03
-"""Control rate [Hz] and time scale of this test. Its time is slower than that of the other tests.
+"""Control rate [Hz] and time scale of this test.
+
+Simulated time runs slower in this test than in the other tests.
 
 The guest shares its core with other work of the host. A pause of four ticks rightly ends a run.
 """
@@ -70,5 +72,5 @@ def test_a_golden_grasp_repeats_on_vcan(tmp_path: Path) -> None:
     assert max(angles.values()) < 1.0, angles
     assert np.sqrt((apart**2).mean(axis=0)).max() < 1.0, (
         summary
-    )  # no peaks, because the guest's clocks slip
+    )  # single peaks do not count, because the guest's clocks slip
     np.testing.assert_allclose(new, old, rtol=0.05)

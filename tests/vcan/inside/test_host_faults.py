@@ -1,6 +1,7 @@
-"""Test faults of a host that only root can make, in the guest.
+"""Test faults of the host that only root can cause.
 
-The wall clock is set, or an interface is taken down during a run.
+The wall clock is set, or an interface is taken down. The tests cause these faults in the guest,
+during a run.
 """
 
 import fcntl
@@ -52,7 +53,9 @@ def set_interface_up(can_interface: str, up: bool) -> None:
 
 
 class FaultObserver:
-    """Observer of a run that makes its faults one after the other during the pull.
+    """Observer of a run.
+
+    The observer causes its faults one after the other while the hand pulls its tendons.
 
     See ``session.run.RunObserver``.
     """
@@ -62,7 +65,7 @@ class FaultObserver:
         self.reset()
 
     def reset(self) -> None:
-        """Reset the record of made faults and of modes, for a new run."""
+        """Reset the record of caused faults and of modes, for a new run."""
         self.done_ns, self.modes, self.pulled, self.left = (
             0,
             list[HandMode](),
@@ -86,9 +89,9 @@ class FaultObserver:
 
 
 def run_pull(folder: Path, observer: FaultObserver) -> tuple[RunOutcome, TruthFile]:
-    """Run a hand that is armed, pulls every tendon, relaxes and is disarmed.
+    """Arm a hand, pull every tendon, relax and disarm it.
 
-    The observer makes faults during the pull.
+    The observer causes faults during the pull.
     """
     path = hand_file(folder, ["mit"])
     hand = load_hand(str(path))
@@ -107,10 +110,10 @@ def run_pull(folder: Path, observer: FaultObserver) -> tuple[RunOutcome, TruthFi
 def run_until_done(
     folder: Path, observer: FaultObserver, expected: str
 ) -> tuple[RunOutcome, TruthFile]:
-    """Return the first run that ended as expected, and not because the guest's only core was busy.
+    """Return the first run that ended as expected.
 
-    If a defect ends runs in the same way as a busy core, all five runs end like this. The test then
-    fails.
+    A run that ended because the guest's only core was busy is repeated. A defect may end runs in
+    the same way as a busy core. Then none of five runs ends as expected, and the test fails.
     """
     failure = ""
     for number in range(5):
@@ -133,7 +136,7 @@ def run_until_done(
 
 @pytest.fixture
 def can_interface() -> Iterator[str]:
-    """Yield the name of an interface, and set it up again afterwards."""
+    """Yield the name of an interface, and set the interface up again after the test."""
     assert shutil.which("ip")
     yield "vcan0"
     set_interface_up("vcan0", True)
@@ -151,7 +154,10 @@ def restored_clock() -> Iterator[None]:
 @pytest.mark.timeout(600)
 @pytest.mark.usefixtures("restored_clock")
 def test_steps_of_the_wall_clock_have_no_effect(tmp_path: Path) -> None:
-    """The wall clock is set one hour forward and then two hours back. This is the fault H11 of the catalogue."""
+    """The wall clock is set one hour forward and then two hours back.
+
+    Such a change of the clock is the fault H11 of the catalogue.
+    """
     offsets = [time.time() - time.monotonic()]
 
     def step_clock(seconds: float) -> None:
@@ -176,7 +182,7 @@ def test_steps_of_the_wall_clock_have_no_effect(tmp_path: Path) -> None:
 def test_an_interface_taken_down_cuts_the_run_and_the_drives_drop_torque(
     can_interface: str, tmp_path: Path
 ) -> None:
-    """The interface that is taken down is the fault B14 of the catalogue."""
+    """The fault B14 of the catalogue is a CAN interface that is taken down."""
     observer = FaultObserver(lambda: set_interface_up(can_interface, False))
     outcome, truth = run_until_done(tmp_path, observer, "B14")
     assert "B14" in outcome.state.failure, outcome.state.failure

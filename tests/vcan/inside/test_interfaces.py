@@ -1,4 +1,7 @@
-"""Test the CAN sockets of the kernel without any library. All other tests in this folder rely on them."""
+"""Test the CAN sockets of the kernel without any library.
+
+All other tests in this folder rely on these sockets.
+"""
 
 import json
 import socket

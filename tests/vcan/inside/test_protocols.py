@@ -1,4 +1,6 @@
-"""A hand is armed, pulls, and is disarmed over real SocketCAN, with each drive protocol and over two buses.
+"""Arm a hand, pull its tendons and disarm it over real SocketCAN.
+
+The tests use each drive protocol, and one hand on two buses.
 
 The simulated hand is forked from this process, because in the guest its imports would take longer
 than the test.
@@ -40,13 +42,13 @@ PERIOD_NS = 5_000_000
 READY_TIMEOUT_S, EXIT_TIMEOUT_S = 30.0, 20.0
 SPOOL_TORQUE_N_M, TORQUE_S = 0.05, 0.3
 TAUT_N, PULLED_N = 5.0, 3.0
-"""Smallest tension while the motors make the torque above, and largest tension after the torque has ended [N]."""
+"""Smallest tension of a tendon under motor torque, and largest tension after the torque [N]."""
 PULL_N, PULL_S = 20.0, 0.2
 DIGIT_NAMES = ("index", "middle", "ring", "thumb")
 
 
 def run_simulator_in_child(words: Sequence[str], ready: int) -> None:
-    """Run the simulator in this child process. Its output goes into a pipe."""
+    """Run the simulator in this child process. The output of the simulator goes into a pipe."""
     mujoco.set_mjcb_time(
         ctypes.cast(ctypes.CDLL(None).drand48, ctypes.CFUNCTYPE(ctypes.c_double))
     )  # see conftest
@@ -96,7 +98,7 @@ def simulated_hand_process(
 class HandDrives:
     """The drives of a hand on real sockets, without a controller.
 
-    They run tick by tick on a slowed clock, with SYNC.
+    The drives run tick by tick on a slowed clock, with SYNC.
     """
 
     def __init__(self, path: Path, specs: Sequence[str], time_scale: float) -> None:
@@ -165,7 +167,10 @@ def test_a_hand_is_armed_pulls_and_is_disarmed(protocol: str, tmp_path: Path) ->
 
 
 def test_one_hand_over_two_buses_with_two_protocols(tmp_path: Path) -> None:
-    """The whole controller runs with its recorder and with two protocols, which ``test_run`` does not use."""
+    """The whole controller runs with its recorder.
+
+    The hand has two protocols that the module ``test_run`` does not use.
+    """
     path = move_to_second_bus(hand_file(tmp_path, ["cia402", "cia402", "odrive"]))
     outcome, truth = run_pull(path, ["socketcan:vcan0", "socketcan:vcan1"], tmp_path)
     assert outcome.state.failure == ""
@@ -175,13 +180,13 @@ def test_one_hand_over_two_buses_with_two_protocols(tmp_path: Path) -> None:
     for digit in DIGIT_NAMES:
         assert truth.column(f"tension/{digit}_tendon").max() > 0.25 * PULL_N, (
             digit
-        )  # low, as the guest's clocks slip
+        )  # a low limit, because the guest's clocks slip
 
 
 def run_pull(path: Path, buses: Sequence[str], folder: Path) -> tuple[RunOutcome, TruthFile]:
-    """Run a hand that is armed, pulls every tendon for a moment, relaxes and is disarmed.
+    """Arm a hand, pull every tendon for a moment, relax and disarm it.
 
-    Return the outcome and the truth.
+    Return the outcome of the run and the true values of the simulator.
     """
     hand, time_scale = load_hand(str(path)), 0.1
     load = tuple(one.load_at(RATE_HZ) for one in bus_loads(hand))

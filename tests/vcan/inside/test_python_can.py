@@ -1,4 +1,7 @@
-"""python-can receives the frames of a hand. So can candump, BUSMASTER or scripts of users."""
+"""Test that python-can receives the frames of a hand.
+
+Programs such as candump, BUSMASTER and scripts of users can then receive them too.
+"""
 
 import can
 import pytest

@@ -22,7 +22,8 @@ DIGIT_NAMES = {"index", "middle", "ring", "thumb"}
 TIME_SCALES = (TIME_SCALE, 0.5 * TIME_SCALE, 0.25 * TIME_SCALE)
 """Time scale of each attempt.
 
-In slower time, an interruption of the guest is shorter for the hand. A defect is the same.
+When simulated time runs slower, an interruption of the guest is shorter in simulated time. A defect
+has the same effect at any time scale.
 """
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 
@@ -55,7 +56,7 @@ def run_handctl(folder: Path, time_scale: float) -> subprocess.CompletedProcess[
 
 
 def run_until_undisturbed(folder: Path) -> tuple[subprocess.CompletedProcess[str], Path]:
-    """Return the first run that did not end because the guest's only core was busy, and the folder of this run."""
+    """Return the first run that no busy core of the guest has ended, and the folder of this run."""
     for number, time_scale in enumerate(TIME_SCALES):
         place = folder / str(number)
         place.mkdir()

@@ -15,7 +15,8 @@ from tests.vcan.inside.conftest import SIMULATOR_CODE, STALL_FAULTS, TIME_SCALE
 TIME_SCALES = (TIME_SCALE, 0.7 * TIME_SCALE, 0.4 * TIME_SCALE)
 """Time scale of each attempt.
 
-In slower time, an interruption of the guest is shorter for the hand. A defect is the same.
+When simulated time runs slower, an interruption of the guest is shorter in simulated time. A defect
+has the same effect at any time scale.
 """
 TRACKED_S = 2.5
 """Duration of the motion [s]. The error in its first second does not count."""
