@@ -102,5 +102,6 @@ def _sensors(sensors: SensorSpec, noise: float, bias: float) -> SensorSpec:
         sensors,
         tension_noise=sensors.tension_noise * noise,
         joint_noise=sensors.joint_noise * noise,
+        travel_noise=sensors.travel_noise * noise,
         tension_bias=bias,
     )

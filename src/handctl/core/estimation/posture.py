@@ -30,6 +30,7 @@ from handctl.core.constants import ConstantTables
 from handctl.core.estimation.statics import (
     first_wrap,
     link_poses_of_hand,
+    wrap_of_joint,
     write_static_torque,
     write_tip_levers,
 )
@@ -294,7 +295,7 @@ def _write_free_errors(x: Tables, c: ConstantTables, turn: Matrix) -> None:
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
             arm = c.tendon_joint[h.MOMENT_ARMS, n, j]
             if arm != 0.0:
-                wrapped += x.joint[s.Q, j]
+                wrapped += wrap_of_joint(c, j, x.joint[s.Q, j])
                 rubbed = arm * c.tendon[h.CAPSTAN_COEFFICIENT, n]
                 torque[0, j] += FRICTION_FRACTION * x.tendon[s.TENSION, n] * rubbed * wrapped
     for row in range(2):

@@ -112,7 +112,7 @@ def _tensions_with_friction(
     arms = digit.moment_arms
     counted = model.gains.motion.friction_share
     winding = np.tanh(arms @ way[1] / CAPSTAN_FRICTION_SPEED)
-    passes = arms != 0.0
+    passes = (arms != 0.0) & ~digit.is_prismatic
     lost = digit.friction[:, None] * (digit.wrap[:, None] + np.cumsum(passes * way[0], axis=1))
     factors = 1.0 - counted + counted * np.exp(-lost * winding[:, None])
     low = model.floor[tendons]
