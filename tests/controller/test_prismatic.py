@@ -1,5 +1,6 @@
 """Commission and move hands with prismatic joints on the simulated plant."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,8 @@ import pytest
 
 from handctl.controller.setup import make_controller
 from handctl.core.gains.gains import Gains
+from handctl.core.hand_constants import HandConstants
+from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from handctl.document import validate_content
 from handctl.hand.digit import DigitModel
@@ -16,10 +19,14 @@ from handctl.hand.load import load_hand
 from handctl.programs.calibration import Calibration
 from handctl.programs.commission import PULL_N, CommissionProgram, calibration_of_result
 from handctl.programs.grasp import TaskProgram
+from handctl.programs.live import LiveProgram, apply_goal
 from handctl.programs.program import Program
+from handctl.programs.requests import MoveDigits
+from handctl.programs.streams import mapping_of_stream
 from handctl.programs.task import Task
 from handctl.report.summary import mean_angles
 from handctl.session.simulate import SimulatedRun, SimulatorSettings
+from tests.controller.synthetic import slack
 
 FOLDER = Path(__file__).parents[1] / "hand"
 HANDS = ("parallel_gripper", "mixed_gripper")
@@ -96,3 +103,43 @@ def test_the_mean_of_a_sliding_digit_is_its_position() -> None:
     mean = mean_angles(mixed, np.array([[0.005, 0.01, 1.0]]))
     np.testing.assert_allclose(mean, [[0.005, 1.0]])
     assert mixed.display_units.names == ("mm", "mm", "deg")
+
+
+def model_of(name: str) -> HandModel:
+    """Return the model of a gripper."""
+    return HandModel.of(load_hand(FOLDER / f"{name}.toml"), Gains(), RATE_HZ)
+
+
+def test_targets_of_a_stream_are_in_mm_and_deg() -> None:
+    model = model_of("mixed_gripper")
+    matrix = mapping_of_stream(model, "joint", model.hand.joints).matrix
+    np.testing.assert_allclose(matrix, np.diag([1e-3, 1e-3, np.pi / 180.0]))
+
+
+def test_thresholds_count_10_mm_as_1_rad() -> None:
+    model = model_of("mixed_gripper")
+    constants = HandConstants(model, {})
+    view = {
+        name: constants.layout.view(constants.block, name).ravel()
+        for name in ("joint_scale", "arms_sum", "encoder_variance")
+    }
+    np.testing.assert_allclose(view["joint_scale"], [0.01, 0.01, 1.0])
+    # The tendons jaw_close, jaw_open, finger_slide, and finger_bend with an arm of 10 mm.
+    np.testing.assert_allclose(view["arms_sum"], [0.01, 0.01, 0.01, 0.015])
+    np.testing.assert_allclose(view["encoder_variance"][0], 4e-10 + 25e-10 / 12.0)
+
+
+@pytest.mark.parametrize(
+    ("angle", "duration_s", "said"),
+    [
+        (29.0, 1.0, "left 29 mm, expected from 0 to 28 mm"),
+        (28.0, 0.2, "mm/s, expected at most 122.2 mm/s: give it more time"),
+    ],
+)
+def test_a_live_move_is_refused_in_mm(angle: float, duration_s: float, said: str) -> None:
+    model = model_of("parallel_gripper")
+    progress = replace(LiveProgram().initial(model), phase="live")
+    request = MoveDigits(do="move", angle_deg={"left": angle}, duration_s=duration_s)
+    after, (event,) = apply_goal(model, progress, request, slack(model), 0.0)
+    assert after.goals == progress.goals
+    assert said in event.text
