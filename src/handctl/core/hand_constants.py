@@ -243,6 +243,7 @@ def _posture_constants(model: HandModel) -> dict[str, object]:
     every = 1 if fused else max(1, round(posture.UPDATE_S / model.period))
     count = np.where(hand.is_prismatic, JOINT_STEP_M, JOINT_STEP_RAD)
     noise = hand.joint_noise**2 + count**2 / 12.0
+    hinge = hand.sensor_node.joint_noise_rad**2 + JOINT_STEP_RAD**2 / 12.0
     return {
         "compliance": compliance,
         "spread": spread,
@@ -253,7 +254,7 @@ def _posture_constants(model: HandModel) -> dict[str, object]:
         "loose": compliance.any(axis=1) & read,
         "excursion_variance": np.where(
             hand.tendons_with_encoders,
-            (noise * arms**2).sum(axis=1),
+            hinge * (arms**2 * (noise / hinge)).sum(axis=1),
             (2.0 * model.gains.filter.offset_m) ** 2,
         ),
         "turn_fraction": -math.expm1(-every * model.period / posture.TURN_SMOOTHING_S),
