@@ -16,17 +16,22 @@ PER_LINK_KEYS = (
     "link_com_m",
     "link_mass_kg",
     "link_inertia_kg_m2",
-    "joint_min_deg",
-    "joint_max_deg",
-    "joint_damping_N_m_s_per_rad",
-    "joint_armature_kg_m2",
-    "spring_stiffness_N_m_per_rad",
-    "spring_preload_rad",
 )
 """Keys of a digit whose value is a list with one value for each link.
 
 In hand files of schema 2, a single number stands for equal values of all links.
 """
+JOINT_KEYS = {
+    "joint_min_deg": "joint_min_m",
+    "joint_max_deg": "joint_max_m",
+    "joint_damping_N_m_s_per_rad": "joint_damping_N_s_per_m",
+    "joint_armature_kg_m2": "joint_armature_kg",
+    "spring_stiffness_N_m_per_rad": "spring_stiffness_N_per_m",
+    "spring_preload_rad": "spring_preload_m",
+}
+"""Keys of a digit with a value for each hinge, and for each prismatic joint."""
+PRISMATIC = "prismatic"
+"""Entry of ``joint_type`` for a joint that slides along its axis."""
 
 
 POWER_COUNT = 6
@@ -43,6 +48,8 @@ class SimulatorError(ValueError):
 class Digit:
     """One finger or thumb. Tuples have one entry for each joint.
 
+    A prismatic joint has m in place of rad and of deg, N in place of N m, and kg in place of kg m2.
+
     Attributes:
         name: name of the digit.
         carrier: name of the digit whose last link carries this digit, empty for a digit on the
@@ -51,6 +58,7 @@ class Digit:
             last link [m].
         rpy_deg: extrinsic roll, pitch and yaw of the digit's mount in the same frame [deg].
         length: length of each link [m], 0 where the axes of two joints meet.
+        prismatic: True for each joint that slides along its axis.
         axis: axis of each joint in the link's frame.
         joint_rpy_deg: extrinsic roll, pitch and yaw of each link's frame at joint angle zero, in
             the frame of the previous link [deg]. The first link is turned in the frame of the
@@ -73,6 +81,7 @@ class Digit:
     position: tuple[float, float, float]
     rpy_deg: tuple[float, float, float]
     length: tuple[float, ...]
+    prismatic: tuple[bool, ...]
     axis: tuple[tuple[float, ...], ...]
     joint_rpy_deg: tuple[tuple[float, ...], ...]
     com: tuple[tuple[float, ...], ...]
@@ -161,6 +170,9 @@ class TendonSpec:
         wrap: wrap angle of the tendon before the first joint [rad].
         pretension: tension at rest in both tendons of a spool pair [N], 0 for a single tendon.
         winding: 1 if a positive spool angle winds the tendon, -1 if it pays the tendon out.
+        curves: moment arms that depend on the joint angle, by joint.
+        straight: prismatic joints, whose entry in ``arms`` is the excursion per motion [m/m]. The
+            tendon does not bend there.
     """
 
     name: str
@@ -176,6 +188,7 @@ class TendonSpec:
     pretension: float = 0.0
     winding: int = 1
     curves: dict[str, ArmCurve] = field(default_factory=dict)
+    straight: frozenset[str] = frozenset()
 
     @property
     def antagonist(self) -> "TendonSpec":
@@ -253,6 +266,8 @@ class SensorSpec:
         tension_noise: standard deviation of the noise of a measured tension [N].
         bias_drift: standard deviation of the random drift of a load cell after 100 s [N].
         joint_noise: standard deviation of the noise of a measured joint angle [rad].
+        travel_noise: the same of a measured position of a prismatic joint [m].
+        prismatic: names of the prismatic joints of the hand.
         tension_bias: constant error of every load cell [N], 0 unless the plant is perturbed.
         node_ids: node number of each CiA 404 amplifier, empty for the sensor node of handctl.
         channels_per_node: number of channels of each CiA 404 amplifier.
@@ -268,6 +283,8 @@ class SensorSpec:
     tension_noise: float
     bias_drift: float
     joint_noise: float
+    travel_noise: float = 1e-5
+    prismatic: frozenset[str] = frozenset()
     tension_bias: float = 0.0
     node_ids: tuple[int, ...] = ()
     channels_per_node: int = 1
@@ -388,14 +405,19 @@ def _resolved_file(content: dict[str, Any]) -> dict[str, Any]:
             tendon = _with_template(content, "tendon", entry) | {"name": f"{name}_{short}"}
             if tendon["motor"] in motors:
                 tendon["motor"] = f"{name}_{tendon['motor']}"
-            arms = tendon["moment_arm_m"].items()
-            tendon["moment_arm_m"] = {
-                f"{name}_{j}" if re.fullmatch("j[0-9]+", j) else j: arm for j, arm in arms
-            }
+            for key in {"moment_arm_m", "excursion_ratio"} & tendon.keys():
+                tendon[key] = {
+                    f"{name}_{j}" if re.fullmatch("j[0-9]+", j) else j: arm
+                    for j, arm in tendon[key].items()
+                }
             sections["tendon"].append(tendon)
+        sliding = digit.get("joint_type", []).count(PRISMATIC)
+        counts = dict.fromkeys((*PER_LINK_KEYS, "link_mesh_scale"), links)
+        counts |= dict.fromkeys(JOINT_KEYS, links - sliding)
+        counts |= dict.fromkeys(JOINT_KEYS.values(), sliding)
         listed = {
-            key: [digit[key]] * links
-            for key in (*PER_LINK_KEYS, "link_mesh_scale")
+            key: [digit[key]] * count
+            for key, count in counts.items()
             if isinstance(digit.get(key), int | float)
         }
         sections["digit"].append(digit | listed)
@@ -436,7 +458,7 @@ def _parse_hand(content: dict[str, Any], folder: Path) -> Hand:
         digits=[_parse_digit(digit) for digit in content["digit"]],
         tendons=[_parse_tendon(tendon, _joint_ranges(content)) for tendon in content["tendon"]],
         motors=[_parse_motor(motor) for motor in content["motor"]],
-        sensors=_parse_sensors(sensors)
+        sensors=_parse_sensors(sensors, _prismatic_joints(content))
         if sensors and (sensors["tendons"] or sensors.get("joints"))
         else None,
         meshes=tuple(_parse_meshes(content, folder)),
@@ -476,18 +498,25 @@ def _make_mesh(link: str, file: Path, scale: Any, position: Any, rpy_deg: Any) -
 
 def _parse_digit(section: dict[str, Any]) -> Digit:
     count = len(section["link_length_m"])
-    no_springs = [0.0] * count
-    for key in (*PER_LINK_KEYS, "joint_axis", "joint_rpy_deg"):
-        if key in section and len(section[key]) != count:
+    slides = _prismatic(section)
+    sliding = slides.count(True)
+    expected = dict.fromkeys((*PER_LINK_KEYS, "joint_type", "joint_axis", "joint_rpy_deg"), count)
+    expected |= dict.fromkeys(JOINT_KEYS, count - sliding)
+    expected |= dict.fromkeys(JOINT_KEYS.values(), sliding)
+    for key, number in expected.items():
+        if key in section and len(section[key]) != number:
             what = f"digit {section['name']}: {key} has {len(section[key])} values"
-            raise SimulatorError(f"{what}; expected {count}, one per link")
+            right = "link" if number == count else "joint of its type"
+            raise SimulatorError(f"{what}; expected {number}, one per {right}")
+    axes = [(0.0, 1.0, 0.0) if slide else (0.0, 0.0, 1.0) for slide in slides]
     return Digit(
         name=section["name"],
         carrier=section.get("mount_on", ""),
         position=tuple(section["mount_position_m"]),
         rpy_deg=tuple(section["mount_rpy_deg"]),
         length=tuple(section["link_length_m"]),
-        axis=tuple(map(tuple, section.get("joint_axis", [(0.0, 0.0, 1.0)] * count))),
+        prismatic=tuple(slides),
+        axis=tuple(map(tuple, section.get("joint_axis", axes))),
         joint_rpy_deg=tuple(map(tuple, section.get("joint_rpy_deg", [(0.0, 0.0, 0.0)] * count))),
         com=tuple(
             (com, 0.0, 0.0) if isinstance(com, int | float) else tuple(com)
@@ -496,13 +525,35 @@ def _parse_digit(section: dict[str, Any]) -> Digit:
         mass=tuple(section["link_mass_kg"]),
         inertia=tuple(_link_inertia(section, i) for i in range(count)),
         radius=section["link_radius_m"],
-        joint_min_deg=tuple(section["joint_min_deg"]),
-        joint_max_deg=tuple(section["joint_max_deg"]),
-        damping=tuple(section["joint_damping_N_m_s_per_rad"]),
-        armature=tuple(section["joint_armature_kg_m2"]),
-        spring=tuple(section.get("spring_stiffness_N_m_per_rad", no_springs)),
-        preload=tuple(section.get("spring_preload_rad", no_springs)),
+        joint_min_deg=_joint_values(section, "joint_min_deg"),
+        joint_max_deg=_joint_values(section, "joint_max_deg"),
+        damping=_joint_values(section, "joint_damping_N_m_s_per_rad"),
+        armature=_joint_values(section, "joint_armature_kg_m2"),
+        spring=_joint_values(section, "spring_stiffness_N_m_per_rad", 0.0),
+        preload=_joint_values(section, "spring_preload_rad", 0.0),
     )
+
+
+def _prismatic(section: dict[str, Any]) -> list[bool]:
+    """Return True for each joint of a digit that slides along its axis."""
+    kinds = section.get("joint_type", ["revolute"] * len(section["link_length_m"]))
+    return [kind == PRISMATIC for kind in kinds]
+
+
+def _joint_values(
+    section: dict[str, Any], key: str, default: float | None = None
+) -> tuple[float, ...]:
+    """Return the value of each joint for a key of hinges, or for its counterpart of prismatic joints.
+
+    Without a default, a missing key raises KeyError.
+    """
+    slides = _prismatic(section)
+    lists = {}
+    for slide, name in ((False, key), (True, JOINT_KEYS[key])):
+        count = slides.count(slide)
+        missing = name not in section and (default is not None or not count)
+        lists[slide] = iter([default or 0.0] * count if missing else section[name])
+    return tuple(next(lists[slide]) for slide in slides)
 
 
 def _link_inertia(section: dict[str, Any], i: int) -> tuple[float, ...]:
@@ -523,8 +574,13 @@ def _joint_ranges(section: dict[str, Any]) -> dict[str, tuple[float, float]]:
     return {
         f"{digit['name']}_j{i + 1}": (math.radians(low), math.radians(high))
         for digit in section["digit"]
-        for i, low in enumerate(digit["joint_min_deg"])
-        for high in digit["joint_max_deg"][i : i + 1]
+        for i, (low, high) in enumerate(
+            zip(
+                _joint_values(digit, "joint_min_deg"),
+                _joint_values(digit, "joint_max_deg"),
+                strict=True,
+            )
+        )
     }
 
 
@@ -566,7 +622,8 @@ def _fit_polynomial(angles: list[float], arms: list[float]) -> list[float]:
 
 
 def _parse_tendon(section: dict[str, Any], ranges: dict[str, tuple[float, float]]) -> TendonSpec:
-    given = section["moment_arm_m"]
+    ratios = section.get("excursion_ratio", {})
+    given = section.get("moment_arm_m", {}) | ratios
     curves = {
         joint: _parse_arm_curve(arm, ranges.get(joint, (0.0, 1.0)))
         for joint, arm in given.items()
@@ -576,6 +633,7 @@ def _parse_tendon(section: dict[str, Any], ranges: dict[str, tuple[float, float]
         name=section["name"],
         motor=section["motor"],
         arms=given | {joint: curve.mean for joint, curve in curves.items()},
+        straight=frozenset(ratios),
         curves=curves,
         stiffness=section["stiffness_N_per_m"],
         damping=section["damping_N_s_per_m"],
@@ -609,7 +667,17 @@ def _parse_motor(section: dict[str, Any]) -> MotorSpec:
     )
 
 
-def _parse_sensors(section: dict[str, Any]) -> SensorSpec:
+def _prismatic_joints(content: dict[str, Any]) -> frozenset[str]:
+    """Return the names of the prismatic joints of a hand."""
+    return frozenset(
+        f"{digit['name']}_j{i + 1}"
+        for digit in content["digit"]
+        for i, slides in enumerate(_prismatic(digit))
+        if slides
+    )
+
+
+def _parse_sensors(section: dict[str, Any], prismatic: frozenset[str]) -> SensorSpec:
     return SensorSpec(
         bus=section["bus"],
         sync_id=section.get("sync_id", 0x080),
@@ -620,6 +688,8 @@ def _parse_sensors(section: dict[str, Any]) -> SensorSpec:
         tension_noise=section["tension_noise_N"],
         bias_drift=section["tension_bias_drift_N"],
         joint_noise=section.get("joint_noise_rad", 1e-3),
+        travel_noise=section.get("joint_noise_m", 1e-5),
+        prismatic=prismatic,
         node_ids=tuple(section["node_ids"]) if section.get("protocol") == "cia404" else (),
         channels_per_node=section.get("channels_per_node", 1),
         full_range=section["range_N"] if section.get("protocol") == "cia404" else 0.0,

@@ -17,12 +17,11 @@ ROOT_TAGS = {"urdf": "robot", "mjcf": "mujoco"}
 """Tag of the first XML element of each format."""
 MODEL_SUFFIXES = (".urdf", ".xml")
 """Suffixes of model files that MuJoCo reads."""
-URDF_JOINTS = ("revolute", "continuous", "fixed")
+URDF_JOINTS = ("revolute", "continuous", "prismatic", "fixed")
 """Joint types of URDF that a hand can have."""
 UNSUPPORTED_JOINTS = {
     mujoco.mjtJoint.mjJNT_FREE: "a floating joint",
     mujoco.mjtJoint.mjJNT_BALL: "a ball joint",
-    mujoco.mjtJoint.mjJNT_SLIDE: "a prismatic joint",
 }
 """Joint types of MuJoCo that a hand cannot have."""
 ROUND_SHAPES = (
@@ -222,18 +221,20 @@ def _first_line(mujoco_error: Exception) -> str:
 
 
 def _check_structure(model: Any, path: str) -> None:
-    """Check that the model is a tree in which each moving body has exactly one hinge."""
+    """Check that the model is a tree in which each moving body has exactly one joint."""
     if model.njnt == 0:
-        raise SimulatorError(f"{path}: no joints; expected a hand with hinges")
+        raise SimulatorError(f"{path}: no joints; expected a hand with hinges or prismatic joints")
     for joint in range(model.njnt):
         other = UNSUPPORTED_JOINTS.get(mujoco.mjtJoint(int(model.jnt_type[joint])))
         if other:
-            raise SimulatorError(f"{path}: {_joint_name(model, joint)} is {other}; expected hinges")
+            raise SimulatorError(
+                f"{path}: {_joint_name(model, joint)} is {other}; expected hinges or prismatic joints"
+            )
     for body in range(model.nbody):
         if model.body_jntnum[body] > 1:
             what = f"body {model.body(body).name} has {model.body_jntnum[body]} joints"
             raise SimulatorError(
-                f"{path}: {what}; expected one hinge for each body, with a body of some mass between"
+                f"{path}: {what}; expected one joint for each body, with a body of some mass between"
             )
     if model.neq:
         what = f"the equality {model.equality(0).name or '0'} closes a loop or couples joints"
@@ -260,6 +261,8 @@ def _link_values(model: Any, data: Any, roots: list[int], body: int, path: str) 
         - ``name``: name of the body, and ``joint``: name of its joint.
         - ``parent``: index of the parent in the list of links, -1 for the root.
         - ``position`` (3,) [m] and ``rotation`` (3, 3) of the link in the frame of its parent.
+        - ``prismatic``: True if the joint slides along its axis. Its values are then in m, N and kg in
+          place of rad, N m and kg m2.
         - ``axis``: (3,) axis of the joint in the frame of the link.
         - ``range``: (2,) limits of the joint [rad], None for a joint without limits.
         - ``damping``, ``armature`` and ``stiffness`` of the joint, and ``rest``: angle of the free
@@ -292,6 +295,7 @@ def _link_values(model: Any, data: Any, roots: list[int], body: int, path: str) 
         "parent": roots.index(above) if above else -1,
         "position": (parent_turn.T @ (origin - parent_origin)).tolist(),
         "rotation": (parent_turn.T @ turn).tolist(),
+        "prismatic": bool(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE),
         "axis": (turn.T @ data.xaxis[joint]).tolist(),
         "range": (model.jnt_range[joint] - zero).tolist() if model.jnt_limited[joint] else None,
         "damping": float(np.ravel(model.dof_damping[dof])[0]),

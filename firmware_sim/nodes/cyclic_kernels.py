@@ -344,7 +344,8 @@ def _answer_sync(  # noqa: PLR0913 - compiled functions take flat arrays
     if has_joints(node, joints, counter):
         angles = np.empty(joints)
         for i in range(joints):
-            angles[i] = q[joint_order[i]] + noise[at + i] * node.joint_noise
+            angle = q[joint_order[i]] * node.joint_scale[i]
+            angles[i] = angle + noise[at + i] * node.joint_noise[i]
         at += joints
         codes = np.empty(joints, np.int64)
         words = np.empty(-(-joints // CHANNELS_PER_FRAME), np.int64)

@@ -9,7 +9,7 @@ Frame (up to 8 bytes, bits numbered from the lowest bit of byte 0, Intel order):
     bit  4+12i..15+12i   code of channel i, i up to 4
 
     tension code     (tension + 6 N) / 0.0625 N, 0 and 4095 mean saturated
-    joint code       2048 + angle / (2 pi rad / 4096)
+    joint code       2048 + angle / (2 pi rad / 4096), or 2048 + position / 50 um
 
 The identifiers of tension frames start at the base identifier, and those of joint frames at the
 base + 0x10. A frame with fewer than five channels has only as many bytes as its channels need.
@@ -36,6 +36,10 @@ TENSION_MIN_N = -6.0
 """Tension that the code 0 stands for [N]."""
 JOINT_STEP_RAD = 2.0 * math.pi / 4096
 """Resolution of a joint code [rad]."""
+JOINT_STEP_M = 5e-5
+"""Resolution of the code of a prismatic joint [m]."""
+MAX_JOINT_CHANNELS = 80
+"""Number of channels in the 16 identifiers of joint frames."""
 JOINT_ZERO_CODE = 2048
 """Joint code of the joint angle zero."""
 JOINT_OFFSET = 0x10
@@ -54,7 +58,9 @@ class SensorStruct(ctypes.Structure):
     """Memory of a ``SensorNode`` for compiled kernels."""
 
     _fields_ = [
-        *((name, ctypes.c_double) for name in ("tension_noise", "bias_drift", "joint_noise")),
+        *((name, ctypes.c_double) for name in ("tension_noise", "bias_drift")),
+        ("joint_noise", ctypes.c_double * MAX_JOINT_CHANNELS),
+        ("joint_scale", ctypes.c_double * MAX_JOINT_CHANNELS),
         *((name, ctypes.c_int64) for name in ("base_id", "joint_decimation", "sampled_ns")),
     ]
 
@@ -231,7 +237,12 @@ class SensorNode:
         self._angles = angles
         self.tension_noise = spec.tension_noise
         self.bias_drift = spec.bias_drift
-        self.joint_noise = spec.joint_noise
+        # A prismatic joint is encoded like an angle with the same code.
+        slides = [joint in spec.prismatic for joint in spec.joints]
+        per_m = JOINT_STEP_RAD / JOINT_STEP_M
+        noise = spec.travel_noise * per_m
+        self.joint_scale = tuple(per_m if slide else 1.0 for slide in slides)
+        self.joint_noise = tuple(noise if slide else spec.joint_noise for slide in slides)
         self.base_id = spec.base_id
         self.joint_decimation = spec.joint_decimation
         self.noise = NormalNoise(f"sensors {seed}")
@@ -278,10 +289,10 @@ class SensorNode:
             )
         ]
         if has_joints(self, len(spec.joints), counter):
-            readings = _with_faults(
-                self._angles() + self.noise.take(len(spec.joints)) * spec.joint_noise,
-                self.joint_faults,
-            )
+            count = len(spec.joints)
+            angles = self._angles() * np.array(self.joint_scale[:count])
+            noise = self.noise.take(count) * np.array(self.joint_noise[:count])
+            readings = _with_faults(angles + noise, self.joint_faults)
             payloads += enumerate(
                 encoders.of_values(counter, readings, *JOINT_CODE), spec.base_id + JOINT_OFFSET
             )

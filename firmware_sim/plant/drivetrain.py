@@ -31,7 +31,9 @@ ENCODER_STEP = 2.0 * math.pi / (1 << 14)
 DIVERGED_RAD_S = 1e5
 """Sum of joint speeds above which the plant counts as diverged [rad/s]."""
 
-PULLEY_NUMBER_COUNT = 10
+STRAIGHT_AT = 10
+"""Index of the number of a pulley that is 1 at a prismatic joint, see ``tendon.STRAIGHT_AT``."""
+PULLEY_NUMBER_COUNT = 11
 """Count of numbers that each pulley has in ``arms``, see ``tendon.PULLEY_NUMBER_COUNT``."""
 
 DRIVETRAIN_ARGUMENTS = (TendonStruct, "counts", "vector", RotorStruct)
@@ -47,7 +49,7 @@ def _arm_at(arms: Any, i: int, q: float) -> float:
     angle = min(max(q, arms[at + 2]), arms[at + 3])
     arm = 0.0
     power = 1.0
-    for k in range(4, PULLEY_NUMBER_COUNT):
+    for k in range(4, STRAIGHT_AT):
         arm += arms[at + k] * power
         power *= angle
     return float(arm)
@@ -62,7 +64,7 @@ def _taken_up(arms: Any, i: int, q: float) -> float:
     angle = min(max(q, arms[at + 2]), arms[at + 3])
     length = 0.0
     power = angle
-    for k in range(4, PULLEY_NUMBER_COUNT):
+    for k in range(4, STRAIGHT_AT):
         length += arms[at + k] * power / (k - 3.0)
         power *= angle
     # Beyond the limits of the angle, the arm is constant.
@@ -135,7 +137,9 @@ def _add_friction(tendon: Any, joints: Any, arms: Any, q: Any, torque: Any) -> N
     lowest = tension
     highest = tension
     for i in range(tendon.first, tendon.end):
-        angle += q[joints[i]]
+        # At a prismatic joint, the tendon does not bend.
+        if arms[PULLEY_NUMBER_COUNT * i + STRAIGHT_AT] == 0.0:
+            angle += q[joints[i]]
         # This is the capstan equation. At positive speed, the tendon moves towards the spool, and
         # friction lowers the tension behind a pulley.
         local = tension * math.exp(-rate * angle)

@@ -299,10 +299,13 @@ def _carrier_bits() -> tuple[int, int]:
 
 def _joint_element(digit: Digit, i: int) -> str:
     """Build the joint of link ``i`` of a digit."""
+    # Angles of hinges are in degrees, positions of prismatic joints in m.
+    rest = -digit.preload[i] if digit.prismatic[i] else -math.degrees(digit.preload[i])
+    kind = ' type="slide"' if digit.prismatic[i] else ""
     return (
-        f'<joint name="{digit.joints[i]}" axis="{_numbers_text(digit.axis[i])}"'
+        f'<joint name="{digit.joints[i]}"{kind} axis="{_numbers_text(digit.axis[i])}"'
         f' range="{digit.joint_min_deg[i]} {digit.joint_max_deg[i]}" damping="{digit.damping[i]}"'
-        f' armature="{digit.armature[i]}" stiffness="{digit.spring[i]}" springref="{-math.degrees(digit.preload[i])}"/>'
+        f' armature="{digit.armature[i]}" stiffness="{digit.spring[i]}" springref="{rest}"/>'
     )
 
 

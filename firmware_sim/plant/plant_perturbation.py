@@ -109,5 +109,6 @@ def _perturbed_sensors(sensors: SensorSpec, noise: float, bias: float) -> Sensor
         sensors,
         tension_noise=sensors.tension_noise * noise,
         joint_noise=sensors.joint_noise * noise,
+        travel_noise=sensors.travel_noise * noise,
         tension_bias=bias,
     )

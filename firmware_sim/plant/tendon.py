@@ -10,16 +10,23 @@ from firmware_sim.compiled import structure_array
 from firmware_sim.hand_description import POWER_COUNT, TendonSpec
 from firmware_sim.plant.plant_structs import TendonStruct
 
-PULLEY_NUMBER_COUNT = 4 + POWER_COUNT
-"""Count of numbers of a pulley: mean moment arm [m], 1 if the arm varies, two joint limits [rad], and coefficients."""
+STRAIGHT_AT = 4 + POWER_COUNT
+"""Index of the number of a pulley that is 1 at a prismatic joint, where the tendon does not bend."""
+PULLEY_NUMBER_COUNT = STRAIGHT_AT + 1
+"""Count of numbers of a pulley.
+
+They are the mean moment arm [m], 1 if the arm varies, two joint limits [rad], and coefficients. The
+last is at ``STRAIGHT_AT``.
+"""
 
 
 def _pulley_numbers(spec: TendonSpec, joint: str) -> tuple[float, ...]:
     """Return the numbers that describe a tendon's pulley at a joint, see ``PULLEY_NUMBER_COUNT``."""
     if joint not in spec.curves:
-        return (spec.arms[joint], *(0.0,) * (PULLEY_NUMBER_COUNT - 1))
+        straight = float(joint in spec.straight)
+        return (spec.arms[joint], *(0.0,) * (PULLEY_NUMBER_COUNT - 2), straight)
     curve = spec.curves[joint]
-    return (spec.arms[joint], 1.0, curve.low, curve.high, *curve.powers)
+    return (spec.arms[joint], 1.0, curve.low, curve.high, *curve.powers, 0.0)
 
 
 class Tendon:

@@ -134,8 +134,9 @@ class HandctlKeyboard(Leader):
             d = keys.find(key)
             if 0 <= d < len(self._digits):
                 joints, digit = self._digits[d]
-                low, high = np.radians(digit.joint_min_deg), np.radians(digit.joint_max_deg)
-                self._angles[joints] = np.clip(self._angles[joints] + step, low, high)
+                low, high = digit.joint_limits
+                moved = self._angles[joints] + step * digit.display_units.scale
+                self._angles[joints] = np.clip(moved, low, high)
 
 
 class HandctlLog(Leader):

@@ -37,10 +37,10 @@ class HandctlRobot(Robot):
         self.config = config
         self.description = load_hand(config.hand)
         self.cameras = make_cameras_from_configs(config.cameras)
-        digits = self.description.digit
-        self._low = np.radians([angle for digit in digits for angle in digit.joint_min_deg])
-        self._high = np.radians([angle for digit in digits for angle in digit.joint_max_deg])
-        self._step = np.radians(config.speed_deg_s) / config.rate_Hz
+        self._low, self._high = self.description.joint_limits
+        # A prismatic joint moves 10 mm per rad.
+        scale = self.description.display_units.scale
+        self._step = np.radians(config.speed_deg_s) * scale / config.rate_Hz
         self._hand: HandClient | None = None
         self._stream: TargetStream | None = None
         self._sent: Any = None

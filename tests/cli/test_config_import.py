@@ -278,18 +278,18 @@ BAD_DESCRIPTIONS = [
     ("--urdf", mjcf_of(HINGE_MJCF), "expected URDF, with the first element <robot>: give it with --mjcf"),
     ("--mjcf", urdf_of('type="revolute"'), "its first element is <robot>; expected MJCF"),
     ("--urdf", '<robot xmlns:xacro="http://x/xacro"><xacro:include filename="a"/></robot>', "xacro; expected the URDF"),
-    ("--urdf", '<robot name="r"><link name="base"/></robot>', "no joints; expected a hand with hinges"),
-    ("--urdf", urdf_of('type="floating"'), "joint j is floating; expected revolute, continuous, fixed"),
-    ("--urdf", urdf_of('type="prismatic"'), "joint j is prismatic; expected revolute"),
+    ("--urdf", '<robot name="r"><link name="base"/></robot>', "no joints; expected a hand with hinges or"),
+    ("--urdf", urdf_of('type="floating"'), "joint j is floating; expected revolute, continuous, prismatic, fixed"),
+    ("--urdf", urdf_of('type="planar"'), "joint j is planar; expected revolute, continuous, prismatic"),
     ("--urdf", urdf_of('type="revolute"', ""), "expected a mass and an inertia for each link that moves"),
     ("--urdf", urdf_of('type="revolute"', INERTIAL_URDF, SECOND_JOINT),
      "joint k mimics another; expected independent joints"),
     ("--urdf", urdf_of('type="revolute"'), "neither a frame nor a shape tells where its last link a ends"),
-    ("--mjcf", mjcf_of('<freejoint/><geom size="0.01"/>'), "is a floating joint; expected hinges"),
+    ("--mjcf", mjcf_of('<freejoint/><geom size="0.01"/>'), "is a floating joint; expected hinges or"),
     ("--mjcf", mjcf_of('<joint type="ball"/><geom size="0.01"/>'), "joint_1 is a ball joint; expected hinges"),
     ("--mjcf", mjcf_of('<joint name="j"/>'), "expected a mass and an inertia for each link that moves"),
     ("--mjcf", mjcf_of(HINGE_MJCF, '<equality><joint name="e" joint1="j"/></equality>'), "the equality e closes"),
-    ("--mjcf", mjcf_of(f'<joint name="k"/>{HINGE_MJCF}'), "body a has 2 joints; expected one hinge for each body"),
+    ("--mjcf", mjcf_of(f'<joint name="k"/>{HINGE_MJCF}'), "body a has 2 joints; expected one joint for each body"),
 ]  # fmt: skip
 """Options and texts that are not the description of a hand, and the text of the error."""
 

@@ -11,7 +11,7 @@ import pytest
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand, packaged_hands
-from handctl.hand.readiness import coordinate_range_deg
+from handctl.hand.readiness import displayed_range
 from handctl.programs.default_task import default_scene, default_task, grasp_warnings
 from handctl.programs.task import ClosePhase, HoldPhase, load_task
 from handctl.programs.task_checks import check_task_for_hand
@@ -30,7 +30,7 @@ def test_the_default_task_suits_every_hand_and_reads_back_from_text(
     assert load_task(tmp_path / "task.toml") == task
     assert [phase.kind for phase in task.phase] == ["move", "close", "hold", "release", "move"]
     for digit in (one for one in hand.digit if one.name not in hand.carrier_digits):
-        _, high = coordinate_range_deg(digit)
+        _, high = displayed_range(digit)
         close, hold = task.phase[1], task.phase[2]
         assert isinstance(close, ClosePhase)
         assert isinstance(hold, HoldPhase)

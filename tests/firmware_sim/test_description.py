@@ -120,7 +120,7 @@ def changed_fields(before: Any, after: Any) -> set[str]:
         ("motor_inertia", set(), set(), {"inertia"}, set()),
         ("torque_constant", set(), set(), {"torque_gain"}, set()),
         ("bias", set(), set(), set(), {"tension_bias"}),
-        ("noise", set(), set(), set(), {"tension_noise", "joint_noise"}),
+        ("noise", set(), set(), set(), {"tension_noise", "joint_noise", "travel_noise"}),
     ],
 )
 def test_each_factor_changes_only_its_parameters(

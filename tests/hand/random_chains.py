@@ -8,6 +8,8 @@ from handctl.hand.description import Hand
 from handctl.hand.hand_loading import hand_from_content, load_hand
 
 RANDOM_CHAIN_SEEDS = range(20)
+MIXED_SEEDS = range(20, 40)
+"""Seeds of hands in which about half of the joints are prismatic."""
 
 
 def random_tree(seed: int) -> Hand:
@@ -30,6 +32,8 @@ def random_hand(seed: int, *counts: int, rng: np.random.Generator | None = None)
     counts = counts or (seed % 8 + 1, int(rng.integers(1, 8)))
     content = load_hand("jamia11").content
     digits = [random_digit(rng, f"d{number}", count) for number, count in enumerate(counts)]
+    for number, digit in enumerate(digits) if seed in MIXED_SEEDS else ():
+        mix_in_prismatic_joints(np.random.default_rng((seed, number)), digit)
     line: list[str] = []
     for digit in digits if mounted else ():
         # A digit is carried by the palm, by the digit before it, or by a carrier of that digit.
@@ -41,12 +45,16 @@ def random_hand(seed: int, *counts: int, rng: np.random.Generator | None = None)
     motors: list[dict[str, Any]] = []
     for digit in digits:
         joints = [f"{digit['name']}_j{i + 1}" for i in range(len(digit["link_length_m"]))]
+        types = digit.get("joint_type", ["revolute"] * len(joints))
+        sliding = {joint for joint, kind in zip(joints, types, strict=True) if kind == "prismatic"}
         for i, name in enumerate(joints):
             number = len(tendons)
             arms = {joint: float(rng.uniform(0.002, 0.006)) for joint in joints[: i + 1]}
+            ratios = {joint: 200.0 * arms.pop(joint) for joint in sliding & arms.keys()}
             tendons.append(
                 content["tendon"][0]
                 | {"name": f"{name}_t", "motor": f"{name}_m", "moment_arm_m": arms}
+                | ({"excursion_ratio": ratios} if ratios else {})
             )
             motors.append(content["motor"][0] | {"name": f"{name}_m", "node_id": number + 1})
     gravity = rng.normal(size=3)
@@ -96,3 +104,24 @@ def random_digit(rng: np.random.Generator, name: str, count: int) -> dict[str, A
         "spring_stiffness_N_m_per_rad": rng.uniform(0.03, 0.1, count).tolist(),
         "spring_preload_rad": [0.6] * count,
     }
+
+
+def mix_in_prismatic_joints(chance: np.random.Generator, digit: dict[str, Any]) -> None:
+    """Make some joints of a digit prismatic. The first digits of some hands have such joints only."""
+    count = len(digit["link_length_m"])
+    slides = chance.random(count) < (1.0 if chance.random() < 0.2 else 0.5)
+    digit["joint_type"] = ["prismatic" if slide else "revolute" for slide in slides]
+    values = {
+        "joint_min_deg": ("joint_min_m", -0.05, -0.02),
+        "joint_max_deg": ("joint_max_m", 0.02, 0.05),
+        "joint_damping_N_m_s_per_rad": ("joint_damping_N_s_per_m", 0.5, 5.0),
+        "joint_armature_kg_m2": ("joint_armature_kg", 0.0, 0.01),
+        "spring_stiffness_N_m_per_rad": ("spring_stiffness_N_per_m", 100.0, 500.0),
+        "spring_preload_rad": ("spring_preload_m", 0.06, 0.1),
+    }
+    for key, (sliding, low, high) in values.items():
+        digit[key] = [value for value, slide in zip(digit[key], slides, strict=True) if not slide]
+        digit[sliding] = chance.uniform(low, high, int(slides.sum())).tolist()
+        for name in (key, sliding):
+            if not digit[name]:
+                del digit[name]

@@ -34,13 +34,14 @@ def arrays_agree(mine, reference):
 
 
 def pinocchio_by_hand(digit: DigitModel, gravity) -> pinocchio.Model:
-    """Build a digit in pinocchio as a chain of hinges, without its URDF."""
+    """Build a digit in pinocchio as a chain of hinges and prismatic joints, without its URDF."""
     model, parent = pinocchio.Model(), 0
     place = pinocchio.SE3(np.array(digit.mount_rotation), np.array(digit.mount_position))
     for i in range(digit.joint_count):
         turned = pinocchio.SE3(joint_rotation(digit, i), np.zeros(3))
-        hinge = pinocchio.JointModelRevoluteUnaligned(np.array(digit.axes[i]))
-        parent = model.addJoint(parent, hinge, place * turned, digit.joint_names[i])
+        kinds = (pinocchio.JointModelRevoluteUnaligned, pinocchio.JointModelPrismaticUnaligned)
+        joint = kinds[int(digit.is_prismatic[i])](np.array(digit.axes[i]))
+        parent = model.addJoint(parent, joint, place * turned, digit.joint_names[i])
         body = pinocchio.Inertia(
             digit.masses[i], np.array(digit.coms[i]), np.array(digit.inertias[i])
         )

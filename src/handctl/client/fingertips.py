@@ -87,7 +87,7 @@ class Fingertips:
             found = closest_tip(model, target, self._coordinates[d])
             self._coordinates[d] = found.coordinates
             self.distances_m[d] = found.distance
-            joints = np.degrees(model.coupling @ found.coordinates).tolist()
+            joints = model.joint_units.displayed(model.coupling @ found.coordinates).tolist()
             angles |= dict(zip(model.joint_names, joints, strict=True))
         return angles
 
@@ -162,4 +162,6 @@ class FingertipStream(TargetStream):
     def _present_values(self) -> NDArray[np.float64]:
         """Return the present joint angles [deg]."""
         present = self._hand.observe().named("q_rad")
-        return np.degrees([present[joint] for joint in self.joints])
+        units = self._hand.description.display_units
+        known = dict(zip(self._hand.description.joints, units.factor.tolist(), strict=True))
+        return np.array([known[joint] * present[joint] for joint in self.joints])

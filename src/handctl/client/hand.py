@@ -320,7 +320,8 @@ class HandClient:
                 None is given, all of the hand are used.
             interpolation: motion between two successive target angles. ``"linear"`` has a constant
                 speed, ``"minimum_jerk"`` is smooth.
-            unit: unit of the angles in a target.
+            unit: unit of the angles in a target. For prismatic joints, ``"deg"`` means mm, and
+                ``"rad"`` means m.
             stiffness_N_m_per_rad: stiffness of the streamed joints against a push, for impedance
                 control. If None is given, the stiffness of the gains is used, which is also the
                 largest.

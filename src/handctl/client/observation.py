@@ -110,8 +110,8 @@ class Observation:
 
     @property
     def q_deg(self) -> Vector:
-        """Return the (J,) estimated joint angle [deg]."""
-        return np.degrees(self.q_rad)
+        """Return the (J,) estimated joint angle [deg], in mm for a prismatic joint."""
+        return self._hand.display_units.displayed(self.q_rad)
 
     @property
     def stream(self) -> StreamStatus:

@@ -82,11 +82,10 @@ class TargetStream:
         self._hand = hand
         self._sender = sender
         self.space: str = goal["space"]
-        self._unit_factor = (
-            180.0 / np.pi if unit == "rad" and TARGET_UNIT_BY_SPACE[self.space] == "deg" else 1.0
-        )
         self.name: str = goal["stream"]
         self.names: tuple[str, ...] = tuple(goal["names"])
+        in_si = unit == "rad" and TARGET_UNIT_BY_SPACE[self.space] == "deg"
+        self._unit_factor: Any = self._displayed_per_si() if in_si else 1.0
         self.rate_Hz: float = goal["rate_Hz"]
         self.horizon_s = horizon_s
         self.sent = self.skipped = 0
@@ -184,6 +183,13 @@ class TargetStream:
             raise ConfigError(f"{name} is not finite", "send", "a finite number")
         return target
 
+    def _displayed_per_si(self) -> NDArray[np.float64]:
+        """Return the factor of each value from SI units to displayed units, (V,) [deg/rad or mm/m]."""
+        hand = self._hand.description
+        factors = dict(zip(hand.joints, hand.display_units.factor.tolist(), strict=True))
+        factors |= {name: hand.displayed_mean(name).factor[0] for name in hand.digit_names}
+        return np.array([factors[name] for name in self.names])
+
     def _present_values(self) -> NDArray[np.float64]:
         """Return the present values of the hand.
 
@@ -193,10 +199,9 @@ class TargetStream:
         if TARGET_UNIT_BY_SPACE[self.space] != "deg":
             present = seen.named("tension_N" if self.space == "tension" else "tip_force_N")
             return np.array([present[name] for name in self.names])
-        angles = dict(
-            zip(self._hand.description.joints, np.degrees(seen.q_rad).tolist(), strict=True)
-        )
-        joints = self._hand.description.digit_joints
-        for name, part in joints.items():
-            angles[name] = float(np.degrees(seen.q_rad[part]).mean())
-        return np.array([angles[name] for name in self.names]) / self._unit_factor
+        hand = self._hand.description
+        displayed = hand.display_units.displayed(seen.q_rad)
+        angles = dict(zip(hand.joints, displayed.tolist(), strict=True))
+        for name, part in hand.digit_joints.items():
+            angles[name] = float(displayed[part].mean())
+        return np.asarray(np.array([angles[name] for name in self.names]) / self._unit_factor)

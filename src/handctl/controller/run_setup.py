@@ -242,7 +242,8 @@ def make_sensors(hand: Hand) -> SensorInterface:
     bus = hand.bus_names.index(node.bus)
     if node.is_cia404:
         return Cia404LoadCells.from_description(node, bus, hand.tendon_names)
-    return SensorNode.from_description(node, bus, hand.tendon_names, hand.joints)
+    prismatic = hand.is_prismatic.nonzero()[0].tolist()
+    return SensorNode.from_description(node, bus, hand.tendon_names, hand.joints, prismatic)
 
 
 def make_controller(

@@ -122,6 +122,8 @@ LINK_TABLE = _real("link", "joint", "",
     "frames and bodies of the links, see hand.rigid_body", rows=rigid_body.TABLE_ROW_COUNT)  # fmt: skip
 PARENT_JOINT = _whole("parent", "joint", "",
     "index of the joint before, towards the palm; -1 for the first")  # fmt: skip
+JOINT_SCALE = _real("joint_scale", "joint", "rad/rad or m/rad",
+    "motion that counts like 1 rad in thresholds: 1, less for a prismatic joint", initial=1.0)  # fmt: skip
 JOINT_MIN = _real("low", "joint", "rad", "smallest joint angle")
 JOINT_MAX = _real("high", "joint", "rad", "largest joint angle")
 RANGE_SIGMA = _real("range_sigma", "joint", "rad",
@@ -239,7 +241,8 @@ JOINT_STEP_LIMIT = _real("joint_step_limit", "joint", "rad",
     "largest step of a joint angle in a period")  # fmt: skip
 RESIDUAL_FRACTION = _real("residual_fraction", "tendon", "",
     "update fraction of each low-passed residual", rows=8)  # fmt: skip
-ARMS_SUM = _real("arms_sum", "tendon", "m", "sum of the absolute moment arms of a tendon")
+ARMS_SUM = _real("arms_sum", "tendon", "m",
+    "sum of the absolute moment arms of a tendon, times the scale of each joint")  # fmt: skip
 MOTOR_PERIOD = _real("motor_period", "tendon", "s",
     "time between two reported positions of the motor")  # fmt: skip
 JOINT_PERIOD = _real("joint_period", "run", "s", "time between two readings of the joint encoders")

@@ -23,7 +23,7 @@ from handctl.core.estimation.filter_stack import FilterBlock
 from handctl.core.estimation.varying_moment_arms import MIN_SPRING_STIFFNESS
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import Vector
-from handctl.drives.sensors.sensor_node import JOINT_STEP_RAD
+from handctl.drives.sensors.sensor_node import JOINT_STEP_M, JOINT_STEP_RAD
 from handctl.hand.digit import DigitModel
 
 with deferred_imports():
@@ -120,7 +120,7 @@ def _motor_constants(model: HandModel) -> dict[str, object]:
         ),
         "fast_fraction": -math.expm1(-model.period / contact_force.FAST_GRIP_TIME_CONSTANT_S),
         "slow_fraction": -math.expm1(-model.period / contact_force.SLOW_GRIP_TIME_CONSTANT_S),
-        "arms_sum": np.abs(model.hand.own_arms).sum(axis=1),
+        "arms_sum": (np.abs(model.hand.own_arms) * model.hand.display_units.scale).sum(axis=1),
     }
 
 
@@ -195,6 +195,7 @@ def _link_constants(model: HandModel) -> dict[str, object]:
     return {
         "spring": np.concatenate([digit.spring_stiffness for digit in digits]),
         "preload": np.concatenate([digit.spring_preload for digit in digits]),
+        "joint_scale": model.hand.display_units.scale,
         "joint_damping": np.concatenate([digit.joint_damping for digit in digits]),
         "link": model.tree.table,
         "parent": model.tree.parent,
@@ -246,7 +247,9 @@ def _posture_constants(model: HandModel) -> dict[str, object]:
     read = np.array([joint in hand.sensor_node.joints for joint in hand.joints])
     fused = bool((compliance.any(axis=1) & read).any())
     every = 1 if fused else max(1, round(posture.POSTURE_UPDATE_PERIOD_S / model.period))
-    noise = hand.sensor_node.joint_noise_rad**2 + JOINT_STEP_RAD**2 / 12.0
+    count = np.where(hand.is_prismatic, JOINT_STEP_M, JOINT_STEP_RAD)
+    noise = hand.joint_noise**2 + count**2 / 12.0
+    hinge = hand.sensor_node.joint_noise_rad**2 + JOINT_STEP_RAD**2 / 12.0
     return {
         "compliance": compliance,
         "spread": spread,
@@ -257,7 +260,7 @@ def _posture_constants(model: HandModel) -> dict[str, object]:
         "loose": compliance.any(axis=1) & read,
         "excursion_variance": np.where(
             hand.tendons_with_encoders,
-            noise * (arms**2).sum(axis=1),
+            hinge * (arms**2 * (noise / hinge)).sum(axis=1),
             (2.0 * model.gains.filter.offset_m) ** 2,
         ),
         "turn_fraction": -math.expm1(-every * model.period / posture.TURN_SMOOTHING_S),
@@ -273,7 +276,8 @@ def _joint_compliance(digit: DigitModel) -> Vector:
     free = null_space(digit.moment_arms)
     if not free.shape[1]:
         return np.zeros((digit.joint_count, digit.joint_count))
-    stiffness = np.diag(np.maximum(digit.spring_stiffness, MIN_SPRING_STIFFNESS))
+    softest = MIN_SPRING_STIFFNESS / digit.joint_units.scale**2
+    stiffness = np.diag(np.maximum(digit.spring_stiffness, softest))
     return np.asarray(free @ np.linalg.solve(free.T @ stiffness @ free, free.T))
 
 

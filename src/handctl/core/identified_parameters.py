@@ -197,6 +197,8 @@ def _scale_arms(tendon: dict[str, Any], factor: float) -> None:
     """Scale the moment arms of a tendon, which are numbers, polynomials, or tables of angles and arms."""
     if factor == 1.0:
         return
+    for joint, ratio in tendon.get("excursion_ratio", {}).items():
+        tendon["excursion_ratio"][joint] = factor * ratio
     for joint, arm in tendon["moment_arm_m"].items():
         if isinstance(arm, Mapping):
             lengths = {

@@ -31,6 +31,7 @@ from handctl.gym.observation_layout import (
     ObservationPart,
     telemetry_part,
 )
+from handctl.hand.file.display_units import DisplayUnits
 from handctl.hand.hand_loading import load_hand
 from handctl.programs.live_session import LiveProgram
 from handctl.programs.requests import REFUSED_PREFIX, target_request_text
@@ -60,7 +61,9 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         hand: description of the hand.
         names: names of the joints or digits to which the V targets of an action belong, in order.
         layout: names, units and bounds of an observation.
-        low_deg, high_deg: (V,) angles for the action values -1 and 1 [deg].
+        low_deg, high_deg: (V,) angles for the action values -1 and 1 [deg, or mm of prismatic
+            joints].
+        units: units of the joints or digits (V,).
         ticks: number of control ticks in a step.
         step_s: duration of a step [s].
         horizon_s: time from an action until the hand should reach the target of the action [s].
@@ -110,7 +113,15 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         self.max_steps = max(1, round(duration_s / self.step_s))
         self.horizon_s = target_horizon_s(1.0 / self.step_s, self.model.period)
         self._space = space
-        self._largest_step_deg = speed_deg_s * self.step_s
+        self.units = (
+            self.hand.display_units
+            if space == "joint"
+            else DisplayUnits.of(
+                [self.hand.displayed_mean(name).is_prismatic[0] for name in self.names]
+            )
+        )
+        # A prismatic joint moves 10 mm per rad.
+        self._largest_step_deg = speed_deg_s * self.step_s * self.units.per_degree
         self._target_deg = self.low_deg
         self._perturb = dict(perturb or {})
         self.layout = ObservationLayout(self.observation_parts())
@@ -225,7 +236,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         self._target_number = 0
         self._last_streamed_names = ()
         self._target_deg = np.clip(
-            np.degrees(self.coordinates_of_joints(self.last_output.telemetry.q)),
+            self.units.displayed(self.coordinates_of_joints(self.last_output.telemetry.q)),
             self.low_deg,
             self.high_deg,
         )
@@ -369,12 +380,7 @@ def _target_range_deg(model: HandModel, space: TargetSpace) -> tuple[Vector, Vec
     The range of a digit is the part common to the ranges of all coordinates of the digit.
     """
     if space == "joint":
-        digits = model.hand.digit
-        lowest = [angle for digit in digits for angle in digit.joint_min_deg]
-        return np.array(lowest), np.array(
-            [angle for digit in digits for angle in digit.joint_max_deg]
-        )
-    reach = [digit.reach for digit in model.digits]
-    low = np.array([math.degrees(bounds[0].max()) for bounds in reach])
-    high = np.array([math.degrees(bounds[1].min()) for bounds in reach])
-    return low, high
+        low, high = zip(*(digit.displayed_limits for digit in model.hand.digit), strict=True)
+        return np.concatenate(low), np.concatenate(high)
+    reach = [digit.coordinate_units.displayed(digit.reach) for digit in model.digits]
+    return np.array([one[0].max() for one in reach]), np.array([one[1].min() for one in reach])

@@ -11,6 +11,7 @@ from handctl.core.tick_types import Vector
 from handctl.errors import ConfigError
 from handctl.gym.environment import MAX_TARGET_SPEED_DEG_S, HandEnv, TargetSpace
 from handctl.gym.observation_layout import ObservationPart
+from handctl.hand.file.display_units import DisplayUnits
 
 HALF_REWARD_ERROR_DEG = 5.0
 """Tracking error at which the reward of a step is half the largest reward [deg]."""
@@ -80,17 +81,19 @@ class TrackEnv(HandEnv):
         course = self._middle + (self._swing * np.sin(self._rate * t_s + self._phase)).sum(axis=0)
         s = min(t_s / REFERENCE_BLEND_S, 1.0)
         blend = s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
-        angles = np.degrees(self._start) * (1.0 - blend) + course * blend
+        angles = self._reference_units.displayed(self._start) * (1.0 - blend) + course * blend
         return angles if self._space == "digit" else self._joints_of(angles)
 
     def extra_values(self, name: str) -> Any:
         """Return the reference at present or after the horizon, according to the name of the part [rad]."""
         ahead = self.horizon_s if name == "reference_ahead_rad" else 0.0
-        return np.radians(self.reference_deg(self.t_s + ahead))
+        return self.units.si(self.reference_deg(self.t_s + ahead))
 
     def judge_step(self) -> tuple[float, bool, dict[str, Any]]:
         """Return the reward of a step for its true tracking error, False, and the error as information."""
-        error = np.degrees(self.coordinates_of_joints(self.true_q)) - self.reference_deg(self.t_s)
+        error = self.units.displayed(self.coordinates_of_joints(self.true_q)) - self.reference_deg(
+            self.t_s
+        )
         rms = float(np.sqrt(np.mean(error**2)))
         return 1.0 / (1.0 + (rms / HALF_REWARD_ERROR_DEG) ** 2), False, {"error_deg": rms}
 
@@ -101,8 +104,17 @@ class TrackEnv(HandEnv):
         """
         if self._space == "digit":
             return self.low_deg, self.high_deg
-        low, high = np.degrees(self.model.reach)
+        low, high = self._reference_units.displayed(self.model.reach)
         return low, high
+
+    @property
+    def _reference_units(self) -> DisplayUnits:
+        """Return the units of the references, which are digits, or coordinates of joints."""
+        if self._space == "digit":
+            return self.units
+        return DisplayUnits.of(
+            np.concatenate([digit.coordinate_units.is_prismatic for digit in self.model.digits])
+        )
 
     def _coordinates_of(self, q: Vector) -> Vector:
         """Return the values of the references that correspond to joint angles (J,), in the unit of these angles."""

@@ -11,9 +11,12 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, model_validator
 
 from handctl.hand.file import quantities as qty
+from handctl.hand.file.display_units import DisplayUnits
 from handctl.hand.file.sections import (
     CIA404_KEYS,
+    DEFAULT_JOINT_NOISE_M,
     HANDCTL_NODE_KEYS,
+    PRISMATIC_KEYS,
     Bus,
     Digit,
     Motor,
@@ -40,14 +43,14 @@ DIGIT_KEYS_ADDED_LATER = (
     "joint_rated_torque_N_m",
     "joint_axis",
     "joint_rpy_deg",
-    "mount_on",
-    *MESH_KEYS,
-)
+    "mount_on", "joint_type",
+    "joint_rated_force_N", *PRISMATIC_KEYS, *MESH_KEYS,
+)  # fmt: skip
 """Keys of a digit that a later version of handctl added.
 
 ``Hand.content`` has only those that the file has.
 """
-TENDON_KEYS_ADDED_LATER = ("pretension_N",)
+TENDON_KEYS_ADDED_LATER = ("pretension_N", "excursion_ratio")
 """Keys of a tendon that a later version of handctl added.
 
 ``Hand.content`` has only those that the file has.
@@ -158,14 +161,42 @@ class Hand(Section):
         return tuple(bus.name for bus in self.bus)
 
     @cached_property
+    def is_prismatic(self) -> NDArray[np.bool_]:
+        """Return True for each prismatic joint, (J,)."""
+        return np.array([slides for digit in self.digit for slides in digit.is_prismatic])
+
+    @cached_property
+    def display_units(self) -> DisplayUnits:
+        """Return the units in which a user sees the positions of the joints, (J,)."""
+        return DisplayUnits.of(self.is_prismatic)
+
+    def displayed_mean(self, digit: str) -> DisplayUnits:
+        """Return the unit in which a user sees the mean position of a digit's joints, (1,).
+
+        It is mm if all joints of the digit are prismatic.
+        """
+        return DisplayUnits.of([self.is_prismatic[self.digit_joints[digit]].all()])
+
+    @cached_property
+    def joint_noise(self) -> NDArray[np.float64]:
+        """Return the standard deviation of a sample of each joint's encoder, (J,) [rad or m]."""
+        sliding = self.sensor_node.joint_noise_m
+        return np.where(
+            self.is_prismatic,
+            DEFAULT_JOINT_NOISE_M if sliding is None else sliding,
+            self.sensor_node.joint_noise_rad,
+        )
+
+    @cached_property
     def moment_arms(self) -> NDArray[np.float64]:
         """Return the moment arms R, (N, J) [m], read-only. Excursion is R q, joint torque R^T f.
 
-        If a moment arm depends on the joint angle, R has its mean over the range of the joint.
+        If a moment arm depends on the joint angle, R has its mean over the range of the joint. The
+        entry of a prismatic joint is the tendon's excursion per motion of the joint [m/m].
         """
         limits = self.joint_limits.T.tolist()
         arms = np.array([
-            [mean_arm(tendon.moment_arm_m.get(joint, 0.0), *limits[j]) for j, joint in enumerate(self.joints)]
+            [mean_arm(tendon.arms.get(joint, 0.0), *limits[j]) for j, joint in enumerate(self.joints)]
             for tendon in self.tendon
         ])  # fmt: skip
         arms.setflags(write=False)
@@ -197,7 +228,7 @@ class Hand(Section):
     def arm_polynomials(self) -> NDArray[np.float64]:
         """Return the moment arms as polynomials of the joint angle, (N, J, quantities.COEFFICIENTS), read-only."""
         rows = [
-            [polynomial_of_arm(tendon.moment_arm_m.get(joint, 0.0)) for joint in self.joints]
+            [polynomial_of_arm(tendon.arms.get(joint, 0.0)) for joint in self.joints]
             for tendon in self.tendon
         ]
         polynomials = np.array(rows)
@@ -213,11 +244,8 @@ class Hand(Section):
 
     @cached_property
     def joint_limits(self) -> NDArray[np.float64]:
-        """Return the smallest and the largest angle of each joint, (2, J) [rad]."""
-        keys = ("joint_min_deg", "joint_max_deg")
-        return np.radians(
-            [[angle for digit in self.digit for angle in getattr(digit, key)] for key in keys]
-        )
+        """Return the smallest and the largest position of each joint, (2, J) [rad or m]."""
+        return np.concatenate([digit.joint_limits for digit in self.digit], axis=1)
 
     @cached_property
     def tendons_with_encoders(self) -> NDArray[np.bool_]:
@@ -268,9 +296,7 @@ class Hand(Section):
         If no crossed digit is carried by all others, return None.
         """
         crossed = [
-            digit.name
-            for digit in self.digit
-            if not tendon.moment_arm_m.keys().isdisjoint(digit.joints)
+            digit.name for digit in self.digit if not tendon.arms.keys().isdisjoint(digit.joints)
         ]
         outermost = [name for name in crossed if {name, *self.carriers_of(name)} >= set(crossed)]
         return outermost[0] if outermost else None
@@ -313,8 +339,11 @@ class Hand(Section):
         for kind, keys in later.items():
             for section in content[kind]:
                 for key in keys:
-                    if section[key] is None:  # a hand file without the key keeps its identity
+                    # A hand file without the key keeps its identity.
+                    if section[key] is None or section[key] in ((), {}):
                         del section[key]
+        if content["sensor_node"]["joint_noise_m"] is None:
+            del content["sensor_node"]["joint_noise_m"]
         content["mount"] = {
             key: value for key, value in content["mount"].items() if value is not None
         }

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from handctl.hand import rigid_body as body
 from handctl.hand.description import Hand
+from handctl.hand.file.display_units import DisplayUnits
 from handctl.hand.file.sections import Digit
 from handctl.hand.link_bodies import (
     centre_of_mass,
@@ -39,7 +40,9 @@ In a digit with parallel axes, a coordinate whose ratio exceeds this value moves
 class DigitModel:
     """Digit with n joints, n_t tendons, and n_c reduced coordinates theta.
 
-    Joint angles are q = B theta. Arrays are read-only.
+    Joint angles are q = B theta. Arrays are read-only. A prismatic joint has a position [m] in place
+    of an angle [rad], a force [N] in place of a torque [N m], and an excursion per position [m/m] in
+    place of a moment arm [m].
 
     Attributes:
         name: name of the digit.
@@ -53,6 +56,7 @@ class DigitModel:
         inertias: (n, 3, 3) inertia of each link about its centre of mass, in the link's frame [kg
             m2].
         axes: (n, 3) unit vector of each joint in the link's frame.
+        is_prismatic: (n,) True for each prismatic joint.
         radius: radius of the links [m].
         joint_min: (n,) smallest joint angles [rad].
         joint_max: (n,) largest joint angles [rad].
@@ -80,6 +84,8 @@ class DigitModel:
         arm_polynomials: (n_t, n, quantities.COEFFICIENTS) moment arms as polynomials of the joint
             angle.
         has_varying_arm: True if at least one moment arm depends on the joint angle.
+        joint_units: units in which a user sees the positions of the joints, (n,).
+        coordinate_units: units in which a user sees the reduced coordinates, (n_c,).
     """
 
     name: str
@@ -92,6 +98,7 @@ class DigitModel:
     masses: tuple[float, ...]
     inertias: Array
     axes: Array
+    is_prismatic: NDArray[np.bool_]
     radius: float
     joint_min: Array
     joint_max: Array
@@ -115,6 +122,8 @@ class DigitModel:
     motor_mass: Array
     arm_polynomials: Array
     has_varying_arm: bool
+    joint_units: DisplayUnits
+    coordinate_units: DisplayUnits
 
     @property
     def reach(self) -> tuple[Array, Array]:
@@ -143,7 +152,13 @@ class DigitModel:
                 + self.table[body.COSINE_ROTATION_ROW : body.COSINE_ROTATION_ROW + 9, i]
             )
             turned = turned @ step.reshape(3, 3)
-            axes.append(turned @ self.axes[i])
+            axis = self.axes[i]
+            if self.is_prismatic[i]:
+                # A prismatic joint moves the link like a hinge with this axis, far from the link.
+                axis = np.cross((1.0, 0.0, 0.0), axis)
+            axes.append(turned @ axis)
+        if np.linalg.norm(axes[-1]) < 0.5:
+            axes[-1] = turned[:, 2]  # the last link slides along itself
         away = np.abs(np.array(axes) @ axes[-1]) < math.cos(math.radians(SIDEWAYS_ANGLE_DEG))
         if away.any():
             # A coordinate flexes the digit if it moves at least one joint without sideways motion.
@@ -175,13 +190,14 @@ class DigitModel:
             masses=digit.link_mass_kg,
             inertias=_read_only_copy([link_inertia(digit, i) for i in links]),
             axes=_read_only_copy(joint_axes(digit)),
+            is_prismatic=np.array(digit.is_prismatic),
             radius=digit.link_radius_m,
-            joint_min=_read_only_copy(np.radians(digit.joint_min_deg)),
-            joint_max=_read_only_copy(np.radians(digit.joint_max_deg)),
-            joint_damping=digit.joint_damping_N_m_s_per_rad,
-            armature=digit.joint_armature_kg_m2,
-            spring_stiffness=digit.spring_stiffness_N_m_per_rad,
-            spring_preload=digit.spring_preload_rad,
+            joint_min=_read_only_copy(digit.joint_limits[0]),
+            joint_max=_read_only_copy(digit.joint_limits[1]),
+            joint_damping=digit.joint_values("joint_damping_N_m_s_per_rad"),
+            armature=digit.joint_values("joint_armature_kg_m2"),
+            spring_stiffness=digit.joint_values("spring_stiffness_N_m_per_rad"),
+            spring_preload=digit.joint_values("spring_preload_rad"),
             mount_rotation=_read_only_copy(rotation_of_rpy(*np.radians(digit.mount_rpy_deg))),
             mount_position=_read_only_copy(digit.mount_position_m),
             gravity=_read_only_copy(base_rotation(hand, digit).T @ hand.mount.gravity_m_s2),
@@ -202,6 +218,10 @@ class DigitModel:
             ),
             arm_polynomials=_read_only_copy(hand.arm_polynomials[tendons, joints]),
             has_varying_arm=bool(hand.has_varying_arm[tendons].any()),
+            joint_units=digit.display_units,
+            coordinate_units=DisplayUnits.of(
+                (coupling[np.array(digit.is_prismatic)] != 0.0).any(axis=0)
+            ),
         )
 
     @staticmethod
@@ -313,17 +333,20 @@ def coordinate_range(coupling: Array, limits: Array) -> Array:
 def link_table(digit: Digit) -> Array:
     """Return the table of a digit's links for ``rigid_body``, (rigid_body.ROWS, n)."""
     table = np.zeros((body.TABLE_ROW_COUNT, len(digit.joints)))
+    table[body.PRISMATIC_ROW] = digit.is_prismatic
+    armature = digit.joint_values("joint_armature_kg_m2")
     for i, axis in enumerate(joint_axes(digit)):
         position, rotation = link_placement(digit, i)
         along = np.outer(axis, axis)
         x, y, z = axis.tolist()
         cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        # Rodrigues' formula for a rotation by q about a: a a^T + cos q (1 - a a^T) + sin q [a]x.
-        for row, part in (
-            (body.FIXED_ROTATION_ROW, along),
-            (body.COSINE_ROTATION_ROW, np.eye(3) - along),
-            (body.SINE_ROTATION_ROW, cross),
-        ):
+        # Rodrigues' formula for a rotation by q about a: a a^T + cos q (1 - a a^T) + sin q [a]x. A
+        # prismatic joint does not rotate its link.
+        parts = (along, np.eye(3) - along, cross)
+        if digit.is_prismatic[i]:
+            parts = (np.eye(3), np.zeros((3, 3)), np.zeros((3, 3)))
+        rows = (body.FIXED_ROTATION_ROW, body.COSINE_ROTATION_ROW, body.SINE_ROTATION_ROW)
+        for row, part in zip(rows, parts, strict=True):
             table[row : row + 9, i] = (rotation @ part).ravel()
         mass = digit.link_mass_kg[i]
         com = centre_of_mass(digit, i)
@@ -338,7 +361,7 @@ def link_table(digit: Digit) -> Array:
         table[body.INERTIA_ROW : body.INERTIA_ROW + 6, i] = moments[
             (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
         ]
-        table[body.ARMATURE_ROW, i] = digit.joint_armature_kg_m2[i]
+        table[body.ARMATURE_ROW, i] = armature[i]
         table[body.LENGTH_ROW, i] = digit.link_length_m[i]
     return table
 

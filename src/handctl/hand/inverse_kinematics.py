@@ -64,7 +64,9 @@ def inverse_kinematics(
             has three joints and no direction is given.
     """
     if not _is_planar(digit):
-        raise ValueError(f"{digit.name} has hinges that are not along z; needed: parallel hinges")
+        raise ValueError(
+            f"{digit.name} has joints that are not hinges along z; needed: parallel hinges"
+        )
     if digit.joint_count == 2:
         return _two_link_solutions(digit.lengths[0], digit.lengths[1], x, y)
     if digit.joint_count != 3 or angle is None:
@@ -136,7 +138,8 @@ def _is_planar(digit: DigitModel) -> bool:
         np.array([digit.mount_rotation, *[np.eye(3)] * (digit.joint_count - 1)]).reshape(-1, 9).T
     )
     return bool(
-        np.all(digit.axes == (0.0, 0.0, 1.0))
+        not digit.is_prismatic.any()
+        and np.all(digit.axes == (0.0, 0.0, 1.0))
         and np.allclose(at_zero, straight, rtol=0.0, atol=1e-12)
     )
 

@@ -54,11 +54,14 @@ def point_jacobian(digit: DigitModel, q: JointValues, link: int, along: float) -
         q: joint angles (n,) [rad].
         link: index of the link, from 0.
         along: distance of the point from the joint of the link, along the link [m].
+
+    The column of a prismatic joint has no unit.
     """
     poses = link_poses(digit, q)
     point = joint_positions(poses)[link] + along * link_rotations(poses)[link, :, 0]
     axes = poses[:, rigid_body.DIRECTION_COLUMN : rigid_body.DIRECTION_COLUMN + 3]
-    jacobian = np.cross(axes, point - joint_positions(poses)).T
+    turning = np.cross(axes, point - joint_positions(poses))
+    jacobian = np.where(digit.is_prismatic[:, None], axes, turning).T
     # Joints farther out than the link do not move the point.
     jacobian[:, link + 1 :] = 0.0
     return np.asarray(jacobian)

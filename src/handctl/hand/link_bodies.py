@@ -9,15 +9,13 @@ from handctl.hand.file.sections import Digit
 
 Array = NDArray[np.float64]
 
-Z_AXIS = (0.0, 0.0, 1.0)
-"""Axis of each hinge of a digit without ``joint_axis``."""
 GIMBAL_LOCK = 1e-9
 """Cosine of the pitch below which roll and yaw cannot be separated."""
 
 
 def joint_axes(digit: Digit) -> Array:
     """Return the unit vectors of the joints' axes in the links' frames, (n, 3)."""
-    axes = np.array(digit.joint_axis or [Z_AXIS] * len(digit.link_length_m))
+    axes = np.array(digit.axes)
     return np.asarray(axes / np.linalg.norm(axes, axis=1, keepdims=True))
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from handctl.hand.description import Hand
 from handctl.hand.digit import coordinate_range
 from handctl.hand.file.error_text import FileMistake
-from handctl.hand.file.sections import Bus, Digit
+from handctl.hand.file.sections import PRISMATIC_KEYS, REVOLUTE_KEYS, Bus, Digit
 from handctl.hand.moment_arms import arm_table_residual, arms_at, table_of_arm
 
 Vector = NDArray[np.float64]
@@ -25,6 +25,9 @@ MAX_TORQUE_RESIDUAL = 1e-6
 """Largest torque that counts as 0, as a fraction of the torque of 1 N at the largest moment arm."""
 CHECKED_POSTURES = 11
 """Number of postures at which a digit is checked whose moment arms depend on joint angles."""
+SPRING_STIFFNESS = REVOLUTE_KEYS.index("spring_stiffness_N_m_per_rad")
+SPRING_PRELOAD = REVOLUTE_KEYS.index("spring_preload_rad")
+"""Indices of the keys of return springs."""
 SMALLEST_RANGE_DEG = 1.0
 """Smallest range of a coordinate that counts as a motion [deg]."""
 
@@ -57,7 +60,8 @@ def _check_direction(digit: Digit) -> Iterator[FileMistake]:
     if digit.coupling is None:
         return
     where = f"digit[{digit.name}].coupling"
-    for i, (low, high) in enumerate(zip(*coordinate_range_deg(digit), strict=True)):
+    for i, (low, high) in enumerate(zip(*displayed_range(digit), strict=True)):
+        # A range of less than 1 mm of a prismatic joint is no motion either.
         if high - low < SMALLEST_RANGE_DEG:
             right = "signs and sizes that leave the joints a common range within their limits"
             yield FileMistake(f"column {i} moves no joint within its limits", where, right)
@@ -69,12 +73,12 @@ def _check_direction(digit: Digit) -> Iterator[FileMistake]:
             )
 
 
-def coordinate_range_deg(digit: Digit) -> tuple[Vector, Vector]:
-    """Return the smallest and the largest value of each coordinate of a digit, (n_c,) each [deg].
+def displayed_range(digit: Digit) -> tuple[Vector, Vector]:
+    """Return the smallest and the largest value of each coordinate of a digit, (n_c,) each [deg or mm].
 
     Between these values, each coordinate alone keeps its joints within their limits.
     """
-    limits = np.array([digit.joint_min_deg, digit.joint_max_deg])
+    limits = np.array(digit.displayed_limits)
     if digit.coupling is None:
         return limits[0], limits[1]
     low, high = coordinate_range(np.array(digit.coupling), limits)
@@ -97,8 +101,8 @@ def _check_opening(hand: Hand, digit: Digit) -> Iterator[FileMistake]:
         )
     arms = postures[0]  # moment arms of the open digit
     floor = np.array([tendon.tension_floor_N for tendon in hand.tendon[tendons]])
-    stiffness = np.array(digit.spring_stiffness_N_m_per_rad)
-    opened = np.radians(digit.joint_min_deg) + np.array(digit.spring_preload_rad)
+    stiffness = np.array(digit.joint_values("spring_stiffness_N_m_per_rad"))
+    opened = np.add(digit.joint_limits[0], digit.joint_values("spring_preload_rad"))
     springs = coupling.T @ (stiffness * opened)
     closing = arms.T @ floor
     if all(map(can_hold_each_other, postures)):
@@ -116,9 +120,12 @@ def _check_opening(hand: Hand, digit: Digit) -> Iterator[FileMistake]:
     # torque most.
     worst = int(np.argmax(np.where(weak, closing - springs, -np.inf)))
     joint = f"j{worst + 1}" if digit.coupling is None else "the joints"
-    key = "spring_preload_rad" if stiffness.any() else "spring_stiffness_N_m_per_rad"
-    what = f"the springs open {joint} with {springs[worst]:.3g} N m at joint_min_deg"
-    right = f"more than the {closing[worst]:.3g} N m with which tension_floor_N closes"
+    slides = bool((coupling[np.array(digit.is_prismatic), worst] != 0.0).any())
+    keys = [(key, PRISMATIC_KEYS[i]) for i, key in enumerate(REVOLUTE_KEYS)]
+    key = keys[SPRING_PRELOAD if stiffness.any() else SPRING_STIFFNESS][slides]
+    unit = ("N m", "N")[slides]
+    what = f"the springs open {joint} with {springs[worst]:.3g} {unit} at {keys[0][slides]}"
+    right = f"more than the {closing[worst]:.3g} {unit} with which tension_floor_N closes"
     yield FileMistake(what, f"digit[{digit.name}].{key}", right)
 
 

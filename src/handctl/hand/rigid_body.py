@@ -1,10 +1,14 @@
-"""Rigid-body mechanics of trees of hinged links, as compiled code: poses, weight and inverse dynamics.
+"""Rigid-body mechanics of trees of links, as compiled code: poses, weight and inverse dynamics.
 
 A table has a column for each link, and each link comes after its parent. ``parent`` contains the
 column of each link's parent, or -1 for the palm. The frame of a link has its origin in the link's
 joint, and its x axis along the link. The tip of a link lies on this axis, at the length of the
 link. Gravity and poses are in the palm frame. Rates and forces of ``write_newton_euler`` are in the
 frames of the links.
+
+A joint is a hinge, or it is prismatic: its link slides along the joint's axis. Then positions are in
+m in place of rad, torques are forces [N] along the axis, and levers have no unit. The frame of a
+sliding link moves with the link.
 
 Source: Featherstone, Rigid Body Dynamics Algorithms (2008), recursive Newton-Euler algorithm.
 """
@@ -41,7 +45,9 @@ ARMATURE_ROW = 43
 """Row in the table of the inertia of the joint itself, without its link [kg m2]."""
 LENGTH_ROW = 44
 """Row in the table of the link's length [m]."""
-TABLE_ROW_COUNT = 45
+PRISMATIC_ROW = 45
+"""Row in the table that is 1 for a prismatic joint, and 0 for a hinge."""
+TABLE_ROW_COUNT = 46
 """Number of rows of a table."""
 
 ROTATION_COLUMN = 0
@@ -54,18 +60,22 @@ CARRIED_MASS_COLUMN = 15
 """Column in a pose of the mass of the link and of all links that it carries [kg]."""
 CARRIED_MOMENT_COLUMN = 16
 """First column in a pose of the first moment of this mass, in the palm frame [kg m]."""
-POSE_COLUMN_COUNT = 19
+PRISMATIC_COLUMN = 19
+"""Column in a pose that is 1 for a prismatic joint, and 0 for a hinge."""
+POSE_COLUMN_COUNT = 20
 """Number of columns of a pose."""
 
 # Columns of the working memory of ``write_newton_euler``. The rotation from a link to its parent
 # has columns 0 to 8. The following constants are the first columns of vectors in the frame of the
-# link, and the number of columns.
+# link, and the number of columns. Only the position of the joint (_ORIGIN) is in the frame of the
+# parent. It includes the position of a prismatic joint.
 _RATE = 9
 _TURN = 12
 _MOVE = 15
 _FORCE = 18
 _TORQUE = 21
-_WORK_COLUMN_COUNT = 24
+_ORIGIN = 24
+_WORK_COLUMN_COUNT = 27
 
 
 @kernel_helper
@@ -110,6 +120,9 @@ def write_link_poses(table: Array, row: int, parent: IndexArray, q: Array, pose:
                     + third * table[row + ORIGIN_ROW + 2, j]
                 )
             pose[j, DIRECTION_COLUMN + a] = _component_along(table, row + AXIS_ROW, pose, j, a)
+            if table[row + PRISMATIC_ROW, j] != 0.0:
+                pose[j, POSITION_COLUMN + a] += q[j] * pose[j, DIRECTION_COLUMN + a]
+        pose[j, PRISMATIC_COLUMN] = table[row + PRISMATIC_ROW, j]
 
 
 @kernel_helper
@@ -159,6 +172,13 @@ def write_weight_torques(
         x = pose[j, CARRIED_MOMENT_COLUMN] - mass * pose[j, POSITION_COLUMN]
         y = pose[j, CARRIED_MOMENT_COLUMN + 1] - mass * pose[j, POSITION_COLUMN + 1]
         z = pose[j, CARRIED_MOMENT_COLUMN + 2] - mass * pose[j, POSITION_COLUMN + 2]
+        if pose[j, PRISMATIC_COLUMN] != 0.0:
+            torque[j] = -mass * (
+                pose[j, DIRECTION_COLUMN] * gravity[0]
+                + pose[j, DIRECTION_COLUMN + 1] * gravity[1]
+                + pose[j, DIRECTION_COLUMN + 2] * gravity[2]
+            )
+            continue
         # The weight makes the torque (first moment) x gravity about the joint's axis. The negative
         # of this torque balances the weight.
         torque[j] = -(
@@ -200,8 +220,14 @@ def _lever(
 ) -> float:
     """Return the lever about joint j of a force along a unit vector n at a point p [m].
 
-    It is axis . ((p - joint) x n).
+    It is axis . ((p - joint) x n), and axis . n for a prismatic joint.
     """
+    if pose[j, PRISMATIC_COLUMN] != 0.0:
+        return (
+            pose[j, DIRECTION_COLUMN] * nx
+            + pose[j, DIRECTION_COLUMN + 1] * ny
+            + pose[j, DIRECTION_COLUMN + 2] * nz
+        )
     x, y, z = (
         px - pose[j, POSITION_COLUMN],
         py - pose[j, POSITION_COLUMN + 1],
@@ -229,7 +255,7 @@ def write_turned_levers(
         last: index of the last link of the chain, on which the force acts.
         along: distance of the point from the link's joint [m].
         turned: joint that turns.
-        angle: angle of the turn [rad].
+        angle: angle of the turn [rad]. A prismatic joint slides by this distance [m].
         lever: (n,) levers before the turn, modified in place up to the turned joint.
     """
     ax, ay, az = (
@@ -257,8 +283,11 @@ def write_turned_levers(
         + along * pose[last, ROTATION_COLUMN + 6]
         - pose[turned, POSITION_COLUMN + 2]
     )
-    nx, ny, nz = _rotated(ax, ay, az, angle, nx, ny, nz)
-    x, y, z = _rotated(ax, ay, az, angle, x, y, z)
+    if pose[turned, PRISMATIC_COLUMN] != 0.0:
+        x, y, z = x + angle * ax, y + angle * ay, z + angle * az
+    else:
+        nx, ny, nz = _rotated(ax, ay, az, angle, nx, ny, nz)
+        x, y, z = _rotated(ax, ay, az, angle, x, y, z)
     px, py, pz = (
         pose[turned, POSITION_COLUMN] + x,
         pose[turned, POSITION_COLUMN + 1] + y,
@@ -316,15 +345,16 @@ def write_newton_euler(
     # The loop visits the links from the tips to the palm, because each joint carries the forces of
     # its link and of all links beyond.
     for j in range(len(q) - 1, -1, -1):
+        load = _FORCE if table[row + PRISMATIC_ROW, j] != 0.0 else _TORQUE
         torque[j] = (
-            table[row + AXIS_ROW, j] * work[j, _TORQUE]
-            + table[row + AXIS_ROW + 1, j] * work[j, _TORQUE + 1]
-            + table[row + AXIS_ROW + 2, j] * work[j, _TORQUE + 2]
+            table[row + AXIS_ROW, j] * work[j, load]
+            + table[row + AXIS_ROW + 1, j] * work[j, load + 1]
+            + table[row + AXIS_ROW + 2, j] * work[j, load + 2]
             + table[row + ARMATURE_ROW, j] * ddq[j]
         )
         before = parent[j]
         if before >= 0:
-            _add_load_to_parent(table, row, work, j, before)
+            _add_load_to_parent(work, j, before)
 
 
 @kernel_helper
@@ -352,6 +382,18 @@ def _move_link(
             + cosine * table[row + COSINE_ROTATION_ROW + i, j]
             + sine * table[row + SINE_ROTATION_ROW + i, j]
         )
+    ax, ay, az = (
+        table[row + AXIS_ROW, j],
+        table[row + AXIS_ROW + 1, j],
+        table[row + AXIS_ROW + 2, j],
+    )
+    prismatic = table[row + PRISMATIC_ROW, j] != 0.0
+    for a in range(3):
+        work[j, _ORIGIN + a] = table[row + ORIGIN_ROW + a, j]
+        if prismatic:
+            work[j, _ORIGIN + a] += q * (
+                work[j, 3 * a] * ax + work[j, 3 * a + 1] * ay + work[j, 3 * a + 2] * az
+            )
     wx, wy, wz = 0.0, 0.0, 0.0
     tx, ty, tz = 0.0, 0.0, 0.0
     # An acceleration of the palm against gravity has the same effect as gravity.
@@ -367,11 +409,7 @@ def _move_link(
             work[parent_link, _TURN + 1],
             work[parent_link, _TURN + 2],
         )
-        ox, oy, oz = (
-            table[row + ORIGIN_ROW, j],
-            table[row + ORIGIN_ROW + 1, j],
-            table[row + ORIGIN_ROW + 2, j],
-        )
+        ox, oy, oz = work[j, _ORIGIN], work[j, _ORIGIN + 1], work[j, _ORIGIN + 2]
         # The acceleration of the joint's position is a + t x o + w x (w x o).
         ux, uy, uz = wy * oz - wz * oy, wz * ox - wx * oz, wx * oy - wy * ox
         mx = work[parent_link, _MOVE] + (ty * oz - tz * oy) + (wy * uz - wz * uy)
@@ -382,12 +420,13 @@ def _move_link(
         work[j, _RATE + a] = work[j, a] * wx + work[j, 3 + a] * wy + work[j, 6 + a] * wz
         work[j, _TURN + a] = work[j, a] * tx + work[j, 3 + a] * ty + work[j, 6 + a] * tz
         work[j, _MOVE + a] = work[j, a] * mx + work[j, 3 + a] * my + work[j, 6 + a] * mz
-    ax, ay, az = (
-        table[row + AXIS_ROW, j],
-        table[row + AXIS_ROW + 1, j],
-        table[row + AXIS_ROW + 2, j],
-    )
     wx, wy, wz = work[j, _RATE], work[j, _RATE + 1], work[j, _RATE + 2]
+    if prismatic:
+        # The link slides in a turning frame: a q'' + 2 w x (a q').
+        work[j, _MOVE] += ax * ddq + 2.0 * (wy * az - wz * ay) * dq
+        work[j, _MOVE + 1] += ay * ddq + 2.0 * (wz * ax - wx * az) * dq
+        work[j, _MOVE + 2] += az * ddq + 2.0 * (wx * ay - wy * ax) * dq
+        return
     work[j, _TURN] += ax * ddq + (wy * az - wz * ay) * dq
     work[j, _TURN + 1] += ay * ddq + (wz * ax - wx * az) * dq
     work[j, _TURN + 2] += az * ddq + (wx * ay - wy * ax) * dq
@@ -435,18 +474,14 @@ def _load_link(table: Array, row: int, work: Array, j: int) -> None:
 
 
 @kernel_helper
-def _add_load_to_parent(table: Array, row: int, work: Array, j: int, parent_link: int) -> None:
+def _add_load_to_parent(work: Array, j: int, parent_link: int) -> None:
     """Add force and torque of link j to those of its parent."""
     fx, fy, fz = work[j, _FORCE], work[j, _FORCE + 1], work[j, _FORCE + 2]
     nx, ny, nz = work[j, _TORQUE], work[j, _TORQUE + 1], work[j, _TORQUE + 2]
     gx = work[j, 0] * fx + work[j, 1] * fy + work[j, 2] * fz
     gy = work[j, 3] * fx + work[j, 4] * fy + work[j, 5] * fz
     gz = work[j, 6] * fx + work[j, 7] * fy + work[j, 8] * fz
-    ox, oy, oz = (
-        table[row + ORIGIN_ROW, j],
-        table[row + ORIGIN_ROW + 1, j],
-        table[row + ORIGIN_ROW + 2, j],
-    )
+    ox, oy, oz = work[j, _ORIGIN], work[j, _ORIGIN + 1], work[j, _ORIGIN + 2]
     work[parent_link, _FORCE] += gx
     work[parent_link, _FORCE + 1] += gy
     work[parent_link, _FORCE + 2] += gz

@@ -50,14 +50,20 @@ def strength_warnings(hand: Hand) -> tuple[str, ...]:
                 rows.setdefault(
                     _runaway_text(key, force, strength, motor.spool_radius_m), []
                 ).append(tendon.name)
-    unrated = [digit.name for digit in hand.digit if digit.joint_rated_torque_N_m is None]
-    if unrated:
-        key = "joint_rated_torque_N_m"
-        rows[f"{key} is missing: the strength of the joints in a runaway is unknown"] = unrated
+    for key, slides in (("joint_rated_torque_N_m", False), ("joint_rated_force_N", True)):
+        unrated = [
+            digit.name
+            for digit in hand.digit
+            if slides in digit.is_prismatic and getattr(digit, key) is None
+        ]
+        if unrated:
+            rows[f"{key} is missing: the strength of the joints in a runaway is unknown"] = unrated
     for digit in hand.digit:
         for joint, torque, rated in _joint_loads(hand, digit.name):
             if rated < STRENGTH_MARGIN * torque:
-                text = f"a runaway at torque_peak_N_m loads it with {torque:.3g} N m, and {rated:g} N m is its rating"
+                unit = "N" if hand.is_prismatic[hand.joints.index(joint)] else "N m"
+                load = f"{torque:.3g} {unit}, and {rated:g} {unit} is its rating"
+                text = f"a runaway at torque_peak_N_m loads it with {load}"
                 rows.setdefault(text, []).append(joint)
     return tuple(f"{shortened_list(names)}: {text}" for text, names in rows.items())
 
@@ -75,12 +81,13 @@ def _runaway_text(key: str, force: float, strength: float, spool: float) -> str:
 
 
 def _joint_loads(hand: Hand, digit: str) -> Iterable[tuple[str, float, float]]:
-    """Yield name, torque in a runaway, and rated torque [N m] of each joint of a digit.
+    """Yield name, torque in a runaway, and rated torque [N m or N] of each joint of a digit.
 
     For a digit without rated torques, yield nothing.
     """
     described = hand.digit_named(digit)
-    if described.joint_rated_torque_N_m is None:
+    rated = described.rated_loads
+    if rated is None:
         return
     tendons = hand.digit_tendons[digit]
     joints = hand.digit_joints[digit]
@@ -94,6 +101,4 @@ def _joint_loads(hand: Hand, digit: str) -> Iterable[tuple[str, float, float]]:
         postures = np.linspace(limits[0], limits[1], CHECKED_POSTURES)
         arms = np.abs(arms_at(hand.arm_polynomials[tendons, joints], limits, postures)).max(axis=0)
     torques = np.abs(arms).T @ peaks
-    yield from zip(
-        described.joints, torques.tolist(), described.joint_rated_torque_N_m, strict=True
-    )
+    yield from zip(described.joints, torques.tolist(), rated, strict=True)

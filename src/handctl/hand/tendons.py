@@ -134,8 +134,9 @@ def pulley_factors(digit: DigitModel, q: JointValues, speed: JointValues) -> Arr
     Returns:
         Factors by tendon and joint (n_t, n).
     """
-    # Only the joints that a tendon crosses add to its wrap angle.
-    passed = np.cumsum((digit.moment_arms != 0.0) * np.asarray(q), axis=1)
+    # Only the hinges that a tendon crosses add to its wrap angle.
+    wraps = (digit.moment_arms != 0.0) & ~digit.is_prismatic
+    passed = np.cumsum(wraps * np.asarray(q), axis=1)
     exponent = digit.friction * np.tanh(np.divide(speed, CAPSTAN_FRICTION_SPEED_M_S))
     return np.asarray(np.exp(-exponent[:, None] * (digit.wrap[:, None] + passed)))
 

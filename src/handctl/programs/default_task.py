@@ -15,7 +15,7 @@ from handctl.hand.file.toml_text import toml_text
 from handctl.hand.hand_loading import parse_toml
 from handctl.hand.hand_tree import HandTree
 from handctl.hand.kinematics import link_rotations
-from handctl.hand.readiness import coordinate_range_deg
+from handctl.hand.readiness import displayed_range
 from handctl.programs.task import Task
 
 CLOSED_FRACTION = 0.85
@@ -23,6 +23,9 @@ CLOSED_FRACTION = 0.85
 
 So a digit that touches no object stops before its joints reach their limits.
 """
+CLOSING_SPEED = 50.0
+SLIDING_SPEED = 20.0
+"""Speed with which digits close [deg/s], and the speed of a hand with prismatic joints [deg/s or mm/s]."""
 LARGEST_CLOSED_DEG = 120.0
 """Largest angle of a closed coordinate [deg]."""
 HOLD_FRACTION = 0.3
@@ -90,7 +93,7 @@ def default_task(hand: Hand) -> tuple[Task, str]:
                 "kind": "close",
                 "name": "close",
                 "angle_deg": {name: _closed_angles_deg(hand, name).tolist() for name in closing},
-                "speed_deg_s": 50.0,
+                "speed_deg_s": SLIDING_SPEED if hand.is_prismatic.any() else CLOSING_SPEED,
                 "contact_tension_N": round(max(CONTACT_FRACTION * largest, floor + 1.0), 1),
             },
             {
@@ -120,8 +123,8 @@ def default_task(hand: Hand) -> tuple[Task, str]:
 
 
 def _closed_angles_deg(hand: Hand, name: str) -> np.ndarray:
-    """Return the angles of the coordinates of a closed digit (n_c,) [deg]."""
-    _, high = coordinate_range_deg(hand.digit_named(name))
+    """Return the angles of the coordinates of a closed digit (n_c,) [deg, or mm of prismatic joints]."""
+    _, high = displayed_range(hand.digit_named(name))
     sideways = DigitModel.from_hand(hand, name).sideways_coordinates
     closed = np.where(sideways, 0.0, np.minimum(CLOSED_FRACTION * high, LARGEST_CLOSED_DEG))
     return np.asarray(np.round(closed, 1))
@@ -208,7 +211,7 @@ def _hold_tensions(hand: Hand, name: str, share: float) -> float | list[float]:
 def _pressing_tension(hand: Hand, name: str) -> float:
     """Return the tension of closing tendons that makes PRESSING_FORCE_N at the tip of a half-closed digit [N]."""
     digit = DigitModel.from_hand(hand, name)
-    half = np.radians(_closed_angles_deg(hand, name)) / 2
+    half = digit.coordinate_units.si(_closed_angles_deg(hand, name)) / 2
     q = digit.coupling @ half
     springs = digit.coupling.T @ (
         np.array(digit.spring_stiffness) * (q + np.array(digit.spring_preload))

@@ -41,7 +41,7 @@ class ExerciseStage:
         name: phase in the log: `settle`, `move`, `close` or `hold`. `move` and `hold` are
             scored.
         duration: duration including the rest [s].
-        angle: target of a move [rad], NaN for a tension.
+        angle: target of a move [rad], NaN for a tension. A prismatic joint moves 10 mm per rad.
         tension: target of a tension [N].
         rest: rest at the end of a move [s].
     """
@@ -155,6 +155,8 @@ def _digit_goal(
 ) -> DigitGoal:
     """Return the goal of digit d in a stage."""
     if not math.isnan(stage.angle):
-        return motion_to(model.digits[d], estimate, stage.angle, stage.duration - stage.rest, t)
+        digit = model.digits[d]
+        aim = stage.angle * digit.coordinate_units.scale
+        return motion_to(digit, estimate, aim, stage.duration - stage.rest, t)
     tension = pull_tensions(model, d, stage.tension, estimate)
     return tension_goal(model, d, tension, model.gains.tension.rate_N_per_s, estimate)

@@ -146,7 +146,9 @@ def _start_refusal(
     for d, name in enumerate(model.hand.digit_names):
         digit = model.digits[d]
         angle = end_angles(
-            first_move.angle_deg, digit, np.degrees(coordinates_by_excursion(digit, estimate))
+            first_move.angle_deg,
+            digit,
+            digit.coordinate_units.displayed(coordinates_by_excursion(digit, estimate)),
         )
         if angle is None:
             continue
@@ -253,7 +255,8 @@ def apply_goal(
                 continue
             if reason := _reach_problem(model, d, estimate, end, request.duration_s):
                 return progress, (TickEvent("warn", "request", name, f"refused: {name} {reason}"),)
-            goals[d] = _move_goal(model, d, estimate, start, np.radians(end), request.duration_s, t)
+            aim = model.digits[d].coordinate_units.si(end)
+            goals[d] = _move_goal(model, d, estimate, start, aim, request.duration_s, t)
             contact[d] = False
         elif name in values:
             value, tendons = values[name], model.digit_tendons[d]
@@ -293,7 +296,7 @@ def _end_of_move(
         return np.full(count, angles[name]) if name in angles else None
     if name in angles:
         return f"{name} and {joints[next(iter(given))]}, expected either the digit or its joints"
-    now = np.degrees(
+    now = digit.coordinate_units.displayed(
         np.clip(
             start if isinstance(start, np.ndarray) else coordinates_by_excursion(digit, start),
             *digit.reach,
@@ -330,11 +333,16 @@ def _reach_problem(
 ) -> str:
     """Return the reason why a digit cannot move to coordinates [deg] in a time [s], empty if it can."""
     digit = model.digits[d]
-    joint_min, joint_max = (np.degrees(bound) for bound in digit.reach)
-    for angle, low, high in zip(end, joint_min, joint_max, strict=True):
+    units = digit.coordinate_units
+    joint_min, joint_max = (units.displayed(bound) for bound in digit.reach)
+    for angle, low, high, unit in zip(end, joint_min, joint_max, units.names, strict=True):
         if not low - ROUNDING_DEG <= angle <= high + ROUNDING_DEG:
-            return f"{angle:g} deg, expected from {low:g} to {high:g} deg"
-    travel = np.abs(end - np.degrees(coordinates_by_excursion(digit, estimate))).max()
-    peak = PEAK_SPEED_RATIO * float(travel) / duration
-    too_fast = f"at up to {peak:.0f} deg/s, expected at most {FOLLOW_SPEED_DEG_S:g} deg/s: give it more time"
-    return "" if peak <= FOLLOW_SPEED_DEG_S else too_fast
+            return f"{angle:g} {unit}, expected from {low:g} to {high:g} {unit}"
+    travel = np.abs(end - units.displayed(coordinates_by_excursion(digit, estimate)))
+    worst = int(np.argmax(travel / units.per_degree))
+    peak = PEAK_SPEED_RATIO * float(travel[worst]) / duration
+    unit, limit = units.names[worst], FOLLOW_SPEED_DEG_S * units.per_degree[worst]
+    too_fast = (
+        f"at up to {peak:.0f} {unit}/s, expected at most {limit:.4g} {unit}/s: give it more time"
+    )
+    return "" if peak <= limit else too_fast

@@ -111,7 +111,7 @@ class TargetMapping(NamedTuple):
     """Linear map from the values of a target to the coordinates of the digits.
 
     Attributes:
-        matrix: (C, V) coordinates [rad] per value [deg].
+        matrix: (C, V) coordinates [rad] per value [deg], or [m] per value [mm].
         driven: (C,) True where the stream sets the coordinate.
         digits: indices of the digits with a coordinate that the stream sets.
         held: indices of those digits whose tendons cannot hold every posture, see ``nearest_holdable_posture``.
@@ -147,7 +147,8 @@ def mapping_of_stream(model: HandModel, space: str, names: tuple[str, ...]) -> T
             digits.append(d)
     driven = np.abs(values).max(axis=1) > 1e-12
     held = tuple([d for d in digits if _is_held_by_each_tendon(model.digits[d])])
-    return TargetMapping(np.radians(values), driven, tuple(digits), held)
+    inverse = np.concatenate([digit.coordinate_units.inverse for digit in model.digits])
+    return TargetMapping(values * inverse[:, None], driven, tuple(digits), held)
 
 
 def stream_problem(model: HandModel, request: OpenStream) -> str:
@@ -251,7 +252,8 @@ def loop_fractions(model: HandModel, stream: StreamPlan) -> tuple[Vector, Vector
         return stiffness, damping
     for d in streamed_digits(model, stream):
         digit = model.digits[d]
-        arms = (digit.reduced_moment_arms**2).sum(axis=1)
+        # A prismatic joint has the stiffness along a circle with the radius of its scale.
+        arms = ((digit.reduced_moment_arms * digit.coordinate_units.scale) ** 2).sum(axis=1)
         mass = (model.space.motor_mass + model.space.load_mass)[digit.tendons]
         full = arms * mass * model.motion.stiffness[digit.tendons]
         stiffness[digit.tendons] = np.clip(stream.softness / full, MIN_STIFFNESS_FRACTION, 1.0)

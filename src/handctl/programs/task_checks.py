@@ -11,7 +11,7 @@ from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.hand.file.sections import Digit
-from handctl.hand.readiness import coordinate_range_deg
+from handctl.hand.readiness import displayed_range
 from handctl.programs.task import (
     FOLLOW_SPEED_DEG_S,
     ClosePhase,
@@ -21,6 +21,7 @@ from handctl.programs.task import (
     Task,
     TaskPhase,
     check_task,
+    curve_through,
     end_angles,
     joint_values,
     shapes_of_digits,
@@ -28,7 +29,7 @@ from handctl.programs.task import (
 )
 
 CoordinateRange = tuple[Vector, Vector]
-"""Lowest and highest value of the coordinates of a digit [deg]."""
+"""Lowest and highest value of the coordinates of a digit [deg or mm]."""
 
 
 def check_task_for_hand(
@@ -79,6 +80,8 @@ def check_speed(task: Task, models: Sequence[DigitModel], where: str) -> None:
         name: (zero, zero) for name, zero in zeros.items()
     }  # the hand arms with open digits
     for i, phase in enumerate(task.phase):
+        if isinstance(phase, FollowPhase):
+            _check_curves(phase, models, f"{where}: phase[{i}].angle_deg")
         for digit, span in spans.items():
             low, high = span
             from_low = _coordinates_after(phase, digits[digit], low)
@@ -86,14 +89,20 @@ def check_speed(task: Task, models: Sequence[DigitModel], where: str) -> None:
             if from_low is None or from_high is None:
                 continue
             if isinstance(phase, MovePhase):
-                travel = float(np.maximum(np.abs(from_low - low), np.abs(high - from_high)).max())
+                units = digits[digit].coordinate_units
+                ways = np.maximum(np.abs(from_low - low), np.abs(high - from_high))
+                worst = int(np.argmax(ways / units.per_degree))
+                # A prismatic joint moves as fast as a hinge at a usual moment arm.
+                travel = float((ways / units.per_degree)[worst])
                 min_duration = (
                     math.ceil(100.0 * minimum_jerk_duration(travel, FOLLOW_SPEED_DEG_S, 0.0))
                     / 100.0
                 )
                 if phase.duration_s < min_duration:
+                    unit = units.names[worst]
+                    limit = FOLLOW_SPEED_DEG_S * units.per_degree[worst]
                     distance = (
-                        f"{digit} may have {travel:g} deg to go, at {FOLLOW_SPEED_DEG_S:g} deg/s"
+                        f"{digit} may have {ways[worst]:g} {unit} to go, at {limit:.4g} {unit}/s"
                     )
                     expected = f"at least {min_duration:g} s: {distance}"
                     raise ConfigError(
@@ -106,6 +115,25 @@ def check_speed(task: Task, models: Sequence[DigitModel], where: str) -> None:
                 else (from_low, from_high)
             )
             spans[digit] = ends
+
+
+def _check_curves(phase: FollowPhase, models: Sequence[DigitModel], place: str) -> None:
+    """Check that no prismatic joint is too fast on a curve.
+
+    The file itself is checked for hinges only, because it does not say which joints slide.
+    """
+    for model in models:
+        for name in (model.name, *model.joint_names):
+            angles = phase.angle_deg.get(name)
+            units = model.coordinate_units if name == model.name else model.joint_units
+            j = 0 if name == model.name else model.joint_names.index(name)
+            if angles is None or not units.is_prismatic[j]:
+                continue
+            limit = FOLLOW_SPEED_DEG_S * units.per_degree[j]
+            peak = curve_through(phase.time_s, angles).peak_speed()
+            if peak > limit:
+                right = f"at most {limit:.4g} mm/s on the way"
+                raise ConfigError(f"{name} reaches {peak:.0f} mm/s", place, right)
 
 
 def _coordinates_after(
@@ -149,7 +177,10 @@ def check_joint_range(task: Task, hand: Hand, where: str, digits: Sequence[Digit
     Raises:
         ConfigError: The joints of a digit cannot reach an angle together.
     """
-    reaches = {digit.name: np.degrees(digit.reach) for digit in digits}
+    reaches = {
+        digit.name: (digit.coordinate_units.displayed(digit.reach), digit.coordinate_units.names)
+        for digit in digits
+    }
     for i, phase in enumerate(task.phase):
         if not isinstance(phase, MovePhase | ClosePhase | FollowPhase):
             continue
@@ -157,13 +188,15 @@ def check_joint_range(task: Task, hand: Hand, where: str, digits: Sequence[Digit
             _check_joints(
                 phase, digit, hand.digit_named(digit.name), f"{where}: phase[{i}].angle_deg"
             )
-        for name, (low, high) in reaches.items():
+        for name, ((low, high), names) in reaches.items():
             for row in _reached_angles(phase, name):
-                for angle, lower, upper in np.broadcast(row, low, high):
+                for angle, lower, upper, unit in zip(
+                    *np.broadcast_arrays(row, low, high), names, strict=True
+                ):
                     if not lower - ROUNDING_DEG <= angle <= upper + ROUNDING_DEG:
                         place = f"{where}: phase[{i}].angle_deg"
                         raise ConfigError(
-                            f"{angle:g} deg for {name}", place, f"{lower:g} to {upper:g} deg"
+                            f"{angle:g} {unit} for {name}", place, f"{lower:g} to {upper:g} {unit}"
                         )
 
 
@@ -177,19 +210,20 @@ def _check_joints(
     given = joint_values(phase.angle_deg, digit)
     if not given:
         return
-    low, high = np.degrees(digit.joint_min), np.degrees(digit.joint_max)
+    low, high = digit.joint_units.displayed(digit.joint_limits)
     if digit.coupling.shape[1] == 1:
         # The joints of a digit with one tendon turn together until one joint is at its limit.
-        ends = np.sort(digit.coupling @ np.array(coordinate_range_deg(described)).T, axis=1)
+        ends = np.sort(digit.coupling @ np.array(displayed_range(described)).T, axis=1)
         low, high = np.maximum(low, ends[:, 0]), np.minimum(high, ends[:, 1])
     # A curve has one row for each of its times.
     for row in np.atleast_2d(np.array(list(given.values()), dtype=float).T):
         for j, angle in zip(given, row, strict=True):
             if not low[j] - ROUNDING_DEG <= angle <= high[j] + ROUNDING_DEG:
+                unit = digit.joint_units.names[j]
                 raise ConfigError(
-                    f"{angle:g} deg for {digit.joint_names[j]}",
+                    f"{angle:g} {unit} for {digit.joint_names[j]}",
                     phase_path,
-                    f"{low[j]:g} to {high[j]:g} deg",
+                    f"{low[j]:g} to {high[j]:g} {unit}",
                 )
         end = digit.with_joint_angles(
             dict(zip(given, row.tolist(), strict=True)), np.zeros(digit.coupling.shape[1])

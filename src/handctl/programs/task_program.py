@@ -187,31 +187,32 @@ class TaskProgram:
         phase = self.task.phase[progress.step - 1]
         previous = progress.goals[d]
         digit = model.digits[d]
+        units = digit.coordinate_units
         if isinstance(phase, MovePhase):
             angle = end_angles(
-                phase.angle_deg, digit, np.degrees(coordinates_by_excursion(digit, estimate))
+                phase.angle_deg, digit, units.displayed(coordinates_by_excursion(digit, estimate))
             )
             return (
                 previous
                 if angle is None
-                else motion_to(digit, estimate, np.radians(angle), phase.duration_s, t)
+                else motion_to(digit, estimate, units.si(angle), phase.duration_s, t)
             )
         if isinstance(phase, FollowPhase):
             curve = _curve_of_digit(phase, digit, estimate)
             return previous if curve is None else DigitGoal(GoalKind.MOTION, curve, since=t)
         if isinstance(phase, ClosePhase):
             angle = end_angles(
-                phase.angle_deg, digit, np.degrees(coordinates_by_excursion(digit, estimate))
+                phase.angle_deg, digit, units.displayed(coordinates_by_excursion(digit, estimate))
             )
             if angle is None or progress.contact[d]:
                 return previous
-            travel = float(
-                np.abs(np.radians(angle) - coordinates_by_excursion(digit, estimate)).max()
-            )
+            # A prismatic joint moves with as many mm/s as a hinge with deg/s.
+            moved = units.si(angle) - coordinates_by_excursion(digit, estimate)
+            travel = float(np.abs(units.as_angles(moved)).max())
             duration = minimum_jerk_duration(
                 travel, math.radians(phase.speed_deg_s), SHORTEST_MOVE_S
             )
-            return motion_to(digit, estimate, np.radians(angle), duration, t)
+            return motion_to(digit, estimate, units.si(angle), duration, t)
         if not progress.contact[d]:
             return previous
         if isinstance(phase, ReleasePhase):
@@ -405,18 +406,19 @@ def _grip_plan(
 def _distance_error(model: HandModel, phase: FollowPhase, estimate: HandEstimate) -> str:
     """Return a message if a digit is too far from the start of its curve, else an empty text."""
     for digit in model.digits:
-        angle = np.degrees(coordinates_by_excursion(digit, estimate))
+        angle = digit.coordinate_units.displayed(coordinates_by_excursion(digit, estimate))
         joints = digit.coupling @ angle
         places = {
-            digit.joint_names[j]: joints[j : j + 1] for j in joint_values(phase.angle_deg, digit)
+            digit.joint_names[j]: (joints[j : j + 1], digit.joint_units.names[j])
+            for j in joint_values(phase.angle_deg, digit)
         }
         if digit.name in phase.angle_deg:
-            places[digit.name] = angle
-        for name, present in places.items():
+            places[digit.name] = angle, digit.coordinate_units.names[0]
+        for name, (present, unit) in places.items():
             first = phase.angle_deg[name][0]
             if np.abs(present - first).max() > FOLLOW_START_DEG:
-                start = f"the trajectory begins at {first:g} deg: move there first"
-                return f"{name} is at {present.mean():.1f} deg, but {start}"
+                start = f"the trajectory begins at {first:g} {unit}: move there first"
+                return f"{name} is at {present.mean():.1f} {unit}, but {start}"
     return ""
 
 
@@ -429,15 +431,20 @@ def _curve_of_digit(
     """
     count = digit.coupling.shape[1]
     if digit.name in phase.angle_deg:
-        angles = tuple(map(math.radians, phase.angle_deg[digit.name]))
+        inverse = digit.coordinate_units.inverse.tolist()
+        rows = phase.angle_deg[digit.name]
+        if len(set(inverse)) > 1:
+            return CurveTrajectory.through_points(phase.time_s, np.outer(rows, inverse), count)
+        angles = tuple(inverse[0] * angle for angle in rows)
         return replace(curve_through(phase.time_s, angles), coordinates=count)
     given = joint_values(phase.angle_deg, digit)
     if not given:
         return None
     now = coordinates_by_excursion(digit, estimate)
-    rows = zip(*given.values(), strict=True)
+    inverse = digit.joint_units.inverse[list(given)]
     points = [
-        digit.with_joint_angles(dict(zip(given, np.radians(row), strict=True)), now) for row in rows
+        digit.with_joint_angles(dict(zip(given, inverse * row, strict=True)), now)
+        for row in zip(*given.values(), strict=True)
     ]
     return CurveTrajectory.through_points(phase.time_s, np.array(points), count)
 

@@ -82,7 +82,9 @@ def find_episode(
             raise ConfigError(
                 f"{speed_deg_s:g} deg/s", "--speed", f"above 0, at most {FOLLOW_SPEED_DEG_S:g}"
             )
-        angles = _limit_rate(angles, np.radians(speed_deg_s) / rate)
+        units = hand.display_units
+        slowest = np.where(units.is_prismatic, units.scale, 1.0)
+        angles = _limit_rate(angles, np.radians(speed_deg_s) * slowest / rate)
     return _smooth_curve(angles, float(rate), hand, period, where)
 
 
@@ -210,23 +212,22 @@ def _clip_to_range(angles: Array, hand: Hand, where: str) -> Array:
     Raises:
         ConfigError: an angle is not finite or lies far outside the joint's range.
     """
-    low = np.radians([angle for digit in hand.digit for angle in digit.joint_min_deg])
-    high = np.radians([angle for digit in hand.digit for angle in digit.joint_max_deg])
-    beyond = np.degrees(np.maximum(low - angles, angles - high))
+    low, high = hand.joint_limits
+    units = hand.display_units
+    beyond = units.displayed(np.maximum(low - angles, angles - high))
     wrong = ~(beyond <= MAX_CLIPPED_DEG)  # the negation also finds NaN
     if wrong.any():
         frame, joint = (int(index) for index in np.argwhere(wrong)[0])
-        problem = (
-            f"{np.degrees(angles[frame, joint]):.6g} deg for {hand.joints[joint]} in frame {frame}"
-        )
-        raise ConfigError(
-            problem, where, f"{np.degrees(low[joint]):g} to {np.degrees(high[joint]):g} deg"
-        )
+        unit = units.names[joint]
+        given = units.displayed(angles[frame])[joint]
+        least, most = units.displayed(hand.joint_limits)[:, joint]
+        problem = f"{given:.6g} {unit} for {hand.joints[joint]} in frame {frame}"
+        raise ConfigError(problem, where, f"{least:g} to {most:g} {unit}")
     return np.clip(angles, low, high)
 
 
-def _limit_rate(angles: Array, step: float) -> Array:
-    """Return angles (frames, J) that follow the given angles but change by at most `step` from frame to frame [rad]."""
+def _limit_rate(angles: Array, step: Array) -> Array:
+    """Return angles (frames, J) that follow the given angles but change by at most `step` (J,) per frame [rad]."""
     slowed = angles.copy()
     for i in range(1, len(slowed)):
         slowed[i] = slowed[i - 1] + np.clip(angles[i] - slowed[i - 1], -step, step)
@@ -244,13 +245,15 @@ def _smooth_curve(
     times = np.arange(len(angles)) / rate
     curve = CubicSpline(times, angles, bc_type="clamped")
     at = np.arange(round(times[-1] / period) + 1) * period
-    rates = np.degrees(np.abs(curve(at, 1)))
+    units = hand.display_units
+    rates = units.displayed(np.abs(curve(at, 1))) / units.per_degree
     if rates.max() > FOLLOW_SPEED_DEG_S:
         tick, joint = np.unravel_index(int(rates.argmax()), rates.shape)
-        problem = f"{hand.joints[joint]} with {rates.max():.0f} deg/s after {at[tick]:.2f} s"
-        raise ConfigError(
-            problem, where, f"at most {FOLLOW_SPEED_DEG_S:g} deg/s, or a limit by --speed"
-        )
+        unit, per_degree = units.names[joint], units.per_degree[joint]
+        fastest = per_degree * rates.max()
+        problem = f"{hand.joints[joint]} with {fastest:.0f} {unit}/s after {at[tick]:.2f} s"
+        limit = f"{per_degree * FOLLOW_SPEED_DEG_S:.4g}"
+        raise ConfigError(problem, where, f"at most {limit} {unit}/s, or a limit by --speed")
     return RecordedGoals(
         curve(at), curve(at, 1), curve(at, 2), np.zeros((len(at), len(hand.tendon)))
     )

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from handctl.errors import IncomparableError
 from handctl.log.read.reader import RunLog
+from handctl.log.topics.transforms import link_frames
 
 Array = NDArray[np.float64]
 
@@ -27,6 +28,8 @@ If a larger fraction remains, the delay found is a result of chance or noise.
 MIN_REPORTED_DELAY_MS = 0.05
 """Delay below which "in time" is printed instead of the delay [ms]."""
 
+MM_PER_M = 1000.0
+"""Printed position of a prismatic joint [mm] per logged position [m]."""
 COMPARED_SIGNALS = {"q": ("joint", 57.29577951308232, "deg"), "tension": ("tendon", 1.0, "N")}
 """Axis, factor from the field's unit to the printed unit, and printed unit, for each compared telemetry field."""
 
@@ -142,6 +145,8 @@ def compare_runs(
 ) -> dict[str, Any]:
     """Compare the angles of all joints [deg] and the tensions of all tendons [N] in two runs over an interval.
 
+    The positions of prismatic joints are compared in mm.
+
     Args:
         a: first run.
         start_a: start of the interval in the first run [s].
@@ -157,8 +162,24 @@ def compare_runs(
             factor * resampled_field(*run, times)
             for run in ((a, field, start_a), (b, field, start_b))
         )
-        result[f"{axis}_{unit}"] = compare_signals(a.header.axis_names(axis), before, after, period)
+        rows = compare_signals(a.header.axis_names(axis), before, after, period)
+        sliding = _prismatic_joints(a) if field == "q" else frozenset()
+        result[f"{axis}_{unit}"] = {name: row for name, row in rows.items() if name not in sliding}
+        if sliding:
+            to_mm = np.array([MM_PER_M / factor, MM_PER_M / factor, 1.0])
+            result[f"{axis}_mm"] = {
+                name: dict(zip(row, (to_mm * list(row.values())).tolist(), strict=True))
+                for name, row in rows.items()
+                if name in sliding
+            }
     return result
+
+
+def _prismatic_joints(log: RunLog) -> frozenset[str]:
+    """Return the names of the prismatic joints of a log's hand."""
+    joints = log.header.axis_names("joint")
+    links = link_frames(log.header.hand_toml)
+    return frozenset(joints[link.joint] for link in links if link.is_prismatic)
 
 
 def difference_lines(compared: dict[str, Any]) -> Iterator[str]:

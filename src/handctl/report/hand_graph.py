@@ -97,7 +97,7 @@ def text_graph(hand: Hand) -> str:
             cell = " -[load cell]" if tendon.name in node.tendons else ""
             arms = "  ".join(
                 f"{joint.removeprefix(f'{digit.name}_')} {_moment_arm_text(hand, tendon, joint, '+')}"
-                for joint in tendon.moment_arm_m
+                for joint in tendon.arms
             )
             drive = (
                 f"{motor.bus}:{motor.node_id} {motor.protocol} "
@@ -122,7 +122,9 @@ def _moment_arm_text(hand: Hand, tendon: Tendon, joint: str, sign: str = "") -> 
 
     A varying arm is given at both joint limits.
     """
-    arm = tendon.moment_arm_m[joint]
+    arm = tendon.arms[joint]
+    if joint in tendon.excursion_ratio:
+        return f"{arm:{sign}g} m/m"
     if not isinstance(arm, dict):
         return f"{1e3 * arm:{sign}g} mm"
     limits = hand.joint_limits[:, [hand.joints.index(joint)]]
@@ -132,9 +134,7 @@ def _moment_arm_text(hand: Hand, tendon: Tendon, joint: str, sign: str = "") -> 
 
 def _digit_tendons(hand: Hand, digit: Digit) -> list[Tendon]:
     """Return the tendons that cross at least one joint of a digit."""
-    return [
-        tendon for tendon in hand.tendon if not tendon.moment_arm_m.keys().isdisjoint(digit.joints)
-    ]
+    return [tendon for tendon in hand.tendon if not tendon.arms.keys().isdisjoint(digit.joints)]
 
 
 def _tendon_label(tendon: Tendon) -> str:
@@ -240,9 +240,7 @@ def _draw_tendon(
     bus = hand.bus_names.index(motor.bus)
     colour = BUS_COLOURS[bus % len(BUS_COLOURS)]
     means = hand.moment_arms[hand.tendon.index(tendon)]
-    crossed = {
-        joint: means[hand.joints.index(joint)] for joint in tendon.moment_arm_m if joint in columns
-    }
+    crossed = {joint: means[hand.joints.index(joint)] for joint in tendon.arms if joint in columns}
     last = max(columns[joint] for joint in crossed)
     axes.plot([_bus_x(bus), MOTOR_COLUMN_X], [y, y], color=colour, linewidth=1.2, zorder=1)
     axes.plot([MOTOR_COLUMN_X, last + 0.45], [y, y], color=FLEXOR_COLOUR, linewidth=1.0, zorder=1)

@@ -92,6 +92,9 @@ def _add_titles_and_phases(grid: Any, late: list[Any], log: RunLog, hand: Hand) 
         column[-1].set_xlabel("time [s]", fontsize=8)
     for row, label in zip(grid, ROW_LABELS, strict=True):
         row[0].set_ylabel(label)
+    for axes, name in zip(grid[0], hand.digit_names, strict=True):
+        if hand.displayed_mean(name).is_prismatic[0]:
+            axes.set_ylabel("mean joint position [mm]")
     for axes in (*grid.flat, *late):
         axes.grid(alpha=0.3)
         axes.margins(x=0)
@@ -145,11 +148,12 @@ def _draw_angles(
     row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int
 ) -> None:
     """Draw the mean joint angle of each digit: estimate, command and true value."""
-    goal, estimate = (np.degrees(mean_angles(hand, log.field(name))) for name in ("q_goal", "q"))
+    factors = np.array([hand.displayed_mean(name).factor[0] for name in hand.digit_names])
+    goal, estimate = (factors * mean_angles(hand, log.field(name)) for name in ("q_goal", "q"))
     real = None
     if truth is not None:
         table = truth.columns_at([f"q/{joint}" for joint in hand.joints], log.t_ns + offset_ns)
-        real = np.degrees(mean_angles(hand, table))
+        real = factors * mean_angles(hand, table)
     for d, (axes, colour) in enumerate(zip(row, digit_colours(hand), strict=True)):
         axes.plot(log.times, estimate[:, d], color=colour, linewidth=1.8)
         _draw_command_and_truth(axes, log, goal[:, d], None if real is None else real[:, d])

@@ -19,7 +19,7 @@ from handctl.printing import printable_text
 from handctl.report.frame_counts import frame_counts
 from handctl.report.pictures import draw_bus_loads, draw_lateness, draw_poses
 from handctl.report.run_figure import draw_run
-from handctl.report.summary import angle_rows, summarise_run
+from handctl.report.summary import angle_rows, summarise_run, tracking_text
 from handctl.report.truth_record import TruthRecord
 
 MAX_EVENTS = 500
@@ -116,6 +116,7 @@ def _number_table(
     """Return the HTML table with the numbers of a run."""
     summary = summarise_run(log, hand, truth, offset_ns)
     late = summary["late_us"]
+    factor, unit = tracking_text(summary)
     frames = frame_counts(log, hand)
     rows = [
         ("ticks", f"{summary['ticks']} at {summary['rate_hz']:g} Hz, {summary['missed']} missed"),
@@ -139,7 +140,7 @@ def _number_table(
         ),
         (
             "tracking error in free motion, against the plant",
-            _number_text(np.degrees(summary["tracking_rmse_rad"]), "deg rms"),
+            _number_text(factor * summary["tracking_rmse_rad"], unit),
         ),
         ("tension estimate, against the plant", _number_text(summary["tension_rmse_n"], "N rms")),
         ("object moved while held", _number_text(summary["object_motion_mm"], "mm")),

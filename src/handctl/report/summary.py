@@ -1,6 +1,6 @@
 """Numbers about a run: timing of the control loop, tracking errors, and accuracy of the estimates."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from handctl.core.tick_types import HandMode
 from handctl.drives.frame_time import frame_time_s
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
+from handctl.hand.file.display_units import EQUIVALENT_M_PER_RAD
 from handctl.log.read.reader import RunLog
 from handctl.report.lift_judgement import TABLE_SUNK_COLUMN
 from handctl.report.truth_record import TruthRecord
@@ -115,13 +116,16 @@ def _settled_mask(
 def mean_angles(hand: Hand, q: Array) -> Array:
     """Return the mean joint angle of each digit (ticks, D) [rad].
 
-    The joint angles q of a digit are weighted with their moment arms r: sum(r q) / sum(r).
+    The joint angles q of a digit are weighted with their moment arms r: sum(r q) / sum(r). The
+    result of a digit of prismatic joints is in m. Beside a hinge, a prismatic joint counts with its
+    scale, see ``DisplayUnits``.
     """
     columns = []
     for name in hand.digit_names:
         digit = DigitModel.from_hand(hand, name)
         weights = np.abs(digit.moment_arms).sum(axis=0)
-        columns.append(q[:, digit.joints] @ weights / weights.sum())
+        scale = 1.0 if digit.is_prismatic.all() else digit.joint_units.scale
+        columns.append(q[:, digit.joints] @ weights / (weights * scale).sum())
     return np.column_stack(columns)
 
 
@@ -153,15 +157,18 @@ def judge_tracking(
     touched = _touch_mask(truth, hand, log, offset_ns)
     error = np.where(free & ~touched, goal - real, np.nan)
     per_digit = {
-        name: np.degrees(root_mean_square(error[:, d])) for d, name in enumerate(hand.digit_names)
+        name: float(hand.displayed_mean(name).displayed(root_mean_square(error[:, d]))[0])
+        for d, name in enumerate(hand.digit_names)
     }
+    scales = [hand.displayed_mean(name).scale[0] for name in hand.digit_names]
     digit_of = np.repeat(np.arange(len(hand.digit)), [len(digit.joints) for digit in hand.digit])
     joints = np.where((free & ~touched)[:, digit_of], log.field("q_goal") - joint_angles, np.nan)
     per_joint = {
-        name: np.degrees(root_mean_square(joints[:, j])) for j, name in enumerate(hand.joints)
+        name: hand.display_units.factor[j] * root_mean_square(joints[:, j])
+        for j, name in enumerate(hand.joints)
     }
     return {
-        "tracking_rmse_rad": root_mean_square(error), "tracking_rmse_deg": per_digit,
+        "tracking_rmse_rad": root_mean_square(error / scales), "tracking_rmse_deg": per_digit,
         "tracking_rmse_joint_deg": per_joint
     }  # fmt: skip
 
@@ -333,12 +340,16 @@ def judge_angles(
     for name, joints in hand.digit_joints.items():
         finite = ~np.isnan(error[:, joints]) & ~np.isnan(sigma[:, joints])
         within = np.abs(error[:, joints]) <= 2.0 * sigma[:, joints]
+        unit = hand.displayed_mean(name)
+        scale = 1.0 if unit.is_prismatic[0] else hand.display_units.scale[joints]
         angles[name] = {
             "source": angle_source(hand, name),
-            "sigma_deg": float(np.degrees(root_mean_square(sigma[:, joints]))),
-            "error_deg": float(np.degrees(root_mean_square(error[:, joints]))),
+            "sigma_deg": float(unit.factor[0] * root_mean_square(sigma[:, joints] / scale)),
+            "error_deg": float(unit.factor[0] * root_mean_square(error[:, joints] / scale)),
             "inside": float(within[finite].mean()) if finite.any() else float("nan"),
         }
+        if unit.is_prismatic[0]:
+            angles[name]["unit"] = unit.names[0]
     return angles
 
 
@@ -367,11 +378,25 @@ def angle_rows(angles: dict[str, dict[str, Any]]) -> list[tuple[str, str]]:
         if angle["sigma_deg"] != angle["sigma_deg"]:
             continue
         error = ""
+        unit = angle.get("unit", "deg")
+        digits = 1 if unit == "deg" else 2
         if angle["error_deg"] == angle["error_deg"]:  # not NaN
-            error = f", {angle['error_deg']:.1f} deg rms error"
-        text = f"{ANGLE_SOURCE_TEXTS[angle['source']]}: sigma {angle['sigma_deg']:.1f} deg{error}"
-        rows.append((f"{name} joint angles", text))
+            error = f", {angle['error_deg']:.{digits}f} {unit} rms error"
+        source = ANGLE_SOURCE_TEXTS[angle["source"]]
+        text = f"{source}: sigma {angle['sigma_deg']:.{digits}f} {unit}{error}"
+        rows.append((f"{name} joint {'angles' if unit == 'deg' else 'positions'}", text))
     return rows
+
+
+def tracking_text(summary: Mapping[str, Any]) -> tuple[float, str]:
+    """Return factor and unit with which a user sees ``tracking_rmse_rad``.
+
+    The unit is mm if all digits slide. Otherwise a prismatic joint counts 10 mm per rad.
+    """
+    units = {angle.get("unit", "deg") for angle in summary["joint_angles"].values()}
+    if units == {"mm"}:
+        return 1000.0 * EQUIVALENT_M_PER_RAD, "mm rms"
+    return 57.29578, "deg rms"
 
 
 def measured_bus_load(

@@ -147,10 +147,15 @@ def readings_of(hand: Hand, watch: BusWatch) -> dict[str, Any]:
             for name, value in tensions.items()
         ],
         "joint_encoders": [
-            {"joint": hand.joints[index], "angle_rad": reading.value_at(now)}
+            {"joint": hand.joints[index], **_joint_reading(hand, index, reading.value_at(now))}
             for index, reading in watch.angles.items()
         ],
     }
+
+
+def _joint_reading(hand: Hand, index: int, value: float) -> dict[str, float]:
+    """Return the reading of a joint encoder by its key, with the position of a prismatic joint in m."""
+    return {("position_m" if hand.is_prismatic[index] else "angle_rad"): value}
 
 
 def _drive_fields(
@@ -198,9 +203,12 @@ def _readings_table(readings: dict[str, Any]) -> Any:
             _number_text(cell["tension_N"], 2) + (" end of range" if cell["saturated"] else ""),
         )  # fmt: skip
     for row in readings["joint_encoders"]:
-        table.add_row(
-            row["joint"], "", "joint encoder", _number_text(math.degrees(row["angle_rad"]), 1)
+        shown = (
+            f"{_number_text(1e3 * row['position_m'], 2)} mm"
+            if "position_m" in row
+            else _number_text(math.degrees(row["angle_rad"]), 1)
         )
+        table.add_row(row["joint"], "", "joint encoder", shown)
     return table
 
 

@@ -3,7 +3,7 @@
 from typing import Any
 
 from handctl.cli.console.screen import rich_console
-from handctl.report.summary import angle_rows
+from handctl.report.summary import angle_rows, tracking_text
 from handctl.session.plan import RunPlan
 
 
@@ -25,7 +25,7 @@ def print_summary(result: dict[str, Any], plan: RunPlan) -> None:
         ),
         (
             "tracking error, free motion",
-            _value_with_unit(result["tracking_rmse_rad"], 57.29578, "deg rms", 2),
+            _value_with_unit(result["tracking_rmse_rad"], *tracking_text(result), 2),
         ),
         (
             "tension estimate against truth",

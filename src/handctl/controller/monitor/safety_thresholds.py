@@ -83,7 +83,7 @@ def compiled_constants(
         "tare": tare,
         "zero": zero,
         "step_limit": POSITION_STEP_FACTOR * period * rates,
-        "joint_step_limit": POSITION_STEP_FACTOR * period * JOINT_RATE_RAD_S,
+        "joint_step_limit": POSITION_STEP_FACTOR * period * JOINT_RATE_RAD_S * hand.display_units.scale,
         "residual_fraction": low_pass_fractions(model, motor_period, joint_period),
         "motor_period": motor_period,
         "joint_period": joint_period,

@@ -112,7 +112,7 @@ def _tensions_with_friction(
     arms = digit.moment_arms
     counted = model.gains.motion.friction_share
     winding = np.tanh(arms @ trajectory[1] / CAPSTAN_FRICTION_SPEED_M_S)
-    passes = arms != 0.0
+    passes = (arms != 0.0) & ~digit.is_prismatic
     lost = digit.friction[:, None] * (
         digit.wrap[:, None] + np.cumsum(passes * trajectory[0], axis=1)
     )

@@ -146,7 +146,7 @@ def advance_reference(x: StateTables, c: ConstantTables, d: int, k: int) -> None
     period = c.run[h.PERIOD] * (1 + x.run_int[s.MISSED_TICKS])
     position = x.coordinate[s.TRAJECTORY, k]
     rate = x.coordinate[s.TRAJECTORY + 1, k]
-    gain = c.run[h.STREAM_ACCELERATION] * period
+    gain = c.run[h.STREAM_ACCELERATION] * period * coordinate_scale(c, d, k)
     slowest, fastest = _allowed_rates(x, c, d, k, period)
     now = x.run_int[s.T_NS] / 1e9
     aim, aim_rate = position_on_segment(x, k, now)
@@ -178,6 +178,15 @@ def advance_reference(x: StateTables, c: ConstantTables, d: int, k: int) -> None
 
 
 @kernel_helper
+def coordinate_scale(c: ConstantTables, d: int, k: int) -> float:
+    """Return the motion of coordinate k of digit d that counts like 1 rad: 1, less for prismatic joints."""
+    for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+        if c.joint_coordinate[h.COUPLING, j, k] != 0.0:
+            return c.joint[h.JOINT_SCALE, j]
+    return 1.0
+
+
+@kernel_helper
 def _allowed_rates(
     x: StateTables, c: ConstantTables, d: int, k: int, period: float
 ) -> tuple[float, float]:
@@ -194,16 +203,19 @@ def _allowed_rates(
         period: time since the last tick [s].
     """
     position = x.coordinate[s.TRAJECTORY, k]
-    top = c.run[h.STREAM_SPEED]
-    gain = c.run[h.STREAM_ACCELERATION] * period
+    scale = coordinate_scale(c, d, k)
+    top = c.run[h.STREAM_SPEED] * scale
+    gain = c.run[h.STREAM_ACCELERATION] * period * scale
     slowest = max(
         -top, -max_stoppable_speed(position - x.coordinate[s.STREAM_RANGE, k], gain, period)
     )
     fastest = min(
         top, max_stoppable_speed(x.coordinate[s.STREAM_RANGE + 1, k] - position, gain, period)
     )
-    lead = MAX_LEAD_RAD / max(
-        x.tendon[s.STIFFNESS_FRACTION, c.digit_int[h.TENDONS_FIRST, d]], MIN_STIFFNESS
+    lead = (
+        scale
+        * MAX_LEAD_RAD
+        / max(x.tendon[s.STIFFNESS_FRACTION, c.digit_int[h.TENDONS_FIRST, d]], MIN_STIFFNESS)
     )
     digit, digit_rate = _estimated_coordinate(x, c, d, k)
     back = _speed_to(digit - lead - position, gain, period) + min(digit_rate, 0.0)

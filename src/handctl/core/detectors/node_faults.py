@@ -168,6 +168,7 @@ def _detect_stuck_encoders(x: StateTables, c: ConstantTables, evidence: Evidence
                 stuck_sensors.motion_since_reading(
                     stuck_sensors.joint_angle_by_spools(x, c, j), x.joint[s.JOINT_ANCHOR, j]
                 )
+                / c.joint[h.JOINT_SCALE, j]
                 * DEG_PER_RAD
             )
             if turned > STUCK_JOINT_DEG:

@@ -29,6 +29,7 @@ from handctl.core.constants import ConstantTables
 from handctl.core.estimation.statics import (
     link_poses_of_hand,
     wrap_before_digit,
+    wrap_of_joint,
     write_static_torque,
     write_tip_levers,
 )
@@ -296,7 +297,7 @@ def _write_free_errors(x: StateTables, c: ConstantTables, turn: Matrix) -> None:
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
             arm = c.tendon_joint[h.MOMENT_ARMS, n, j]
             if arm != 0.0:
-                wrapped += x.joint[s.Q, j]
+                wrapped += wrap_of_joint(c, j, x.joint[s.Q, j])
                 rubbed = arm * c.tendon[h.CAPSTAN_COEFFICIENT, n]
                 torque[0, j] += FRICTION_FRACTION * x.tendon[s.TENSION, n] * rubbed * wrapped
     for row in range(2):

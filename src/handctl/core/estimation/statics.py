@@ -47,6 +47,12 @@ def write_static_torque(c: ConstantTables, q: Vector, torque: Vector) -> None:
 
 
 @kernel_helper
+def wrap_of_joint(c: ConstantTables, j: int, q: float) -> float:
+    """Return the wrap angle that joint j adds to a tendon at position q [rad], 0 for a prismatic joint."""
+    return 0.0 if c.joint[h.LINK_TABLE + rigid_body.PRISMATIC_ROW, j] != 0.0 else q
+
+
+@kernel_helper
 def pulley_torque(
     c: ConstantTables, n: int, arm: float, tension: float, friction_state: float, wrap_angle: float
 ) -> float:
@@ -93,7 +99,7 @@ def subtract_passing_torque(
         for j in range(len(q)):
             arm = c.tendon_joint[h.CARRIER_ARMS, n, j]
             if arm != 0.0:
-                wrapped += q[j]
+                wrapped += wrap_of_joint(c, j, q[j])
                 torque[j] -= pulley_torque(c, n, arm, tension[n], friction_state[n], wrapped)
 
 
@@ -110,7 +116,7 @@ def wrap_before_digit(c: ConstantTables, n: int, q: Vector) -> float:
     if c.run_int[h.HAS_CARRIER_ARMS]:
         for j in range(len(q)):
             if c.tendon_joint[h.CARRIER_ARMS, n, j] != 0.0:
-                wrapped += q[j]
+                wrapped += wrap_of_joint(c, j, q[j])
     return wrapped
 
 
@@ -163,7 +169,7 @@ def write_tensions_at_joints(
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
             arm = c.tendon_joint[h.MOMENT_ARMS, n, j]
             if arm != 0.0:
-                wrapped += q[j]
+                wrapped += wrap_of_joint(c, j, q[j])
                 torque[j] += pulley_torque(c, n, arm, tension[n], friction_state[n], wrapped)
     write_tensions_for_torque(c, torque, result)
 
@@ -227,7 +233,7 @@ def winding_efficiency(c: ConstantTables, n: int, q: Vector) -> float:
     efficiency = 0.0
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
         if c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0:
-            wrapped += q[j]
+            wrapped += wrap_of_joint(c, j, q[j])
             efficiency += c.tendon_joint[h.PULLEY_WEIGHTS, n, j] * math.exp(
                 -c.tendon[h.CAPSTAN_COEFFICIENT, n] * wrapped
             )

@@ -249,7 +249,8 @@ def _write_compliance(c: ConstantTables, d: int) -> None:
     stiff = np.zeros((count, count))
     soft = np.empty(joints[1])
     for j in range(joints[0], joints[1]):
-        soft[j] = 1.0 / max(c.joint[h.SPRING_STIFFNESS, j], MIN_SPRING_STIFFNESS)
+        softest = MIN_SPRING_STIFFNESS / (c.joint[h.JOINT_SCALE, j] * c.joint[h.JOINT_SCALE, j])
+        soft[j] = 1.0 / max(c.joint[h.SPRING_STIFFNESS, j], softest)
         for a in range(count):
             for b in range(count):
                 product = c.tendon_joint[h.MOMENT_ARMS, tendons[0] + a, j] * soft[j]

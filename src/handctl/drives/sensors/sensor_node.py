@@ -9,6 +9,9 @@ fields are little-endian, and packed from the lowest bit:
     channel     count              range                 identifier
     tension     62.5 mN            -6 N to 249.9 N       base_id + 0, 1, ..
     angle       1/4096 turn        -180 to 179.9 deg     base_id + 0x10, 0x11, ..
+    position    50 um              -102.4 to 102.35 mm   base_id + 0x10, 0x11, ..
+
+The channel of a joint is an angle, or the position of a prismatic joint.
 
 The node samples at SYNC. Every frame of its answer contains the low four bits of the counter, so
 that the host does not take an old frame for a fresh one. The counters do not count up, see
@@ -18,6 +21,7 @@ that the host does not take an old frame for a fresh one. The counters do not co
 
 import functools
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Protocol, Self
 
@@ -66,8 +70,10 @@ COUNTER_PERIOD = 4096
 DISTINCT_COUNTERS = 8
 JOINT_STEP_RAD = 2 * math.pi / 4096
 """Change of the joint angle per count [rad]."""
+JOINT_STEP_M = 5e-5
+"""Change of the position of a prismatic joint per count [m]."""
 JOINT_ZERO_COUNT = 2048
-"""Count at joint angle 0."""
+"""Count at joint angle 0, and at position 0."""
 ANY_TIME = -(1 << 62)
 """Earliest arrival of an answer [ns], for answers with a counter.
 
@@ -120,6 +126,7 @@ class SensorNode:
         frame_of: index of the frame with the load cell of each tendon of the hand, -1 for a tendon
             without a load cell.
         decimation: number of SYNC frames for each answer with joint angles.
+        prismatic: indices of the prismatic joints of the hand.
         counters: counter byte of the SYNC in successive ticks. After the last, the first follows
             again.
     """
@@ -132,6 +139,7 @@ class SensorNode:
     tension_frames: int
     frame_of: tuple[int, ...]
     decimation: int
+    prismatic: frozenset[int] = frozenset()
     counters: bytes = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -140,7 +148,12 @@ class SensorNode:
 
     @classmethod
     def from_description(
-        cls, node: SensorDescription, bus: int, tendons: tuple[str, ...], joints: tuple[str, ...]
+        cls,
+        node: SensorDescription,
+        bus: int,
+        tendons: tuple[str, ...],
+        joints: tuple[str, ...],
+        prismatic: Iterable[int] = (),
     ) -> Self:
         """Return the sensor node of a hand.
 
@@ -149,6 +162,7 @@ class SensorNode:
             bus: index of the bus of the node.
             tendons: all tendon names of the hand, in order.
             joints: all joint names of the hand, in order.
+            prismatic: indices of the prismatic joints of the hand.
         """
         tension = _channel_groups([tendons.index(name) for name in node.tendons])
         angle = _channel_groups([joints.index(name) for name in node.joints])
@@ -164,6 +178,7 @@ class SensorNode:
             tension_frames=len(tension),
             frame_of=tuple(frame.get(index, -1) for index in range(len(tendons))),
             decimation=node.joint_decimation,
+            prismatic=frozenset(prismatic),
         )
 
     @property
@@ -260,7 +275,10 @@ class SensorNode:
             tensions = g < self.tension_frames
             signals = [Signal("counter", SignalQuantity.COUNTER, 0, COUNTER_BITS)]
             signals += [
-                _channel_signal(slot, index, tensions) for slot, index in enumerate(channels)
+                _tension_signal(slot, index)
+                if tensions
+                else _joint_signal(slot, index, index in self.prismatic)
+                for slot, index in enumerate(channels)
             ]
             name = f"tensions_{g}" if tensions else f"joints_{g - self.tension_frames}"
             messages.append(CyclicMessage(name, can_id, length, tuple(signals)))
@@ -296,16 +314,17 @@ class SensorNode:
         return next((g for g in groups if joint_index in self.channels[g]), -1)
 
 
-def _channel_signal(slot: int, index: int, tension: bool) -> Signal:
-    """Return the signal of the channel with index ``slot`` in a frame.
-
-    Channels follow the counter.
-    """
-    if tension:
-        return Signal(f"tension_{slot}", SignalQuantity.TENSION, CHANNEL_SHIFTS[slot], CHANNEL_BITS,
+def _tension_signal(slot: int, index: int) -> Signal:
+    """Return the signal of a tendon in channel ``slot`` of a frame."""
+    return Signal(f"tension_{slot}", SignalQuantity.TENSION, CHANNEL_SHIFTS[slot], CHANNEL_BITS,
                       scale=TENSION_STEP_N, offset=TENSION_ZERO_N, unit="N", channel=index)  # fmt: skip
+
+
+def _joint_signal(slot: int, index: int, slides: bool) -> Signal:
+    """Return the signal of a joint in channel ``slot`` of a frame."""
+    step, unit = (JOINT_STEP_M, "m") if slides else (JOINT_STEP_RAD, "rad")
     return Signal(f"angle_{slot}", SignalQuantity.ANGLE, CHANNEL_SHIFTS[slot], CHANNEL_BITS,
-                  scale=JOINT_STEP_RAD, offset=-JOINT_ZERO_COUNT * JOINT_STEP_RAD, unit="rad",
+                  scale=step, offset=-JOINT_ZERO_COUNT * step, unit=unit,
                   channel=index)  # fmt: skip
 
 

@@ -9,7 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.hand.file.error_text import FileMistake
-from handctl.hand.file.sections import Digit, Motor, Mount, StreamLimits, Tendon
+from handctl.hand.file.sections import (
+    PRISMATIC_KEYS,
+    REVOLUTE_KEYS,
+    Digit,
+    Motor,
+    Mount,
+    StreamLimits,
+    Tendon,
+)
 from handctl.hand.file.sensor_checks import amplifier_identifiers, check_sensor_node
 from handctl.hand.link_bodies import link_inertia
 from handctl.hand.moment_arms import (
@@ -23,6 +31,8 @@ from handctl.hand.moment_arms import (
 if TYPE_CHECKING:
     from handctl.hand.description import Hand
 
+SMALLEST_RATIO = 0.05
+"""Smallest accepted absolute excursion ratio of a tendon at a prismatic joint."""
 SMALLEST_ARM_M = 1e-4
 """Smallest accepted absolute moment arm of a tendon at a joint [m]."""
 LARGEST_ARM_M = 0.05
@@ -39,12 +49,6 @@ KEYS_PER_LINK = (
     "link_com_m",
     "link_mass_kg",
     "link_inertia_kg_m2",
-    "joint_min_deg",
-    "joint_max_deg",
-    "joint_damping_N_m_s_per_rad",
-    "joint_armature_kg_m2",
-    "spring_stiffness_N_m_per_rad",
-    "spring_preload_rad",
 )
 """Keys of a digit with one value per link."""
 MESH_POSE_KEYS = ("link_mesh_scale", "link_mesh_position_m", "link_mesh_rpy_deg")
@@ -52,9 +56,9 @@ MESH_POSE_KEYS = ("link_mesh_scale", "link_mesh_position_m", "link_mesh_rpy_deg"
 PALM_POSE_KEYS = ("palm_mesh_scale", "palm_mesh_position_m", "palm_mesh_rpy_deg")
 """Keys of the section ``mount`` that scale and place the mesh of ``palm_mesh``."""
 OPTIONAL_KEYS_PER_LINK = (
+    "joint_type",
     "joint_axis",
     "joint_rpy_deg",
-    "joint_rated_torque_N_m",
     "link_mesh",
     *MESH_POSE_KEYS,
 )
@@ -167,13 +171,19 @@ def _check_digit(digit: Digit) -> MistakeIterator:
         for key in (*KEYS_PER_LINK, *OPTIONAL_KEYS_PER_LINK)
         if (values := getattr(digit, key)) is not None and len(values) != links
     ]
+    if digit.joint_type is None or len(digit.joint_type) == links:
+        wrong += _check_joint_values(digit, where)
     yield from wrong
     yield from check_mesh_keys(digit, "link_mesh", MESH_POSE_KEYS, where)
     for i in range(links) if not wrong else ():
         yield from _check_body(digit, i, where)
-        if digit.joint_min_deg[i] >= digit.joint_max_deg[i]:
-            right = f"more than joint_min_deg[{i}] = {digit.joint_min_deg[i]:g}"
-            yield FileMistake(f"{digit.joint_max_deg[i]:g}", f"{where}.joint_max_deg[{i}]", right)
+    for least, most in (REVOLUTE_KEYS[:2], PRISMATIC_KEYS[:2]) if not wrong else ():
+        pairs = zip(getattr(digit, least), getattr(digit, most), strict=True)
+        for i, (low, high) in enumerate(pairs):
+            if low >= high:
+                yield FileMistake(
+                    f"{high:g}", f"{where}.{most}[{i}]", f"more than {least}[{i}] = {low:g}"
+                )
     for i, axis in enumerate(digit.joint_axis or ()):
         length = float(np.linalg.norm(axis))
         if abs(length - 1.0) > UNIT_TOLERANCE:
@@ -190,6 +200,46 @@ def _check_digit(digit: Digit) -> MistakeIterator:
         )
     if digit.coupling is not None:
         yield from _check_coupling(digit.coupling, f"{where}.coupling", links)
+        yield from _check_coupled_types(digit, digit.coupling, f"{where}.coupling")
+
+
+def _check_joint_values(digit: Digit, where: str) -> MistakeIterator:
+    """Check that the keys of revolute and of prismatic joints have a value per joint of their type."""
+    sliding = digit.is_prismatic.count(True)
+    turning = len(digit.is_prismatic) - sliding
+    keys = [
+        *((key, turning, "revolute") for key in (*REVOLUTE_KEYS, "joint_rated_torque_N_m")),
+        *((key, sliding, "prismatic") for key in (*PRISMATIC_KEYS, "joint_rated_force_N")),
+    ]
+    for key, count, kind in keys:
+        values = getattr(digit, key)
+        if values is None or len(values) == count:
+            continue
+        right = f"{count}, one per {kind} joint"
+        if not sliding and kind == "revolute":
+            right = f"{count}, one per link_length_m"
+        elif not sliding:
+            right = 'joint_type with a joint "prismatic", or no such key'
+        elif not count:
+            right = f"no such key, as all joints are {'revolute' if turning else 'prismatic'}"
+        elif not values:
+            yield FileMistake("missing", f"{where}.{key}", f"{count}, one per {kind} joint")
+            continue
+        yield FileMistake(f"{len(values)} values", f"{where}.{key}", right)
+
+
+def _check_coupled_types(
+    digit: Digit, coupling: tuple[tuple[float, ...], ...], where: str
+) -> MistakeIterator:
+    """Check that each coordinate of a coupled digit moves joints of one type."""
+    for i, column in enumerate(zip(*coupling, strict=False)):
+        kinds = {
+            kind for kind, ratio in zip(digit.is_prismatic, column, strict=False) if ratio != 0.0
+        }
+        if len(kinds) > 1:
+            yield FileMistake(
+                f"column {i} moves revolute and prismatic joints", where, "joints of one type"
+            )
 
 
 def check_mesh_keys(
@@ -264,11 +314,25 @@ def _check_references(hand: Hand) -> MistakeIterator:
     for motor in hand.motor:
         yield from _check_name(f"motor[{motor.name}].bus", motor.bus, hand.bus_names)
     for tendon in hand.tendon:
-        for joint in tendon.moment_arm_m:
-            yield from _check_name(
-                f"tendon[{tendon.name}].moment_arm_m.{joint}", joint, hand.joints
-            )
+        for key in ("moment_arm_m", "excursion_ratio"):
+            for joint in getattr(tendon, key):
+                where = f"tendon[{tendon.name}].{key}.{joint}"
+                wrong = [*_check_name(where, joint, hand.joints)]
+                yield from wrong or _check_joint_type(hand, key, joint, where)
     yield from _check_motors(hand)
+
+
+def _check_joint_type(hand: Hand, key: str, joint: str, where: str) -> MistakeIterator:
+    """Check that a tendon has moment arms at revolute joints, and excursion ratios at prismatic ones."""
+    slides = hand.is_prismatic[hand.joints.index(joint)]
+    if slides and key == "moment_arm_m":
+        yield FileMistake(
+            f"{joint} is prismatic",
+            where,
+            f"excursion_ratio.{joint}, in metres of tendon per metre",
+        )
+    elif not slides and key == "excursion_ratio":
+        yield FileMistake(f"{joint} is revolute", where, f"moment_arm_m.{joint}, in metres")
 
 
 def _check_motors(hand: Hand) -> MistakeIterator:
@@ -329,23 +393,21 @@ def _check_tendon_order(hand: Hand) -> MistakeIterator:
     latest = 0
     for tendon in hand.tendon:
         where = f"tendon[{tendon.name}].moment_arm_m"
-        for joint in tendon.moment_arm_m:
+        for joint in tendon.arms:
             yield from _check_arm(hand, tendon, joint)
         name = hand.digit_of_tendon(tendon)
         if name is None:
             crossed = [
                 digit.name
                 for digit in hand.digit
-                if not tendon.moment_arm_m.keys().isdisjoint(digit.joints)
+                if not tendon.arms.keys().isdisjoint(digit.joints)
             ]
             right = "joints of one digit, and of digits that carry it (mount_on)"
             yield FileMistake(f"moves {' and '.join(crossed) or 'no digit'}", where, right)
             continue
-        passed = [
-            joint for joint in tendon.moment_arm_m if joint not in hand.digit_named(name).joints
-        ]
+        passed = [joint for joint in tendon.arms if joint not in hand.digit_named(name).joints]
         for joint in passed:
-            if is_arm_varying(tendon.moment_arm_m[joint]):
+            if is_arm_varying(tendon.arms[joint]):
                 right = f"a number: {name} is carried by this joint"
                 yield FileMistake("an arm that depends on the angle", f"{where}.{joint}", right)
         digit = hand.digit_names.index(name)
@@ -360,8 +422,13 @@ def _check_arm(hand: Hand, tendon: Tendon, joint: str) -> MistakeIterator:
 
     A table of moment arms must cover the range and must be smooth.
     """
-    arm = tendon.moment_arm_m[joint]
-    where = f"tendon[{tendon.name}].moment_arm_m.{joint}"
+    arm = tendon.arms[joint]
+    where = f"tendon[{tendon.name}].{tendon.arm_key(joint)}.{joint}"
+    if joint in tendon.excursion_ratio:
+        if abs(arm) < SMALLEST_RATIO:
+            right = f"{SMALLEST_RATIO:g} to 5 m/m either way, or no such key"
+            yield FileMistake(f"{arm:g}", where, right)
+        return
     if not isinstance(arm, dict):
         if abs(arm) < SMALLEST_ARM_M:
             yield FileMistake(f"{arm:g}", where, "0.0001 to 0.05 m either way, or no such key")
@@ -433,8 +500,14 @@ def _check_routing(hand: Hand, digit: Digit) -> MistakeIterator:
             yield FileMistake(
                 f"no tendon crosses {joint}",
                 f"digit[{digit.name}]",
-                f"a tendon with moment_arm_m.{joint}",
+                f"a tendon with {arm_key_of(hand, joint)}.{joint}",
             )
+
+
+def arm_key_of(hand: Hand, joint: str) -> str:
+    """Return the key of a tendon for a joint: ``excursion_ratio`` for a prismatic one."""
+    slides = hand.is_prismatic[hand.joints.index(joint)]
+    return "excursion_ratio" if slides else "moment_arm_m"
 
 
 def _moment_arm_rank(arms: NDArray[np.float64]) -> int:
@@ -514,11 +587,12 @@ def _check_pairs(hand: Hand, digit: Digit) -> MistakeIterator:
         yield FileMistake(
             what, f"{where}.tendon", "one spool pair per coordinate: a pair pulls both ways"
         )
-    if any(digit.spring_stiffness_N_m_per_rad):
+    if any(digit.joint_values("spring_stiffness_N_m_per_rad")):
         what = "springs beside spool pairs"
+        key = 0 if any(digit.spring_stiffness_N_m_per_rad) else 1
         yield FileMistake(
             what,
-            f"{where}.spring_stiffness_N_m_per_rad",
+            f"{where}.{('spring_stiffness_N_m_per_rad', 'spring_stiffness_N_per_m')[key]}",
             "no springs: a spool pair returns the joint",
         )
     for i, name in enumerate(hand.sensor_node.tendons):

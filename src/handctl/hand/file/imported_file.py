@@ -17,7 +17,19 @@ from handctl.hand.file.new_file import (
     TRIP_RATIO,
 )
 from handctl.hand.file.quantities import UNMEASURED_PLACEHOLDER
-from handctl.hand.file.sections import Digit, Motor, Mount, Section, SensorNode, Tendon
+from handctl.hand.file.sections import (
+    PRISMATIC,
+    PRISMATIC_KEYS,
+    REVOLUTE_KEYS,
+    Y_AXIS,
+    Z_AXIS,
+    Digit,
+    Motor,
+    Mount,
+    Section,
+    SensorNode,
+    Tendon,
+)
 from handctl.hand.file.toml_text import quoted_string
 from handctl.hand.formats.model_tree import ModelDigit, ModelMesh
 from handctl.hand.link_bodies import rpy_of_rotation
@@ -58,8 +70,6 @@ PLACEHOLDER_TENDONS_COMMENT = (
     "hand: one for each {}. Add, remove and rename them.\n"
 )
 """Comment at the top of the new file if the description has no tendons."""
-Z_AXIS = (0.0, 0.0, 1.0)
-"""Axis of each hinge of a digit without ``joint_axis``."""
 
 
 @dataclass(frozen=True)
@@ -143,6 +153,9 @@ def usable_tendons(described: DescribedHand) -> tuple[list[dict[str, Any]], list
         for digit in described.digits
         for i, joint in enumerate(digit.joints)
     }
+    sliding = {
+        (digit.name, joint) for digit in described.digits for joint in _sliding_joints(digit)
+    }
     usable: list[dict[str, Any]] = []
     notes = []
     for tendon in described.tendons:
@@ -151,7 +164,11 @@ def usable_tendons(described: DescribedHand) -> tuple[list[dict[str, Any]], list
         digits = {digit for digit, _ in arms}
         if len(digits) != 1:
             notes.append(f"tendon {name} is not read: it moves joints of {len(digits)} digits")
-        elif not all(SMALLEST_ARM_M <= abs(arm) <= LARGEST_ARM_M for arm in arms.values()):
+        elif not all(
+            SMALLEST_ARM_M <= abs(arm) <= LARGEST_ARM_M
+            for place, arm in arms.items()
+            if place not in sliding
+        ):
             right = f"{SMALLEST_ARM_M:g} to {LARGEST_ARM_M:g} m"
             notes.append(
                 f"tendon {name} is not read: its coefficients are no moment arms of {right}"
@@ -165,6 +182,7 @@ def usable_tendons(described: DescribedHand) -> tuple[list[dict[str, Any]], list
             }
             own |= {
                 "arms": {joint: arm for (_, joint), arm in arms.items()},
+                "sliding": {joint for place in sliding & arms.keys() for joint in place[1:]},
                 "tension_max": tendon["tension_max"],
             }
             usable.append(own)
@@ -221,6 +239,7 @@ def described_text(
 def _skeleton(digit: ModelDigit, answers: TendonAnswers) -> Iterable[dict[str, Any]]:
     """Yield placeholder tendons for a digit, with moment arms if the user gave one."""
     joints = [f"j{i + 1}" for i in range(len(digit.joints))]
+    sliding = _sliding_joints(digit)
     arm = None if answers.pulley_mm is None else 1e-3 * answers.pulley_mm
     crossed = (
         [joints] if answers.tendons == "one" else [joints[: i + 1] for i in range(len(joints))]
@@ -230,9 +249,17 @@ def _skeleton(digit: ModelDigit, answers: TendonAnswers) -> Iterable[dict[str, A
             "digit": digit.name,
             "name": f"t{i + 1}",
             "motor": f"m{i + 1}",
-            "arms": None if arm is None else dict.fromkeys(names, arm),
+            "arms": None
+            if arm is None and not set(names) <= sliding
+            else {name: 1.0 if name in sliding else arm for name in names},
+            "sliding": sliding & set(names),
             "tension_max": None,
         }
+
+
+def _sliding_joints(digit: ModelDigit) -> set[str]:
+    """Return the short names of the prismatic joints of a digit."""
+    return {f"j{i + 1}" for i, link in enumerate(digit.links) if link.is_prismatic}
 
 
 def _bus_by_digit(described: DescribedHand, tendons: Sequence[Mapping[str, Any]]) -> dict[str, int]:
@@ -311,15 +338,18 @@ def _sensor_node(answers: TendonAnswers) -> str:
 
 def _common_lines(described: DescribedHand, answers: TendonAnswers) -> list[_SectionLine]:
     """Return lines for the values of digits that the description does not contain, to be set once for all digits."""
-    links = [link for digit in described.digits for link in digit.links]
-    known = {
-        "link_radius_m": any(link.radius for link in links),
-        "joint_damping_N_m_s_per_rad": any(link.damping for link in links),
-        "joint_armature_kg_m2": any(link.armature for link in links),
-        "spring_stiffness_N_m_per_rad": any(link.stiffness for link in links)
-        or answers.springs == "none",
-        "spring_preload_rad": any(link.stiffness for link in links) or answers.springs == "none",
-    }
+    everything = [link for digit in described.digits for link in digit.links]
+    known = {"link_radius_m": any(link.radius for link in everything)}
+    for slides in (False, True):
+        links = [link for link in everything if link.is_prismatic == slides]
+        sprung = any(link.stiffness for link in links) or answers.springs == "none"
+        values = {
+            "joint_damping_N_m_s_per_rad": any(link.damping for link in links),
+            "joint_armature_kg_m2": any(link.armature for link in links),
+            "spring_stiffness_N_m_per_rad": sprung,
+            "spring_preload_rad": sprung,
+        }
+        known |= {_key_of_type(key, slides): not links or value for key, value in values.items()}
     return [_todo_line(Digit, key) for key, is_known in known.items() if not is_known]
 
 
@@ -334,7 +364,12 @@ def _digit_lines(digit: ModelDigit, answers: TendonAnswers) -> list[_SectionLine
         _SectionLine("mount_rpy_deg", _rpy_deg_text(digit.rotation)),
         _SectionLine("link_length_m", _number_list_text(digit.lengths)),
     ]
-    if np.abs(digit.axes - Z_AXIS).max() > ROUNDING_TOLERANCE:
+    slides = [link.is_prismatic for link in links]
+    if any(slides):
+        kinds = ", ".join(f'"{PRISMATIC if slide else "revolute"}"' for slide in slides)
+        lines.append(_SectionLine("joint_type", f"[{kinds}]"))
+    usual = [Y_AXIS if slide else Z_AXIS for slide in slides]
+    if np.abs(digit.axes - usual).max() > ROUNDING_TOLERANCE:
         lines.append(_SectionLine("joint_axis", _number_rows_text(digit.axes)))
     if len(digit.turns) and np.abs(digit.turns - np.eye(3)).max() > ROUNDING_TOLERANCE:
         turned = ", ".join(["[0.0, 0.0, 0.0]", *(_rpy_deg_text(turn) for turn in digit.turns)])
@@ -350,14 +385,16 @@ def _digit_lines(digit: ModelDigit, answers: TendonAnswers) -> list[_SectionLine
     radii = [link.radius for link in links if link.radius]
     if radii:
         lines.append(_SectionLine("link_radius_m", _number_text(float(np.median(radii)))))
-    for key, side in (("joint_min_deg", 0), ("joint_max_deg", 1)):
-        limits = [link.range[side] for link in links if link.range is not None]
-        whole = len(limits) == len(links)
-        lines.append(
-            _SectionLine(key, _number_list_text(np.degrees(limits)))
-            if whole
-            else _todo_line(Digit, key)
-        )
+    for slide in sorted(set(slides)):
+        own = [link for link in links if link.is_prismatic == slide]
+        for side, key in enumerate(("joint_min_deg", "joint_max_deg")):
+            limits = [link.range[side] for link in own if link.range is not None]
+            name = _key_of_type(key, slide)
+            lines.append(
+                _SectionLine(name, _number_list_text(limits if slide else np.degrees(limits)))
+                if len(limits) == len(own)
+                else _todo_line(Digit, name)
+            )
     return [*lines, *_joint_lines(digit, answers), *_mesh_lines(digit.meshes)]
 
 
@@ -409,17 +446,23 @@ def _joint_lines(digit: ModelDigit, answers: TendonAnswers) -> Iterable[_Section
 
     In a description, the value 0 means that the value is not described.
     """
-    links = digit.links
-    values = {
-        "joint_damping_N_m_s_per_rad": [link.damping for link in links],
-        "joint_armature_kg_m2": [link.armature for link in links],
-    }
-    if answers.springs != "none" and any(link.stiffness for link in links):
-        values["spring_stiffness_N_m_per_rad"] = [link.stiffness for link in links]
-        values["spring_preload_rad"] = [-link.rest if link.stiffness else 0.0 for link in links]
-    for key, given in values.items():
-        if any(given):
-            yield _SectionLine(key, _number_list_text(given))
+    for slides in (False, True):
+        links = [link for link in digit.links if link.is_prismatic == slides]
+        values = {
+            "joint_damping_N_m_s_per_rad": [link.damping for link in links],
+            "joint_armature_kg_m2": [link.armature for link in links],
+        }
+        if answers.springs != "none" and any(link.stiffness for link in links):
+            values["spring_stiffness_N_m_per_rad"] = [link.stiffness for link in links]
+            values["spring_preload_rad"] = [-link.rest if link.stiffness else 0.0 for link in links]
+        for key, given in values.items():
+            if any(given):
+                yield _SectionLine(_key_of_type(key, slides), _number_list_text(given))
+
+
+def _key_of_type(key: str, slides: bool) -> str:
+    """Return a key of revolute joints, or its counterpart of prismatic joints."""
+    return PRISMATIC_KEYS[REVOLUTE_KEYS.index(key)] if slides else key
 
 
 def _drive_lines(
@@ -432,11 +475,17 @@ def _drive_lines(
     for tendon in tendons:
         arms = tendon["arms"]
         words = [f'motor = "{tendon["motor"]}"']
-        words.append(
-            f'moment_arm_m = "{UNMEASURED_PLACEHOLDER}"'
-            if arms is None
-            else f"moment_arm_m = {{ {_inline_table_text(arms)} }}"
-        )
+        sliding = tendon["sliding"]
+        if arms is None:
+            words.append(f'moment_arm_m = "{UNMEASURED_PLACEHOLDER}"')
+        ratios = dict.fromkeys(sorted(sliding), 1.0)
+        if arms is not None:
+            ratios = {joint: arm for joint, arm in arms.items() if joint in sliding}
+            turning = {joint: arm for joint, arm in arms.items() if joint not in sliding}
+            if turning:
+                words.append(f"moment_arm_m = {{ {_inline_table_text(turning)} }}")
+        if ratios:
+            words.append(f"excursion_ratio = {{ {_inline_table_text(ratios)} }}")
         comment = MISSING_ARMS_COMMENT if arms is None else ""
         yield _SectionLine(f"tendon.{tendon['name']}", f"{{ {', '.join(words)} }}", comment)
     for motor in dict.fromkeys(tendon["motor"] for tendon in tendons):

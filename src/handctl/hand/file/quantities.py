@@ -293,6 +293,7 @@ ProtocolOptions = Annotated[
     ),
 ]
 
+JointType = Annotated[str, one_of("revolute", "prismatic")]
 MotorControl = Annotated[str, one_of("torque", "position")]
 SensorProtocol = Annotated[str, one_of("handctl", "cia404")]
 ProcessValue = Annotated[str, one_of("int32", "real32")]
@@ -325,6 +326,14 @@ Armature = Annotated[float, in_range(0.0, 1e-3, "kg m2", "in kg m2?")]
 MotorInertia = Annotated[float, in_range(1e-8, 1e-1, "kg m2", "in kg m2, at the spool?")]
 JointAngle = Annotated[float, in_range(-180.0, 180.0, "deg")]
 MountAngle = Annotated[float, in_range(-360.0, 360.0, "deg")]
+JointTravel = Annotated[float, in_range(-0.1, 0.1, "m", "in metres?")]
+"""Position of a prismatic joint. A joint encoder's frame can represent these positions."""
+ExcursionRatio = Annotated[float, in_range(-5.0, 5.0, "", "in metres of tendon per metre?")]
+TravelPreload = Annotated[float, in_range(0.0, 0.2, "m", "in metres?")]
+TravelDamping = Annotated[float, in_range(0.0, 1000.0, "N s/m")]
+TravelArmature = Annotated[float, in_range(0.0, 1.0, "kg", "in kilograms?")]
+TravelStiffness = Annotated[float, in_range(0.0, 1e5, "N/m", "in N/m?")]
+TravelNoise = Annotated[float, in_range(1e-9, 5e-3, "m", "in metres?")]
 SpringPreload = Annotated[float, in_range(0.0, 6.3, "rad", "in radians?")]
 WrapAngle = Annotated[float, in_range(0.0, 20.0, "rad", "in radians?")]
 MotorZeroAngle = Annotated[float, in_range(-100.0, 100.0, "rad", "in radians?")]

@@ -15,6 +15,7 @@ from tomlkit.items import AoT, Comment, Item, Table, Whitespace
 
 from handctl.errors import ConfigError
 from handctl.hand.file.templates import (
+    ARM_KEYS,
     DIGIT_KINDS,
     KEYS_ONE_FOR_ALL_LINKS,
     SECTION_KINDS,
@@ -177,7 +178,7 @@ def _take_common_values(kind: str, blocks: Sequence[TomlTable]) -> list[TomlEntr
             _shorten_lists_per_link(block)
     if len(blocks) < MIN_SECTIONS_TO_SHARE:
         return []
-    kept = (*INDIVIDUAL_KEYS[kind], "motor", "moment_arm_m")
+    kept = (*INDIVIDUAL_KEYS[kind], "motor", *ARM_KEYS)
     return _take_shared_values(blocks, lambda key, value: key not in kept)
 
 
@@ -256,7 +257,9 @@ def _move_into_digits(kind: str, sections: dict[str, list[TomlTable]]) -> None:
             (digit for digit in digits if name.startswith(f"{digit}_")), key=len, default=None
         )
         if owner is None or not all(
-            joint.startswith(f"{owner}_j") for joint in block.values().get("moment_arm_m", ())
+            joint.startswith(f"{owner}_j")
+            for key in ARM_KEYS
+            for joint in block.values().get(key, ())
         ):
             return
         moved.append((digits[owner], name.removeprefix(f"{owner}_"), block))
@@ -275,7 +278,7 @@ def _move_into_digits(kind: str, sections: dict[str, list[TomlTable]]) -> None:
             if entry.key == "motor" and str(entry.value).startswith(f"{owner}_"):
                 entry.value = str(entry.value).removeprefix(f"{owner}_")
                 entry.text = f'"{entry.value}"'
-            if entry.key == "moment_arm_m":
+            if entry.key in ARM_KEYS:
                 entry.value = {
                     joint.removeprefix(f"{owner}_"): arm for joint, arm in entry.value.items()
                 }

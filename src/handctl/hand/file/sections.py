@@ -4,10 +4,12 @@ import math
 from collections.abc import Mapping
 from typing import Any, Self
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from handctl.hand.file import mesh_values as mesh
 from handctl.hand.file import quantities as qty
+from handctl.hand.file.display_units import DisplayUnits
 
 
 class Section(BaseModel):
@@ -129,6 +131,8 @@ class SensorNode(Section):
     """
     joint_noise_rad: qty.JointNoise = 1e-3
     """Standard deviation of a joint-encoder sample, required. CiA 404: the key is absent."""
+    joint_noise_m: qty.TravelNoise | None = None
+    """Standard deviation of a joint-encoder sample of a prismatic joint, 1e-5 m if absent."""
     node_ids: tuple[qty.AmplifierId, ...] = ()
     """CiA 404: node number of each amplifier, required."""
     channels_per_node: qty.ChannelCount = 1
@@ -218,14 +222,42 @@ MAX_LINKS = 8
 """Largest number of links of a digit."""
 SPRING_KEYS = ("spring_stiffness_N_m_per_rad", "spring_preload_rad")
 """Keys of the return springs of a digit. A digit without springs has neither of them."""
+LINEAR_SPRINGS = ("spring_stiffness_N_per_m", "spring_preload_m")
+"""Keys of the return springs of prismatic joints. A digit without such springs has neither of them."""
+REVOLUTE_KEYS = (
+    "joint_min_deg",
+    "joint_max_deg",
+    "joint_damping_N_m_s_per_rad",
+    "joint_armature_kg_m2",
+    *SPRING_KEYS,
+)
+"""Keys of a digit with a value per revolute joint."""
+PRISMATIC_KEYS = (
+    "joint_min_m",
+    "joint_max_m",
+    "joint_damping_N_s_per_m",
+    "joint_armature_kg",
+    *LINEAR_SPRINGS,
+)
+"""Keys of a digit with a value per prismatic joint, in the order of the keys for revolute joints."""
+PRISMATIC = "prismatic"
+"""Type of a joint along whose axis its link slides."""
+DEFAULT_JOINT_NOISE_M = 1e-5
+"""Standard deviation of a prismatic joint's encoder sample, if the file gives none [m]."""
+Z_AXIS = (0.0, 0.0, 1.0)
+"""Axis of a revolute joint of a digit without ``joint_axis``."""
+Y_AXIS = (0.0, 1.0, 0.0)
+"""Axis of a prismatic joint of a digit without ``joint_axis``: a positive position closes."""
 
 
 class Digit(Section):
-    """Finger or thumb: a chain of links with a hinge before each.
+    """Finger or thumb: a chain of links with a joint before each.
 
     The frame of a link has its origin in the link's joint and x along the link. Without
     ``joint_axis`` and ``joint_rpy_deg`` all hinges are along z, and a positive angle flexes towards
-    y.
+    y. A prismatic joint (``joint_type``) moves its link along the joint's axis. The keys with an
+    angle in their unit have a value per revolute joint, and their counterparts in metres have a
+    value per prismatic joint.
     """
 
     name: qty.Name
@@ -246,13 +278,16 @@ class Digit(Section):
 
     It is 0 if the axes of the two joints meet.
     """
+    joint_type: tuple[qty.JointType, ...] | None = None
+    """Type of each joint, ``revolute`` or ``prismatic``. If absent, all joints are revolute."""
     joint_axis: (
         tuple[tuple[qty.DirectionComponent, qty.DirectionComponent, qty.DirectionComponent], ...]
         | None
     ) = None
-    """Axis of each hinge, as a unit vector in the frame of its link.
+    """Axis of each joint, as a unit vector in the frame of its link.
 
-    If absent, all hinges are along z, [0, 0, 1].
+    If absent, all hinges are along z, [0, 0, 1], and all prismatic joints along y, [0, 1, 0]. The
+    link of a prismatic joint moves along the axis for a positive position.
     """
     joint_rpy_deg: tuple[tuple[qty.MountAngle, qty.MountAngle, qty.MountAngle], ...] | None = None
     """Orientation of the frame of each link in the frame before, at angle zero, as in ``mount_rpy_deg``.
@@ -273,24 +308,41 @@ class Digit(Section):
     link_radius_m: qty.Radius
     """Radius of the links, whose shapes are capsules."""
     joint_min_deg: tuple[qty.JointAngle, ...]
-    """Open stop of each joint."""
+    """Open stop of each revolute joint."""
     joint_max_deg: tuple[qty.JointAngle, ...]
-    """Closed stop of each joint."""
+    """Closed stop of each revolute joint."""
     joint_damping_N_m_s_per_rad: tuple[qty.Damping, ...]
-    """Viscous damping of each joint."""
+    """Viscous damping of each revolute joint."""
     joint_armature_kg_m2: tuple[qty.Armature, ...]
-    """Inertia of each joint itself, for example of pulley and pin."""
+    """Inertia of each revolute joint itself, for example of pulley and pin."""
     spring_stiffness_N_m_per_rad: tuple[qty.SpringStiffness, ...]
-    """Stiffness k of the return spring of each joint."""
+    """Stiffness k of the return spring of each revolute joint."""
     spring_preload_rad: tuple[qty.SpringPreload, ...]
     """Spring torque is k (q + preload), against flexion."""
+    joint_min_m: tuple[qty.JointTravel, ...] = ()
+    """Open stop of each prismatic joint, required for such joints."""
+    joint_max_m: tuple[qty.JointTravel, ...] = ()
+    """Closed stop of each prismatic joint, required for such joints."""
+    joint_damping_N_s_per_m: tuple[qty.TravelDamping, ...] = ()
+    """Viscous damping of each prismatic joint, required for such joints."""
+    joint_armature_kg: tuple[qty.TravelArmature, ...] = ()
+    """Inertia of each prismatic joint itself, for example of pulleys, required for such joints."""
+    spring_stiffness_N_per_m: tuple[qty.TravelStiffness, ...] = ()
+    """Stiffness k of the return spring of each prismatic joint. Without springs the key is absent."""
+    spring_preload_m: tuple[qty.TravelPreload, ...] = ()
+    """Spring force is k (q + preload), against a positive motion. Without springs the key is absent."""
     coupling: tuple[tuple[qty.Coupling, ...], ...] | None = None
     """Matrix B of q = B theta, with a row for each joint, for a digit with fewer tendons than joints.
 
-    If absent, the joints are independent.
+    If absent, the joints are independent. A coordinate theta moves joints of one type.
     """
     joint_rated_torque_N_m: tuple[qty.PositiveTorque, ...] | None = None
-    """Largest torque that each joint with its pin and links withstands.
+    """Largest torque that each revolute joint with its pin and links withstands.
+
+    The key is absent if it is unknown.
+    """
+    joint_rated_force_N: tuple[qty.PositiveForce, ...] | None = None
+    """Largest force along its axis that each prismatic joint withstands.
 
     The key is absent if it is unknown.
     """
@@ -323,14 +375,85 @@ class Digit(Section):
     def _without_springs(cls, given: Any) -> Any:
         """Add return springs with stiffness 0 to a digit without springs.
 
-        Antagonistic tendons open such a digit.
+        Antagonistic tendons open such a digit. A digit without revolute joints needs none of the
+        keys of such joints.
         """
-        if not isinstance(given, dict) or given.keys() & set(SPRING_KEYS):
+        if not isinstance(given, dict):
             return given
         links = given.get("link_length_m")
-        return given | dict.fromkeys(
-            SPRING_KEYS, (0.0,) * len(links) if isinstance(links, list | tuple) else ()
+        types = given.get("joint_type")
+        count = len(links) if isinstance(links, list | tuple) else 0
+        kinds = list(types) if isinstance(types, list | tuple) else ["revolute"] * count
+        sliding = kinds.count(PRISMATIC)
+        filled: dict[str, Any] = {}
+        if kinds and "revolute" not in kinds:
+            filled |= dict.fromkeys(REVOLUTE_KEYS, ())
+        elif not given.keys() & set(SPRING_KEYS):
+            filled |= dict.fromkeys(SPRING_KEYS, (0.0,) * max(count - sliding, 0))
+        if sliding and not given.keys() & set(LINEAR_SPRINGS):
+            filled |= dict.fromkeys(LINEAR_SPRINGS, (0.0,) * sliding)
+        return filled | given
+
+    @property
+    def is_prismatic(self) -> tuple[bool, ...]:
+        """Return True for each prismatic joint, from the palm outwards."""
+        if self.joint_type is None:
+            return (False,) * len(self.link_length_m)
+        return tuple(kind == PRISMATIC for kind in self.joint_type)
+
+    @property
+    def axes(self) -> tuple[tuple[float, float, float], ...]:
+        """Return the axis of each joint in the frame of its link, as in the file or by default."""
+        if self.joint_axis is not None:
+            return self.joint_axis
+        return tuple(Y_AXIS if slides else Z_AXIS for slides in self.is_prismatic)
+
+    def joint_values(self, key: str) -> tuple[float, ...]:
+        """Return the value of each joint for a key of revolute joints or its counterpart in metres.
+
+        Args:
+            key: one of ``REVOLUTE_KEYS``. The values of prismatic joints are in SI units, those of
+                revolute joints in the unit of the key.
+        """
+        turning = iter(getattr(self, key))
+        sliding = iter(getattr(self, PRISMATIC_KEYS[REVOLUTE_KEYS.index(key)]))
+        return tuple(next(sliding if slides else turning) for slides in self.is_prismatic)
+
+    @property
+    def display_units(self) -> DisplayUnits:
+        """Return the units in which a user sees the positions of the joints, (n,)."""
+        return DisplayUnits.of(self.is_prismatic)
+
+    @property
+    def joint_limits(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Return the smallest and the largest position of each joint [rad or m]."""
+        units = self.display_units
+        low, high = (
+            tuple(np.where(self.is_prismatic, values, units.si(values)).tolist())
+            for values in map(self.joint_values, REVOLUTE_KEYS[:2])
         )
+        return low, high
+
+    @property
+    def displayed_limits(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Return the smallest and the largest position of each joint in displayed units [deg or mm]."""
+        units = self.display_units
+        low, high = (
+            tuple(np.where(self.is_prismatic, units.displayed(values), values).tolist())
+            for values in map(self.joint_values, REVOLUTE_KEYS[:2])
+        )
+        return low, high
+
+    @property
+    def rated_loads(self) -> tuple[float, ...] | None:
+        """Return the largest torque or force that each joint withstands [N m or N], None if one is unknown."""
+        turning = self.joint_rated_torque_N_m
+        sliding = self.joint_rated_force_N
+        slides = self.is_prismatic
+        if (turning is None and not all(slides)) or (sliding is None and any(slides)):
+            return None
+        values = iter(turning or ()), iter(sliding or ())
+        return tuple(next(values[slide]) for slide in slides)
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -346,7 +469,7 @@ class Tendon(Section):
     motor: qty.Name
     """Motor that winds the tendon."""
     moment_arm_m: dict[str, qty.MomentArm]
-    """Moment arm of the tendon at each joint that it crosses, which is a row of R.
+    """Moment arm of the tendon at each revolute joint that it crosses, which is a row of R.
 
     Positive arms flex the joint.
 
@@ -355,6 +478,12 @@ class Tendon(Section):
     An arm that depends on the joint's own angle is ``{ polynomial_m = [r0, r1, ..] }`` with at most
     six coefficients for an angle in rad, or a table ``{ angle_deg = [..], arm_m = [..] }`` over the
     range of the joint, which becomes a least-squares polynomial of degree 3.
+    """
+    excursion_ratio: dict[str, qty.ExcursionRatio] = Field(default_factory=dict)
+    """Excursion of the tendon per motion of each prismatic joint that it moves, also entries of R.
+
+    It is 1 for a tendon that pulls the link directly, and 2 for a pulley on the link. Positive
+    ratios move the joint in its positive direction. The tendon turns by no angle at such a joint.
     """
     stiffness_N_per_m: qty.TendonStiffness
     """Stiffness of the whole path, below the knee."""
@@ -394,14 +523,27 @@ class Tendon(Section):
     @model_validator(mode="before")
     @classmethod
     def _without_floor(cls, given: Any) -> Any:
-        """Add a tension floor of 0 to a spool pair, because the net tension of the pair has both signs."""
-        if (
-            not isinstance(given, dict)
-            or given.get("pretension_N") is None
-            or "tension_floor_N" in given
-        ):
+        """Add keys that a tendon may omit.
+
+        A spool pair has a tension floor of 0, because the net tension of the pair has both signs. A
+        tendon that moves prismatic joints only has no moment arms.
+        """
+        if not isinstance(given, dict):
             return given
-        return given | {"tension_floor_N": 0.0}
+        if given.get("pretension_N") is not None and "tension_floor_N" not in given:
+            given = given | {"tension_floor_N": 0.0}
+        if given.get("excursion_ratio") and "moment_arm_m" not in given:
+            given = given | {"moment_arm_m": {}}
+        return given
+
+    @property
+    def arms(self) -> dict[str, Any]:
+        """Return the entries of R by joint: moment arms [m], and excursion ratios of prismatic joints."""
+        return {**self.moment_arm_m, **self.excursion_ratio}
+
+    def arm_key(self, joint: str) -> str:
+        """Return the key with the tendon's entry of R for a joint, for messages."""
+        return "excursion_ratio" if joint in self.excursion_ratio else "moment_arm_m"
 
 
 class Motor(Section):

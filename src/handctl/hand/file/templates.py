@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 
 from handctl.hand.file.checks import KEYS_PER_LINK
 from handctl.hand.file.error_text import FileMistake, most_similar_key, toml_spelling
+from handctl.hand.file.sections import PRISMATIC, PRISMATIC_KEYS, REVOLUTE_KEYS
 
 RESOLVED_SCHEMA = 1
 """Schema number of a hand file in which every section has all its values."""
@@ -31,8 +32,15 @@ DIGIT_KINDS = ("tendon", "motor")
 """Kinds of table that a digit may hold."""
 TEMPLATE_KEYS = {kind: f"{kind}_template" for kind in SECTION_KINDS}
 """Name of the table that holds the templates of each kind of section."""
-KEYS_ONE_FOR_ALL_LINKS = (*KEYS_PER_LINK, "joint_rated_torque_N_m", "link_mesh_scale")
-"""Keys of a digit that accept one number in place of a list with a value per link."""
+KEYS_PER_JOINT_TYPE = {
+    **dict.fromkeys((*REVOLUTE_KEYS, "joint_rated_torque_N_m"), False),
+    **dict.fromkeys((*PRISMATIC_KEYS, "joint_rated_force_N"), True),
+}
+"""Keys of a digit with a value per joint of one type: True for those of prismatic joints."""
+KEYS_ONE_FOR_ALL_LINKS = (*KEYS_PER_LINK, *KEYS_PER_JOINT_TYPE, "link_mesh_scale")
+"""Keys of a digit that accept one number in place of a list with a value per link or joint."""
+ARM_KEYS = ("moment_arm_m", "excursion_ratio")
+"""Keys of a tendon whose value is a table with an entry per joint."""
 WORD_FOR_ALL = "all"
 """Value of the sensor node that stands for all tendons or all joints."""
 MERGE_DEPTH = 3
@@ -241,9 +249,10 @@ class _TemplateResolver:
                 and isinstance(value, int | float)
                 and not isinstance(value, bool)
             ):
-                values[key] = [value] * len(links)
+                count = _value_count(key, len(links), values.get("joint_type"))
+                values[key] = [value] * count
                 origin = self.origins[f"{path}.{key}"]
-                self.origins |= {f"{path}.{key}[{i}]": origin for i in range(len(links))}
+                self.origins |= {f"{path}.{key}[{i}]": origin for i in range(count)}
 
     def _of_digit(
         self, kind: str, digit: Any, name: str, own: list[ValueLayer], motors: TableContent
@@ -269,20 +278,40 @@ class _TemplateResolver:
         if kind == "tendon":
             if values.get("motor") in motors:
                 values["motor"] = f"{digit}_{values['motor']}"
-            arms = values.get("moment_arm_m")
-            if isinstance(arms, Mapping):
-                whole = {
-                    joint: f"{digit}_{joint}" if SHORT_JOINT_PATTERN.fullmatch(joint) else joint
-                    for joint in arms
-                }
-                values["moment_arm_m"] = {whole[joint]: arm for joint, arm in arms.items()}
-                self.origins |= {
-                    f"{path}.moment_arm_m.{whole[joint]}": self.origins.get(
-                        f"{path}.moment_arm_m.{joint}", ""
-                    )
-                    for joint in arms
-                }
+            for key in ARM_KEYS:
+                self._write_full_joint_names(values, f"{path}.{key}", key, str(digit))
         return values
+
+    def _write_full_joint_names(
+        self, values: dict[str, Any], path: str, key: str, digit: str
+    ) -> None:
+        """Replace short names of joints in a table of a tendon by full names.
+
+        Args:
+            values: values of the tendon, modified in place.
+            path: key path of the table.
+            key: key of the table.
+            digit: name of the digit.
+        """
+        arms = values.get(key)
+        if not isinstance(arms, Mapping):
+            return
+        whole = {
+            joint: f"{digit}_{joint}" if SHORT_JOINT_PATTERN.fullmatch(joint) else joint
+            for joint in arms
+        }
+        values[key] = {whole[joint]: arm for joint, arm in arms.items()}
+        self.origins |= {
+            f"{path}.{whole[joint]}": self.origins.get(f"{path}.{joint}", "") for joint in arms
+        }
+
+
+def _value_count(key: str, links: int, types: Any) -> int:
+    """Return the number of values that a digit with the given joint types needs for a key."""
+    if key not in KEYS_PER_JOINT_TYPE:
+        return links
+    sliding = list(types).count(PRISMATIC) if isinstance(types, list | tuple) else 0
+    return sliding if KEYS_PER_JOINT_TYPE[key] else max(links - sliding, 0)
 
 
 def join_mistakes_of_default(

@@ -87,7 +87,7 @@ def _add_digit(base: ET.Element, hand: Hand, digit: Digit) -> None:
         x, y, z, w = quaternion_of_rotation(rotation)
         place = {"pos": numbers_text(position), "quat": numbers_text((w, x, y, z))}
         link = ET.SubElement(parent, "body", place, name=f"{digit.name}_link{i + 1}")
-        _add_hinge(link, digit, i, joint)
+        _add_joint(link, digit, i, joint)
         _add_link_body(link, digit, i, shape_length(hand, digit, i))
         parent = link
     ET.SubElement(
@@ -100,19 +100,22 @@ def _add_digit(base: ET.Element, hand: Hand, digit: Digit) -> None:
         _add_palm(parent, hand, digit.name)
 
 
-def _add_hinge(link: ET.Element, digit: Digit, i: int, joint: str) -> None:
-    """Add the hinge between link i and the link before it."""
+def _add_joint(link: ET.Element, digit: Digit, i: int, joint: str) -> None:
+    """Add the hinge or the slide between link i and the link before it."""
+    low, high = digit.joint_limits
+    kind = {"type": "slide"} if digit.is_prismatic[i] else {}
     ET.SubElement(
         link,
         "joint",
+        kind,
         name=joint,
         axis=numbers_text(joint_axes(digit)[i]),
-        range=numbers_text(np.radians((digit.joint_min_deg[i], digit.joint_max_deg[i]))),
-        damping=number_text(digit.joint_damping_N_m_s_per_rad[i]),
-        armature=number_text(digit.joint_armature_kg_m2[i]),
-        stiffness=number_text(digit.spring_stiffness_N_m_per_rad[i]),
+        range=numbers_text((low[i], high[i])),
+        damping=number_text(digit.joint_values("joint_damping_N_m_s_per_rad")[i]),
+        armature=number_text(digit.joint_values("joint_armature_kg_m2")[i]),
+        stiffness=number_text(digit.joint_values("spring_stiffness_N_m_per_rad")[i]),
         # The spring torque is -k (q - springref) in MuJoCo, and -k (q + preload) in a hand file.
-        springref=number_text(-digit.spring_preload_rad[i]),
+        springref=number_text(-digit.joint_values("spring_preload_rad")[i]),
         solreflimit=STOP_SOLVER_PARAMETERS[0],
         solimplimit=STOP_SOLVER_PARAMETERS[1],
     )
@@ -178,7 +181,7 @@ def _add_tendons(root: ET.Element, hand: Hand) -> None:
     actuators = ET.SubElement(root, "actuator")
     for tendon, arms in zip(hand.tendon, hand.moment_arms, strict=True):
         fixed = ET.SubElement(tendons, "fixed", name=tendon.name)
-        for joint in tendon.moment_arm_m:
+        for joint in tendon.arms:
             ET.SubElement(
                 fixed, "joint", joint=joint, coef=number_text(arms[hand.joints.index(joint)])
             )

@@ -88,6 +88,8 @@ class ModelLink:
         position: origin of the link in the frame of the parent (3,) [m].
         rotation: rotation from the frame of the link to that of the parent, at joint angle zero (3,
             3).
+        is_prismatic: True if the link slides along the axis of the joint. The values of the joint
+            are then in m, N and kg in place of rad, N m and kg m2.
         axis: axis of the joint in the frame of the link (3,).
         range: smallest and largest angle of the joint [rad], None without limits.
         damping: damping of the joint [N m s/rad].
@@ -108,6 +110,7 @@ class ModelLink:
     parent: int
     position: Array
     rotation: Array
+    is_prismatic: bool
     axis: Array
     range: tuple[float, float] | None
     damping: float
@@ -149,6 +152,7 @@ class ModelLink:
             parent=values["parent"],
             position=np.array(values["position"], dtype=float),
             rotation=np.array(values["rotation"], dtype=float),
+            is_prismatic=bool(values["prismatic"]),
             axis=axis,
             range=limits,
             damping=float(values["damping"]),
@@ -333,14 +337,16 @@ def _link_frame(link: ModelLink, end: Array, last: bool) -> tuple[Array, float]:
     if length < INTERSECTION_TOLERANCE_M:
         return np.eye(3), 0.0
     x = end / length
-    motion = np.cross(link.axis, x)
+    # A sliding link moves like a hinge across the axis and the link.
+    axis = np.cross(x, link.axis) if link.is_prismatic else link.axis
+    motion = np.cross(axis, x)
     if (
         np.linalg.norm(x[1:]) < MAX_ANGLE_TO_LINK_RAD
         and x[0] > 0.0
         and not (last and motion[1] < MIN_FLEXION_Y)
     ):
         return np.eye(3), length
-    z = link.axis - (link.axis @ x) * x
+    z = axis - (axis @ x) * x
     if np.linalg.norm(z) < MAX_PARALLEL_SINE:
         # The axis of the joint is along the link. Therefore z may be any direction across the link.
         z = np.eye(3)[int(np.argmin(np.abs(x)))]

@@ -11,7 +11,7 @@ import numpy as np
 
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array
-from handctl.hand.file.sections import Digit
+from handctl.hand.file.sections import PRISMATIC, Digit
 from handctl.hand.formats.link_meshes import LinkMesh
 from handctl.hand.formats.number_text import number_text, numbers_text
 from handctl.hand.link_bodies import (
@@ -119,12 +119,13 @@ def _add_palm(link: ET.Element, hand: Hand, carrier: str | None, mesh: LinkMesh 
 
 
 def _add_joint(robot: ET.Element, hand: Hand, digit: Digit, i: int) -> None:
-    """Add the hinge before link i.
+    """Add the joint before link i.
 
     Tendons and motors determine the limits of its torque and speed.
     """
     name = digit.joints[i]
-    joint = ET.SubElement(robot, "joint", name=name, type="revolute")
+    kind = PRISMATIC if digit.is_prismatic[i] else "revolute"
+    joint = ET.SubElement(robot, "joint", name=name, type=kind)
     ET.SubElement(
         joint, "parent", link=hand.base_link(digit) if i == 0 else f"{digit.name}_link{i}"
     )
@@ -138,26 +139,27 @@ def _add_joint(robot: ET.Element, hand: Hand, digit: Digit, i: int) -> None:
         rpy=numbers_text(np.add(rpy_of_rotation(rotation), 0.0)),
     )
     ET.SubElement(joint, "axis", xyz=numbers_text(joint_axes(digit)[i]))
-    crossing = [tendon for tendon in hand.tendon if name in tendon.moment_arm_m]
+    crossing = [tendon for tendon in hand.tendon if name in tendon.arms]
     arms = [
         abs(float(hand.moment_arms[hand.tendon.index(tendon), hand.joints.index(name)]))
         for tendon in crossing
     ]
     effort = sum(arm * tendon.tension_max_N for arm, tendon in zip(arms, crossing, strict=True))
     motors = [(hand.motor_of(tendon.name), arm) for arm, tendon in zip(arms, crossing, strict=True)]
-    # Joint speed = spool speed * spool radius / moment arm. The slowest tendon limits the joint.
+    # Joint speed = spool speed * spool radius / moment arm. The slowest tendon limits the joint. A
+    # prismatic joint has an effort in N and a speed in m/s.
+    low, high = digit.joint_limits
+    damping = digit.joint_values("joint_damping_N_m_s_per_rad")[i]
     speed = min(motor.velocity_range_rad_s * motor.spool_radius_m / arm for motor, arm in motors)
     ET.SubElement(
         joint,
         "limit",
-        lower=number_text(np.radians(digit.joint_min_deg[i])),
-        upper=number_text(np.radians(digit.joint_max_deg[i])),
+        lower=number_text(low[i]),
+        upper=number_text(high[i]),
         effort=number_text(effort),
         velocity=number_text(speed),
     )
-    ET.SubElement(
-        joint, "dynamics", damping=number_text(digit.joint_damping_N_m_s_per_rad[i]), friction="0"
-    )
+    ET.SubElement(joint, "dynamics", damping=number_text(damping), friction="0")
 
 
 def _shape_elements(mesh: LinkMesh | None) -> tuple[str, ...]:

@@ -21,7 +21,8 @@ TRANSFORM_PERIOD_NS = 20_000_000
 ROOT_FRAME = "palm"
 """Name of the frame that is the root of all link frames."""
 DEFAULT_JOINT_AXIS = (0.0, 0.0, 1.0)
-"""Axis of a hinge for which the hand file gives no ``joint_axis``."""
+PRISMATIC_JOINT_AXIS = (0.0, 1.0, 0.0)
+"""Axes of a hinge, and of a prismatic joint, for which the hand file gives no ``joint_axis``."""
 
 
 class LinkFrame(NamedTuple):
@@ -33,6 +34,7 @@ class LinkFrame(NamedTuple):
         rotation: (4,) quaternion x, y, z, w of the child at joint angle zero.
         axis: (3,) joint axis as a unit vector in the child frame.
         joint: index of the joint that moves the link, -1 if the link is fixed to the parent.
+        is_prismatic: True if the link slides along the axis.
     """
 
     parent: str
@@ -41,6 +43,7 @@ class LinkFrame(NamedTuple):
     rotation: tuple[float, ...]
     axis: tuple[float, ...]
     joint: int
+    is_prismatic: bool = False
 
 
 def quaternion_of_rpy(roll: float, pitch: float, yaw: float) -> tuple[float, ...]:
@@ -69,7 +72,11 @@ def link_frames(hand_toml: str) -> list[LinkFrame]:
         position = tuple(map(float, digit["mount_position_m"]))
         rotation = quaternion_of_rpy(*map(math.radians, digit["mount_rpy_deg"]))
         turns = digit.get("joint_rpy_deg", [(0.0, 0.0, 0.0)] * len(lengths))
-        axes = digit.get("joint_axis", [DEFAULT_JOINT_AXIS] * len(lengths))
+        kinds = digit.get("joint_type", ["revolute"] * len(lengths))
+        default = [
+            PRISMATIC_JOINT_AXIS if kind == "prismatic" else DEFAULT_JOINT_AXIS for kind in kinds
+        ]
+        axes = digit.get("joint_axis", default)
         for index, length in enumerate(lengths):
             child = f"{name}_link{index + 1}"
             size = math.hypot(*axes[index])
@@ -77,7 +84,8 @@ def link_frames(hand_toml: str) -> list[LinkFrame]:
             turned = multiply_quaternions(
                 rotation, quaternion_of_rpy(*map(math.radians, turns[index]))
             )
-            frames.append(LinkFrame(parent, child, position, turned, axis, joint))
+            slides = kinds[index] == "prismatic"
+            frames.append(LinkFrame(parent, child, position, turned, axis, joint, slides))
             parent = child
             position = (float(length), 0.0, 0.0)
             rotation = (0.0, 0.0, 0.0, 1.0)
@@ -101,9 +109,26 @@ def multiply_quaternions(left: tuple[Any, ...], right: tuple[Any, ...]) -> tuple
 
 def link_quaternions(link: LinkFrame, q: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the rotation of a link at joint angles (n,) [rad] as quaternions x, y, z, w (n, 4)."""
+    if link.is_prismatic:
+        q = np.zeros_like(q)
     sine = np.sin(q / 2)
     turn = (*(component * sine for component in link.axis), np.cos(q / 2))
     return np.stack(multiply_quaternions(link.rotation, turn), axis=1)
+
+
+def link_positions(link: LinkFrame, q: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the origin of a link in its parent at joint positions (n,) [rad or m], (n, 3) [m].
+
+    A hinge does not move the origin. Its result has one row.
+    """
+    if not link.is_prismatic:
+        return np.array([link.position])
+    x, y, z, w = link.rotation
+    # The imaginary part of r a r* is the axis a in the frame of the parent.
+    turned = multiply_quaternions(
+        multiply_quaternions(link.rotation, (*link.axis, 0.0)), (-x, -y, -z, w)
+    )[:3]
+    return np.asarray(np.array(link.position) + q[:, None] * np.array(turned))
 
 
 def _transform_stream(channel: int, some: list[LinkFrame]) -> MessageStream:
@@ -157,6 +182,6 @@ class TfTopics:
         q = batch.numbers[selected, self._q]
         values: dict[str, NDArray[np.generic]] = {}
         for index, link in enumerate(self._moving):
-            values[f"position{index}"] = np.array([link.position])
+            values[f"position{index}"] = link_positions(link, q[:, link.joint])
             values[f"rotation{index}"] = link_quaternions(link, q[:, link.joint])
         return [self._stream.block(stamps.selected(selected), values)]

@@ -100,6 +100,9 @@ def check_identifiable(hand: Hand, digits: tuple[str, ...]) -> None:
     for name in digits:
         if name not in hand.digit_names:
             raise ConfigError(repr(name), "--digits", "some of " + ", ".join(hand.digit_names))
+        if any(hand.digit_named(name).is_prismatic):
+            right = "digits with hinges only: prismatic joints are not identified yet"
+            raise ConfigError(f"{name} has a prismatic joint", "--digits", right)
         tendons = hand.digit_tendons[name]
         known = zip(
             hand.tendon[tendons], hand.has_cell[tendons] | hand.is_pair[tendons], strict=True

@@ -139,8 +139,9 @@ class TorqueBalance:
             angle = np.full(len(self.t), self.digit.wrap[j])
             for i, mean_arm in enumerate(arms.tolist()):
                 arm = present[..., j, i]
-                # A joint that the tendon does not cross adds no wrap angle.
-                angle = angle + self.q[:, i] * (mean_arm != 0.0)
+                # A joint that the tendon does not cross, or that slides, adds no wrap angle.
+                wraps = mean_arm != 0.0 and not self.digit.is_prismatic[i]
+                angle = angle + self.q[:, i] * wraps
                 # The direction of the friction follows the motion of the tendon.
                 lost = np.clip(
                     -friction[j] * self.speed_sign[:, j] * angle,

@@ -156,7 +156,7 @@ class PairWindows:
             [_torque_of_digit(tree, digit, rest, *row) for row in zip(q, dq, ddq, strict=True)]
         )
         to_tension = digit.torque_to_tension[tendon]
-        passed = digit.moment_arms[tendon] != 0.0
+        passed = (digit.moment_arms[tendon] != 0.0) & ~digit.is_prismatic
         quick = quick_speed(own.travel, own.period)[rows]
         travel, excursion, readings = _stretch_readings(digit, tendon, own, rows, weights)
         return PairWindows(

@@ -4,6 +4,7 @@ import numpy as np
 import rerun.blueprint as rrb
 from rerun.blueprint.components import BackgroundKind, Corner2D, LinkAxis, PanelState
 
+from handctl.hand.file.sections import Digit
 from handctl.view.scene.chunk_arrays import RUN_TIME_TIMELINE
 from handctl.view.scene.run_info import RunInfo
 
@@ -107,11 +108,17 @@ def _force_plots(run: RunInfo, window: PlotTimeRange) -> rrb.Horizontal:
     return rrb.Horizontal(tensions, tips, column_shares=[0.6, 0.4])
 
 
+def _angle_unit(digit: Digit) -> str:
+    """Return quantity and unit of the joint positions of a digit."""
+    units = tuple(dict.fromkeys(digit.display_units.names))
+    return f"{'angles' if units == ('deg',) else 'positions'} [{', '.join(units)}]"
+
+
 def _angle_plots(run: RunInfo, window: PlotTimeRange) -> rrb.Grid:
     """Return a plot of the joint angles of each digit."""
     views = [
         rrb.TimeSeriesView(
-            name=f"{digit.name} joint angles [deg], 1-sigma band, grey: command",
+            name=f"{digit.name} joint {_angle_unit(digit)}, 1-sigma band, grey: command",
             contents=f"/angle/{digit.name}/**",
             axis_x=LINKED_TIME_AXIS,
             time_ranges=window,

@@ -95,7 +95,8 @@ def _angle_styles(run: RunInfo) -> Iterator[Chunk]:
     for index, digit in zip(colour_numbers(run.hand.digit_names), run.hand.digit, strict=True):
         names = [name.removeprefix(f"{digit.name}_") for name in digit.joints]
         colours = palette.joint_colours(index, len(names))
-        yield _band_style(f"/angle/{digit.name}/estimate", names, colours, "deg")
+        unit = "/".join(dict.fromkeys(digit.display_units.names))
+        yield _band_style(f"/angle/{digit.name}/estimate", names, colours, unit)
         command_names = [f"{name} command" for name in names]
         yield _line_style(
             f"/angle/{digit.name}/command",

@@ -95,14 +95,15 @@ class TopicConverters:
         limits = np.tile(self._run.tension_limits, (2, 1))
         yield timed_chunk("/tension/limit", times[[0, -1]], plot_lines(limits))
         for digit, joints in self._run.hand.digit_joints.items():
-            angle = np.degrees(part["q"][:, joints])
+            factor = self._run.hand.display_units.factor[joints]
+            angle = factor * part["q"][:, joints]
             yield timed_chunk(
                 f"/angle/{digit}/estimate",
                 times,
-                lines_with_band(angle, np.degrees(part["q_sigma"][:, joints])),
+                lines_with_band(angle, factor * part["q_sigma"][:, joints]),
             )
             yield timed_chunk(
-                f"/angle/{digit}/command", times, plot_lines(np.degrees(part["q_goal"][:, joints]))
+                f"/angle/{digit}/command", times, plot_lines(factor * part["q_goal"][:, joints])
             )
         for index, digit in enumerate(self._run.hand.digit_names):
             yield timed_chunk(f"/force/{digit}", times, force_arrows(part["tip_force"][:, index]))

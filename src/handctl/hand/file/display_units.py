@@ -1,0 +1,66 @@
+"""Units of joint positions for a user: deg for a hinge and mm for a prismatic joint, in place of rad and m."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+EQUIVALENT_M_PER_RAD = 0.01
+"""Motion of a prismatic joint that counts like 1 rad of a hinge in thresholds and tolerances [m/rad].
+
+It is a usual moment arm: the same motion of a tendon turns a hinge by 1 rad.
+"""
+UNIT_NAMES = ("deg", "mm")
+"""Displayed units of a hinge and of a prismatic joint."""
+SI_NAMES = ("rad", "m")
+"""Units of a hinge and of a prismatic joint in logs and calculations."""
+
+
+class DisplayUnits(NamedTuple):
+    """Conversion of positions of joints or coordinates, (n,), between SI units and displayed units.
+
+    Attributes:
+        is_prismatic: (n,) True for the positions that are in m.
+        factor: (n,) displayed value per SI value [deg/rad or mm/m].
+        inverse: (n,) SI value per displayed value.
+        scale: (n,) factor of thresholds in rad for each position: 1, or ``EQUIVALENT_M_PER_RAD``.
+        per_degree: (n,) displayed change that counts like 1 deg in limits of speed: 1, or 0.17 mm.
+    """
+
+    is_prismatic: NDArray[np.bool_]
+    factor: Array
+    inverse: Array
+    scale: Array
+    per_degree: Array
+
+    @classmethod
+    def of(cls, is_prismatic: ArrayLike) -> "DisplayUnits":
+        """Return the units of positions, given which of them are those of prismatic joints, (n,)."""
+        slides = np.asarray(is_prismatic, dtype=np.bool_)
+        # The factors are those of math.degrees and math.radians.
+        return cls(
+            slides,
+            np.where(slides, 1000.0, 180.0 / np.pi),
+            np.where(slides, 0.001, np.pi / 180.0),
+            np.where(slides, EQUIVALENT_M_PER_RAD, 1.0),
+            np.where(slides, 1000.0 * EQUIVALENT_M_PER_RAD * np.pi / 180.0, 1.0),
+        )
+
+    def displayed(self, values: ArrayLike) -> Array:
+        """Return positions (.., n) [rad or m] in displayed units [deg or mm]."""
+        return np.asarray(np.asarray(values, dtype=np.float64) * self.factor)
+
+    def si(self, values: ArrayLike) -> Array:
+        """Return displayed positions (.., n) [deg or mm] in SI units [rad or m]."""
+        return np.asarray(np.asarray(values, dtype=np.float64) * self.inverse)
+
+    def as_angles(self, values: ArrayLike) -> Array:
+        """Return positions (.., n) [rad or m] in rad, where a displayed mm counts as a deg."""
+        return np.asarray(np.asarray(values, dtype=np.float64) / (self.inverse / (np.pi / 180.0)))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the displayed unit of each position."""
+        return tuple(UNIT_NAMES[int(slides)] for slides in self.is_prismatic)

@@ -1,0 +1,200 @@
+"""Test hands with prismatic joints with the command lines of a user: grasps, re-execution, mistakes, export, import."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handctl.cli.main import main
+from handctl.hand.digit import DigitModel
+from handctl.hand.load import load_hand
+from handctl.report.truth import read_truth
+from tests.cli.refused import refused
+
+FOLDER = Path(__file__).parents[1] / "hand"
+GRIPPER, MIXED = "parallel_gripper.toml", "mixed_gripper.toml"
+SEEDS = range(5)
+MAX_SLIP_MM = 6.0
+
+
+@pytest.fixture
+def hands(place: Path) -> Path:
+    """Copy the hand files of the two grippers into the present folder."""
+    for name in (GRIPPER, MIXED):
+        shutil.copy(FOLDER / name, place)
+    return place
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("hand", [GRIPPER, MIXED])
+def test_a_gripper_grasps_holds_releases_and_is_re_executed(
+    hands: Path, capsys: pytest.CaptureFixture[str], hand: str, seed: int
+) -> None:
+    words = ["--hand", hand, "--log", "run.mcap", "--seed", str(seed), "--json"]
+    code = main(["demo", "--lockstep", *words])
+    out, err = capsys.readouterr()
+    assert code == 0, err
+    result = json.loads(out)
+    assert result["table_sunk_mm"] > 50.0
+    assert result["object_motion_mm"] < MAX_SLIP_MM
+    jaw = next(iter(result["joint_angles"].values()))
+    assert jaw["unit"] == "mm"
+    assert 0.0 <= jaw["error_deg"] < 0.2
+    truth = read_truth(hands / "run.truth")
+    forces = [name for name in truth.columns if name.startswith("contact_force/")]
+    assert abs(truth.table(forces, truth.t_ns[-1:])).max() == 0.0, "the hand has released"
+    opened = truth.table([f"q/{joint}" for joint in load_hand(hand).joints], truth.t_ns[-1:])
+    assert np.abs(opened).max() < 0.06
+    assert main(["replay", "execute", "run.mcap", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["differing"] == 0
+
+
+TYPES = 'joint_type = ["prismatic"]'
+MISTAKES = {
+    "a type that no joint has": (
+        TYPES, 'joint_type = ["linear"]', 'joint_type[0]: "linear"; expected "revolute" or "prismatic"',
+    ),
+    "too many types": (
+        TYPES, 'joint_type = ["prismatic", "prismatic"]', "joint_type: 2 values; expected 1, one per link_length_m",
+    ),
+    "a range in millimetres": ("joint_max_m = 0.028", "joint_max_m = 28", "joint_max_m: 28; expected a number from"),
+    "a range in degrees": (
+        "joint_max_m = 0.028", "joint_max_m = 0.028\njoint_max_deg = [28.0]",
+        "joint_max_deg: 1 values; expected no such key, as all joints are prismatic",
+    ),
+    "no range": ("joint_max_m = 0.028\n", "", "joint_max_m: missing; expected 1, one per prismatic joint"),
+    "no damping": (
+        "joint_damping_N_s_per_m = 2.0\n", "", "joint_damping_N_s_per_m: missing; expected 1, one per prismatic joint",
+    ),
+    "no armature": (
+        "joint_armature_kg = 0.005\n", "", "joint_armature_kg: missing; expected 1, one per prismatic joint",
+    ),
+    "limits in the wrong order": (
+        "joint_min_m = 0.0", "joint_min_m = 0.05", "joint_max_m: 0.028; expected more than joint_min_m[0] = 0.05",
+    ),
+    "too many values": ("joint_min_m = 0.0", "joint_min_m = [0.0, 0.0]", "joint_min_m: 2 values; expected 1, one per"),
+    "no types": (TYPES + "\n", "", "joint_min_deg: missing"),
+    "revolute joints": (TYPES, 'joint_type = ["revolute"]', "joint_min_deg: missing"),
+    "a moment arm": (
+        "excursion_ratio = { j1 = 1.0 }", "moment_arm_m = { j1 = 0.01 }",
+        "moment_arm_m.j1: left_j1 is prismatic; expected excursion_ratio.left_j1, in metres of tendon per metre",
+    ),
+    "a ratio in millimetres": ("{ j1 = 1.0 }", "{ j1 = 1000.0 }", "excursion_ratio.j1: 1000.0; expected a number"),
+    "a ratio of a moment arm": ("{ j1 = 1.0 }", "{ j1 = 0.01 }", "excursion_ratio.j1: 0.01; expected 0.05 to 5 m/m"),
+    "a ratio that is a table": (
+        "{ j1 = 1.0 }", "{ j1 = { polynomial_m = [1.0] } }", "excursion_ratio.j1: ",
+    ),
+    "a joint that the digit does not have": (
+        "{ j1 = 1.0 }", "{ j2 = 1.0 }", 'excursion_ratio.j2: "left_j2" is not in this file; expected one',
+    ),
+    "a misspelt key": ("excursion_ratio", "excursion_ratios", "unknown key; expected excursion_ratio"),
+    "springs that do not open": (
+        "spring_preload_m = 0.03", "spring_preload_m = 0.01",
+        "spring_preload_m: the springs open j1 with 1.5 N at joint_min_m; expected more than the 2 N",
+    ),
+    "a stiffness in N/mm": (
+        "spring_stiffness_N_per_m = 150.0", "spring_stiffness_N_per_m = 0.15",
+        "spring_preload_m: the springs open j1 with 0.0045 N",
+    ),
+    "a rated torque": (
+        "joint_rated_force_N = 500.0", "joint_rated_torque_N_m = [5.0]",
+        "joint_rated_torque_N_m: 1 values; expected no such key, as all joints are prismatic",
+    ),
+    "a noise in millimetres": ("joint_noise_m = 2e-5", "joint_noise_m = 0.02", "joint_noise_m: 0.02; expected"),
+}  # fmt: skip
+"""Texts of the file of the parallel gripper, texts in their place, and a part of the line of ``config check``."""
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_mistake_is_one_line(hands: Path, capsys: pytest.CaptureFixture[str], name: str) -> None:
+    good, bad, line = MISTAKES[name]
+    text = Path(GRIPPER).read_text()
+    assert good in text
+    Path("bad.toml").write_text(text.replace(good, bad, 1))
+    assert main(["config", "check", "--hand", "bad.toml"]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert any(line in one for one in lines), lines
+    # A key that is missing for a joint type, and one that is not needed, are separate mistakes.
+    assert len(lines) <= 1 or name in ("no types", "revolute joints", "a misspelt key"), lines
+
+
+def test_a_coordinate_moves_joints_of_one_type(
+    hands: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (
+        Path(MIXED)
+        .read_text()
+        .replace("joint_axis = [[", "coupling = [[1.0], [10.0]]\njoint_axis = [[")
+    )
+    Path("bad.toml").write_text(text)
+    assert (
+        "coupling: column 0 moves revolute and prismatic joints; expected joints of one type"
+        in refused(capsys, "config", "check", "--hand", "bad.toml")
+    )
+
+
+@pytest.mark.parametrize("hand", [GRIPPER, MIXED])
+@pytest.mark.parametrize("form", ["--urdf", "--mjcf"])
+def test_an_exported_hand_has_the_same_joints_after_its_import(
+    hands: Path, capsys: pytest.CaptureFixture[str], hand: str, form: str
+) -> None:
+    assert main(["config", "export", form, "--hand", hand, "--output", "out.xml"]) == 0
+    words = ("--springs", "none", "--tendons", "each", "--output", "mine.toml")
+    assert main(["config", "init", "--yes", form, "out.xml", *words]) == 0
+    capsys.readouterr()
+    text = Path("mine.toml").read_text()
+    described = load_hand(hand)
+    for digit in described.digit:
+        assert f'name = "{digit.name}"' in text
+    assert text.count('"prismatic"') == described.is_prismatic.sum()
+    for key in ("joint_min_m", "joint_max_m", "excursion_ratio"):
+        assert key in text
+    limits = [digit.joint_max_m for digit in described.digit]
+    for one in limits:
+        assert f"joint_max_m = [{one[0]}]" in text
+
+
+@pytest.mark.parametrize(
+    ("angle", "said"),
+    [
+        ("left = 40", "40 mm for left; expected 0 to 28 mm"),
+        ("left_j1 = 29", "29 mm for left_j1; expected 0 to 28 mm"),
+    ],
+)
+def test_positions_of_a_task_are_in_mm(
+    hands: Path, capsys: pytest.CaptureFixture[str], angle: str, said: str
+) -> None:
+    Path("task.toml").write_text(
+        f'schema = 1\nname = "t"\n[[phase]]\nkind = "move"\nangle_deg = {{ {angle} }}\nduration_s = 1.0\n'
+    )
+    words = ("demo", "--lockstep", "--dry-run", "--hand", GRIPPER, "--task", "task.toml")
+    assert said in refused(capsys, *words)
+
+
+def test_a_fast_move_of_a_prismatic_joint_is_refused_in_mm(
+    hands: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path("task.toml").write_text(
+        'schema = 1\nname = "t"\n[[phase]]\nkind = "move"\nangle_deg = { left = 28 }\nduration_s = 0.2\n'
+    )
+    words = ("demo", "--lockstep", "--dry-run", "--hand", GRIPPER, "--task", "task.toml")
+    assert "left may have 28 mm to go, at 122.2 mm/s" in refused(capsys, *words)
+
+
+def test_identification_refuses_prismatic_joints(
+    hands: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = refused(capsys, "identify", "--hand", GRIPPER, "--lockstep", "--dry-run")
+    assert "left has a prismatic joint; expected digits with hinges only" in line
+
+
+def test_the_schema_2_file_and_its_content_are_the_same_hand(hands: Path) -> None:
+    for name in (GRIPPER, MIXED):
+        hand = load_hand(name)
+        Path("whole.toml").write_text(hand.to_toml())
+        again = load_hand("whole.toml")
+        assert again.identity == hand.identity
+        for one, other in zip(DigitModel.all_of(hand), DigitModel.all_of(again), strict=True):
+            np.testing.assert_array_equal(one.table, other.table)
