@@ -10,7 +10,14 @@ from handctl.core.detectors import slip, stuck
 from handctl.core.detectors.residuals import QUICK_FORCE, TENSION
 from handctl.core.detectors.slip import DEG_PER_RAD, SETTLE_S
 from handctl.safety.faults.node import STUCK_GOAL_M, STUCK_JOINT_DEG, STUCK_S, STUCK_TENSION_N
-from handctl.safety.faults.tendon import CELL_FORCE_N, CELL_TICKS, DERAILED_DEG, SLACK_N, TAUT_N
+from handctl.safety.faults.tendon import (
+    CELL_FORCE_N,
+    CELL_TICKS,
+    DERAILED_DEG,
+    DERAILED_WITHOUT_CELL_DEG,
+    SLACK_N,
+    TAUT_N,
+)
 from tests.safety.monitor import Monitor, T, call_interpreted
 from tests.safety.test_watch import make_monitor, resting_tick
 
@@ -122,8 +129,17 @@ def test_a_repeating_load_cell_is_reported_in_the_same_tick() -> None:
     assert monitor.get("cell_stuck")[0] > CELL_TICKS
 
 
-def test_a_joint_is_off_its_pulley_beyond_the_limit_and_not_at_it(monitor: Monitor) -> None:
-    """Interpreted code is called with excursions whose angles are within four bits of the limit."""
+@pytest.mark.parametrize(
+    ("group", "limit"), [([0, 1], DERAILED_DEG), ([-1, -1], DERAILED_WITHOUT_CELL_DEG)]
+)
+def test_a_joint_is_off_its_pulley_beyond_the_limit_and_not_at_it(
+    monitor: Monitor, group: list[int], limit: float
+) -> None:
+    """Interpreted code is called with excursions whose angles are within four bits of the limit.
+
+    The limit of a tendon without load cell is smaller.
+    """
+    monitor.set_constants(cell_group=group)
 
     def counted(apart: float) -> tuple[float, float]:
         monitor.set(resting_tick(**READ | {"tension": 0.0, "excursion": -apart}))
@@ -133,13 +149,14 @@ def test_a_joint_is_off_its_pulley_beyond_the_limit_and_not_at_it(monitor: Monit
                 "slip_from": 0.0,
                 "derailed": 0.0,
                 "measured_tension": TAUT_N,
+                "tension": TAUT_N,
                 "measured_travel": TAUT_N / SOFT,
             }
         )
         call_interpreted(slip.update_slip, monitor.state_tables, monitor.hand_tables, True)
         return abs(monitor.get("slip")[0]), monitor.get("derailed")[0]
 
-    apart = DERAILED_DEG / DEG_PER_RAD * 0.02
+    apart = limit / DEG_PER_RAD * 0.02
     around = [counted(apart * (1.0 + i * 2.0**-52)) for i in range(-4, 5)]
-    assert min(angle for angle, _ in around) <= DERAILED_DEG < max(angle for angle, _ in around)
-    assert all(count == float(angle > DERAILED_DEG) for angle, count in around)
+    assert min(angle for angle, _ in around) <= limit < max(angle for angle, _ in around)
+    assert all(count == float(angle > limit) for angle, count in around)

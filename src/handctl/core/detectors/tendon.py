@@ -10,13 +10,13 @@ from handctl.core.constants import ConstantTables
 from handctl.core.detectors import residuals, stuck
 from handctl.core.detectors.bus import Evidence
 from handctl.core.detectors.replays import age_of_repeated_readings
+from handctl.core.detectors.slip import derailed_limit
 from handctl.core.estimation.measure import monitored_tension
 from handctl.core.estimation.structure import moment_arm
 from handctl.core.law.reference import is_tendon_streamed
 from handctl.safety.faults.tendon import (
     CELL_FORCE_N,
     CELL_TICKS,
-    DERAILED_DEG,
     DERAILED_READINGS,
     FRICTION_WARN_N,
     RELAXED_S,
@@ -97,7 +97,7 @@ def detect_tendon_faults_under_torque(x: Tables, c: ConstantTables, evidence: Ev
         if age > 0:
             evidence[T05B, n] = age
         slip = abs(x.tendon[s.SLIP, n])
-        if x.tendon[s.DERAILED_READINGS, n] >= DERAILED_READINGS and slip > DERAILED_DEG:
+        if x.tendon[s.DERAILED_READINGS, n] >= DERAILED_READINGS and slip > derailed_limit(c, n):
             evidence[T08, n] = slip
 
 
