@@ -265,6 +265,81 @@ def test_silent_joint_encoders_are_detected(joint):
         assert result.ok == bool(found), result.problem
 
 
+def orca_like_results(seed: int, wanted: dict[str, tuple[str, ...]]) -> dict[str, ScenarioResult]:
+    """Return the results of scenarios of orca_like by their names, with the rows that each stage runs."""
+    hand = hand_with_protocol("orca_like", "mit")
+    rate = default_rate(hand)
+    results: list[ScenarioResult] = []
+    with homed_run(hand, rate, seed) as simulation:
+        for stage, rows in wanted.items():
+            advance_to_stage(simulation, stage)
+            todo = [
+                one
+                for one in scenarios_of_hand(hand, "mit", 1e3 / rate)
+                if one.stage == stage and one.row.fault.startswith(rows)
+            ]
+            run_in_branches(
+                simulation,
+                todo,
+                1,
+                lambda simulation, one: run_scenario(simulation, one, "mit"),
+                results.append,
+                lambda simulation, result: None,
+            )
+    return {result.scenario: result for result in results}
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_exchanged_or_late_drives_of_a_hand_without_load_cells_stop_soon(seed):
+    """Keep tensions below 40 N.
+
+    Regression: the loops of exchanged or late drives of the thumb gained speed, and pulled with 208
+    to 230 N.
+    """
+    results = orca_like_results(seed, {FREE_STAGE: ("swap", "cross", "late")})
+    assert len(results) == 6
+    for result in results.values():
+        assert result.ok, result.scenario + result.problem
+        assert result.tension < 40.0, result.scenario
+
+
+def test_faults_of_a_hand_without_load_cells_are_found_in_a_grasp():
+    """Detect a torn tendon that pulls within 75 ms, and a drive without torque within 22 ticks.
+
+    Regression: these two faults were late. A drive that keeps its torque was not reported.
+    """
+    results = orca_like_results(
+        1, {GRASP_STAGE: ("snap", "slack", "disobey", "ripple", "hold_on", "reorder")}
+    )
+    assert len(results) == 11
+    for result in results.values():
+        assert result.ok, result.scenario + result.problem
+    thumb = results["T01 snap tendon=thumb_dip, grasp"]
+    assert (thumb.detected_by, thumb.ticks <= 30) == ("T08 thumb_dip", True)
+    assert results["N14 disobey node=thumb_dip size=0, grasp"].ticks <= 22
+
+
+def test_a_torn_tendon_without_load_cell_is_reported_in_free_motion():
+    """Accept T08 for a torn tendon. Regression: T08 did not count, and came after 190 ms."""
+    results = orca_like_results(1, {FREE_STAGE: ("snap", "stuck encoder", "reorder")})
+    assert len(results) == 5
+    for result in results.values():
+        assert result.ok, result.scenario + result.problem
+
+
+def test_only_missing_sensors_extend_a_time_limit():
+    """Compare hands with and without load cells. With them, the time limits are those of the rows."""
+    for name, some in (
+        ("jamia", False),
+        ("jamia11", False),
+        ("n_plus_1", False),
+        ("orca_like", True),
+    ):
+        hand = hand_with_protocol(name, "mit")
+        one = [*scenarios_of_hand(hand, "mit", 2.0), *fault_pairs(hand, "mit", 2.0)]
+        assert any(scenario.sensing_ticks for scenario in one) == some
+
+
 def test_a_node_that_answers_every_second_tick_does_not_make_the_hand_swing():
     """Regression: with steady filter gains, the tension rose to 171 N while 7 N were commanded."""
     row = next(row for row in FAULT_MATRIX if row.id == "N15" and "cia402" in row.protocols)

@@ -148,8 +148,8 @@ def test_a_tendon_that_stays_taut_after_the_cut_is_reported():
     monitor = run_ticks(3)[0]
     monitor.set_rows({"mode": int(HandMode.CUT)})
     for _ in range(50):
-        assert "N16" not in monitor.tick(resting_tick(tension=[30.0, 8.0]))
-    assert monitor.tick(resting_tick(tension=[30.0, 8.0]))["N16"] == {"a": 30.0}
+        assert "N16" not in monitor.tick(resting_tick(tension=[30.0, 8.0], force=0.0))
+    assert monitor.tick(resting_tick(tension=[30.0, 8.0], force=0.0))["N16"] == {"a": 30.0}
     assert monitor.field_values("cut_from") == [30.0, 8.0]
 
 
@@ -158,7 +158,7 @@ def test_a_tendon_that_stays_taut_is_reported_despite_a_lost_sample_at_the_cut()
     run_ticks(2, monitor, tension=NAN)
     monitor.set_rows({"mode": int(HandMode.CUT)})
     for k in range(51):
-        found = monitor.tick(resting_tick(tension=[30.0, 8.0] if k else NAN))
+        found = monitor.tick(resting_tick(tension=[30.0, 8.0] if k else NAN, force=0.0))
     assert found["N16"] == {"a": 30.0}
     assert monitor.field_values("cut_from") == [30.0, 25.0]
 
@@ -183,10 +183,24 @@ def test_lasting_residual_is_a_fault(tension, residual):
     assert found.get("T04a", {}) == (all_cells if residual > 5.0 else {})
 
 
-@pytest.mark.parametrize(("force", "is_reported"), [(5.1, False), (4.9, True), (35.1, True)])
-def test_missing_torque_is_a_fault(force, is_reported):
-    _, found = run_ticks(600, force=force, tension=force)
-    expected = {name: pytest.approx(15.1, abs=0.01) for name in ("ma", "mb")}
+@pytest.mark.parametrize(
+    ("commanded", "force", "is_reported"),
+    [
+        (20.0, 9.1, False),
+        (20.0, 8.9, True),
+        (20.0, 30.9, False),
+        (20.0, 31.1, True),
+        (60.0, 45.1, False),
+        (60.0, 44.9, True),
+        (60.0, 75.1, True),
+    ],
+)
+def test_missing_torque_is_a_fault(commanded, force, is_reported):
+    """Check the limit: 15 N, or 6 N and a quarter of the command, whichever is smaller."""
+    monitor = monitor_at_20_newton(asked=commanded, wanted=commanded)
+    _, found = run_ticks(600, monitor, force=force, tension=force)
+    difference = abs(commanded - force)
+    expected = {name: pytest.approx(difference, abs=0.01) for name in ("ma", "mb")}
     assert found.get("N14", {}) == (expected if is_reported else {})
 
 

@@ -10,7 +10,14 @@ from handctl.core.detectors import stuck_sensors, tendon_slip
 from handctl.core.detectors.residuals import QUICK_FORCE, TENSION
 from handctl.core.detectors.tendon_slip import DEG_PER_RAD, SETTLE_S
 from handctl.safety.faults.node import STUCK_GOAL_M, STUCK_JOINT_DEG, STUCK_S, STUCK_TENSION_N
-from handctl.safety.faults.tendon import CELL_FORCE_N, CELL_TICKS, DERAILED_DEG, SLACK_N, TAUT_N
+from handctl.safety.faults.tendon import (
+    CELL_FORCE_N,
+    CELL_TICKS,
+    DERAILED_DEG,
+    DERAILED_WITHOUT_CELL_DEG,
+    SLACK_N,
+    TAUT_N,
+)
 from tests.safety.synthetic_monitor import PERIOD_S, SyntheticMonitor, call_interpreted
 from tests.safety.test_monitor_state import make_monitor, resting_tick
 
@@ -132,10 +139,17 @@ def test_a_repeating_load_cell_is_reported_in_the_same_tick() -> None:
     assert monitor.field_values("cell_stuck")[0] > CELL_TICKS
 
 
+@pytest.mark.parametrize(
+    ("group", "limit"), [([0, 1], DERAILED_DEG), ([-1, -1], DERAILED_WITHOUT_CELL_DEG)]
+)
 def test_a_joint_is_off_its_pulley_beyond_the_limit_and_not_at_it(
-    monitor: SyntheticMonitor,
+    monitor: SyntheticMonitor, group: list[int], limit: float
 ) -> None:
-    """Interpreted code is called with excursions whose angles are within four bits of the limit."""
+    """Interpreted code is called with excursions whose angles are within four bits of the limit.
+
+    The limit of a tendon without load cell is smaller.
+    """
+    monitor.set_constants(cell_group=group)
 
     def slip_and_count(apart: float) -> tuple[float, float]:
         monitor.set_rows(resting_tick(**JOINTS_READ | {"tension": 0.0, "excursion": -apart}))
@@ -145,13 +159,14 @@ def test_a_joint_is_off_its_pulley_beyond_the_limit_and_not_at_it(
                 "slip_from": 0.0,
                 "derailed": 0.0,
                 "measured_tension": TAUT_N,
+                "tension": TAUT_N,
                 "measured_travel": TAUT_N / SOFT_STIFFNESS,
             }
         )
         call_interpreted(tendon_slip.update_slip, monitor.state_tables, monitor.hand_tables, True)
         return abs(monitor.field_values("slip")[0]), monitor.field_values("derailed")[0]
 
-    apart = DERAILED_DEG / DEG_PER_RAD * 0.02
+    apart = limit / DEG_PER_RAD * 0.02
     around = [slip_and_count(apart * (1.0 + i * 2.0**-52)) for i in range(-4, 5)]
-    assert min(angle for angle, _ in around) <= DERAILED_DEG < max(angle for angle, _ in around)
-    assert all(count == float(angle > DERAILED_DEG) for angle, count in around)
+    assert min(angle for angle, _ in around) <= limit < max(angle for angle, _ in around)
+    assert all(count == float(angle > limit) for angle, count in around)

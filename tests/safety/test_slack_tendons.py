@@ -199,5 +199,39 @@ def test_the_last_tension_counts_if_the_latest_sample_is_missing():
     assert tendons.run_tick_after_cut([NAN, 9.0]) == {}
 
 
+@pytest.mark.parametrize(("before", "now", "found"), [
+    # reported force [N] in the last tick under torque, and 100 ms after the cut
+    (8.5, 8.5, True),        # less than a load cell may read by springs and weight
+    (-1.4, -1.4, True),      # a spool pair that pulls its other tendon
+    (8.5, 0.05, False),
+    (8.5, 4.2, False),       # the force fell below half
+    (0.9, 0.9, False),       # no more than the noise of a current sensor
+    (8.5, NAN, False),
+    (NAN, 8.5, False),       # the drive has never reported under torque
+])  # fmt: skip
+@pytest.mark.parametrize("group", [-1, 0])
+def test_a_drive_that_still_reports_torque_after_a_cut_is_detected(group, before, now, found):
+    """Detect a drive that keeps its torque after a cut by the torque that it reports.
+
+    Regression: without load cells, such a drive was not reported (N16). With a load cell, a drive
+    that kept 9 N was not reported either.
+    """
+    tendons = FilteredTendons(1)
+    tendons.set_constants(cell_group=group)
+    tendons.tick(measured_force=before, asked=before)
+    reported = [tendons.cut([NAN], measured_force=now, asked=0.0) for _ in range(52)]
+    assert reported[48] == {}
+    assert reported[-1] == ({"t0": abs(now)} if found else {})
+
+
+def test_an_old_torque_is_no_sign_of_a_drive_that_does_not_release():
+    """Ignore the torque of drives that send none after a cut, as ODrives with torque feedback."""
+    tendons = FilteredTendons(1)
+    tendons.set_constants(answers_once=0)
+    tendons.tick(measured_force=20.0, asked=20.0)
+    for _ in range(60):
+        assert tendons.cut([0.0], measured_force=20.0) == {}
+
+
 def test_thresholds_leave_room_between_slack_and_taut():
     assert SLACK_N < TAUT_N < SNAP_N < STILL_PULLING_N

@@ -234,8 +234,8 @@ def test_a_tendon_still_pulled_after_the_cut_is_detected():
     monitor.tick(measured_tension=30.0)
     assert "N16" not in monitor.tick(mode=int(HandMode.CUT), measured_tension=[30.0, 30.0])
     for _ in range(49):
-        assert "N16" not in monitor.tick(measured_tension=[29.0, 8.0])
-    assert monitor.tick(measured_tension=[29.0, 8.0])["N16"] == {"t0": 29.0}
+        assert "N16" not in monitor.tick(measured_tension=[29.0, 8.0], measured_force=0.0)
+    assert monitor.tick(measured_tension=[29.0, 8.0], measured_force=0.0)["N16"] == {"t0": 29.0}
 
 
 @pytest.mark.parametrize("speed", [-2e-3, 5e-4, 1e-3, 0.02])

@@ -70,6 +70,10 @@ class MatrixRow(NamedTuple):
         extra_ms: further time that some protocols need, by protocol [ms].
         extra_ticks: further ticks that some protocols need, by protocol. These ticks are added to
             ``extra_ms``.
+        no_cell_ms: further time if the tendon of the fault has no load cell [ms].
+        sensor_frames: number of further frames of the sensor node that the detection needs.
+            ``ticks`` contains one tick for each. If the hand has no load cells, each is a joint
+            frame, and comes after ``joint_decimation`` ticks.
     """
 
     id: str
@@ -82,6 +86,8 @@ class MatrixRow(NamedTuple):
     protocols: tuple[str, ...] = ALL_PROTOCOLS
     extra_ms: dict[str, float] = {}  # noqa: RUF012 - read only
     extra_ticks: dict[str, int] = {}  # noqa: RUF012 - read only
+    no_cell_ms: float = 0.0
+    sensor_frames: int = 0
 
     def bound_ticks(self, protocol: str, period_ms: float) -> int:
         """Return the time limit of the row for drives of a given protocol [ticks]."""
@@ -92,6 +98,22 @@ class MatrixRow(NamedTuple):
             + math.ceil((self.max_extra_ms + self.extra_ms.get(protocol, 0.0)) / period_ms)
         )
 
+    def sensing_ticks(self, hand: Hand, fault: str, period_ms: float) -> int:
+        """Return the addition to the time limit for the sensors that a hand lacks [ticks].
+
+        Args:
+            hand: hand that is simulated.
+            fault: text of the fault, in which the place holders are filled in.
+            period_ms: control period [ms].
+        """
+        ticks = 0
+        node = hand.sensor_node
+        if not node.tendons:
+            ticks += self.sensor_frames * (node.joint_decimation - 1)
+        if _lacks_load_cell(hand, fault):
+            ticks += math.ceil(self.no_cell_ms / period_ms)
+        return ticks
+
 
 class FaultScenario(NamedTuple):
     """Row of the fault matrix, for one instance of the fault and one stage of the run.
@@ -101,12 +123,14 @@ class FaultScenario(NamedTuple):
         fault: fault text of the row, in which the place holders are filled in.
         stage: stage of the run at which the fault is injected.
         second_fault: text of the second fault of a pair. The text is empty for a single fault.
+        sensing_ticks: addition to the time limit of the row, see ``MatrixRow.sensing_ticks``.
     """
 
     row: MatrixRow
     fault: str
     stage: str
     second_fault: str = ""
+    sensing_ticks: int = 0
 
     @property
     def id(self) -> str:
@@ -137,6 +161,9 @@ SHORT_ID_PROTOCOLS = (MIT, ODRIVE, CIA402)
 _EXCHANGED_DRIVE_FAULTS = ("N14", "N05", "N06", "T04", "T02", "N04", "T03")
 """Faults that may be detected earlier than N17 if two drives are exchanged, in motion or at unequal tensions."""
 
+_PARTED_FAULTS = ("T08", "N06")
+"""Faults that show that joint and spool moved apart, as they do after a tendon has torn."""
+
 FAULT_MATRIX: tuple[MatrixRow, ...] = (
     MatrixRow("B01", "drop node={node} for=2500us", WARN, 2, accepted_faults=("B01", "N02"), stages=ALL_STAGES),
     MatrixRow("B02", "drop bus={bus}", RELAX, 1, 30.0, ("B02", "N02", "B17"), ALL_STAGES),
@@ -151,7 +178,8 @@ FAULT_MATRIX: tuple[MatrixRow, ...] = (
     MatrixRow("B05", "duplicate node=sensors", WARN, 2, accepted_faults=("B05",)),
     MatrixRow("B06", "twin node={node}", RELAX, 2, accepted_faults=("B06",), protocols=ONE_ANSWER_PROTOCOLS),
     MatrixRow("B06", "twin node=sensors", RELAX, 2, accepted_faults=("B06",)),
-    MatrixRow("B07", "reorder node=sensors", WARN, 2, accepted_faults=("B07",)),
+    # The first frame comes after the second one, so the detection needs two frames.
+    MatrixRow("B07", "reorder node=sensors", WARN, 2, accepted_faults=("B07",), sensor_frames=1),
     MatrixRow("B08", "shorten node={node}", RELAX, 4, accepted_faults=("B08", "B17")),
     MatrixRow("B09", "shorten node={node} for=3ms", WARN, 2, accepted_faults=("B09",)),
     MatrixRow("B09", "extend node={node} for=3ms", WARN, 2, accepted_faults=("B09",), protocols=SHORT_ID_PROTOCOLS),
@@ -175,7 +203,7 @@ FAULT_MATRIX: tuple[MatrixRow, ...] = (
         extra_ticks=RESTART_TICKS),
     MatrixRow("N02", "drop node=sensors", RELAX, 1, 30.0, ("N02",), ALL_STAGES),
     MatrixRow("N02", "off node={node}", RELAX, 5, accepted_faults=("B17", "B02", "N01"), stages=ALL_STAGES),
-    MatrixRow("N04", "stuck encoder={node}", RELAX, 2, 500.0, ("N04", "T04", "N05", "N06"), (FREE_STAGE,)),
+    MatrixRow("N04", "stuck encoder={node}", RELAX, 2, 500.0, ("N04", "T04", "N05", "N06", "T08"), (FREE_STAGE,)),
     MatrixRow("N04", "stuck joint={joint}", RELAX, 2, 500.0, ("N04", "N06", "T08"), (FREE_STAGE,)),
     MatrixRow("N05", "offset encoder={node} size={jump}", RELAX, 3, accepted_faults=("N05",)),
     MatrixRow("N06", "drift joint={joint} size=0.8", RELAX, 4, 900.0, ("N06", "T08")),
@@ -210,11 +238,13 @@ FAULT_MATRIX: tuple[MatrixRow, ...] = (
               protocols=ONE_ANSWER_PROTOCOLS),
     MatrixRow("N13", "duplicate node={node} seed=1", RELAX, 4, accepted_faults=("N13", "B06"),
               protocols=ONE_ANSWER_PROTOCOLS),
-    MatrixRow("N14", "disobey node={node} size=0", RELAX, 22, accepted_faults=("N14", "T02", "T04"),
-        stages=(GRASP_STAGE,), protocols=ONE_ANSWER_PROTOCOLS),
+    # A load cell shows the missing tension. Without it, N17 finds a drive whose command is smaller
+    # than the thresholds of N14, within the time constant of its comparison.
+    MatrixRow("N14", "disobey node={node} size=0", RELAX, 22, accepted_faults=("N14", "T02", "T04", "N17"),
+        stages=(GRASP_STAGE,), protocols=ONE_ANSWER_PROTOCOLS, no_cell_ms=250.0),
     MatrixRow("N14", "runaway node={node}", RELAX, 10, accepted_faults=("N14", "T03", "N05", "T04")),
     MatrixRow("N14", "ripple node={node} size=0.2 hz=20", RELAX, 22, 600.0,
-        ("N14b", "T03", "N07", "T01"), (GRASP_STAGE,)),
+        ("N14b", "T03", "N07", "T01", "N17", "N14"), (GRASP_STAGE,)),
     MatrixRow("N15", "slow node={node} size=2", WARN, 22, accepted_faults=("N15",), protocols=ONE_ANSWER_PROTOCOLS),
     MatrixRow("N15", "slow node={node} size=4", WARN, 4, accepted_faults=("B01",), protocols=(ODRIVE,)),
     MatrixRow("N16", "hold_on node={node}", CUT, 2, 100.0, ("N16",), (GRASP_STAGE,)),
@@ -229,9 +259,15 @@ FAULT_MATRIX: tuple[MatrixRow, ...] = (
         (FREE_STAGE,), (ODRIVE,)),
     MatrixRow("N17", "cross node={node} with={other}", RELAX, 2, 2000.0, ("N17", *_EXCHANGED_DRIVE_FAULTS),
         (FREE_STAGE,), (ODRIVE,)),
-    MatrixRow("T01", "snap tendon={tendon}", RELAX, 10, accepted_faults=("T01",), stages=(GRASP_STAGE,)),
-    MatrixRow("T02", "snap tendon={tendon}", WARN, 4, 110.0, ("T02", "T01", "N04"), (FREE_STAGE,)),
-    MatrixRow("T02", "slack tendon={tendon} size=30", WARN, 10, accepted_faults=("T02", "T01"), stages=(GRASP_STAGE,)),
+    # Without a load cell, a torn tendon shows only when joint and spool have moved apart. A spool
+    # whose command is smaller than the friction of its motor rests. The joint then creeps, and the
+    # filter of N06b takes 0.3 s more.
+    MatrixRow("T01", "snap tendon={tendon}", RELAX, 10, accepted_faults=("T01", *_PARTED_FAULTS), stages=(GRASP_STAGE,),
+        no_cell_ms=500.0),
+    MatrixRow("T02", "snap tendon={tendon}", WARN, 4, 110.0, ("T02", "T01", "N04", *_PARTED_FAULTS), (FREE_STAGE,),
+        no_cell_ms=100.0),
+    MatrixRow("T02", "slack tendon={tendon} size=30", WARN, 10, accepted_faults=("T02", "T01", *_PARTED_FAULTS),
+        stages=(GRASP_STAGE,), no_cell_ms=500.0),
     MatrixRow("T03", "offset cell={tendon} size={trip}", RELAX, 2, accepted_faults=("T03",), stages=(GRASP_STAGE,)),
     MatrixRow("T03", "offset cell={tendon} size={limit}", CUT, 2, accepted_faults=("T03b",), stages=(GRASP_STAGE,)),
     MatrixRow("T03", "runaway node={node} size=1 seed=1", RELAX, 10, accepted_faults=("T03", "N14", "T06"),
@@ -288,7 +324,13 @@ def scenarios_of_hand(hand: Hand, protocol: str, period_ms: float) -> list[Fault
         if protocol in row.protocols:
             fault_texts = texts_of_fault(hand, row.fault, period_ms)
             ends = dict.fromkeys(fault_texts[:1] + fault_texts[-1:])
-            selected += [FaultScenario(row, text, stage) for stage in row.stages for text in ends]
+            selected += [
+                FaultScenario(
+                    row, text, stage, sensing_ticks=row.sensing_ticks(hand, text, period_ms)
+                )
+                for stage in row.stages
+                for text in ends
+            ]
     return selected
 
 
@@ -311,7 +353,8 @@ def fault_pairs(hand: Hand, protocol: str, period_ms: float) -> list[FaultScenar
             texts = texts_of_fault(hand, main.fault, period_ms)
             second_texts = texts_of_fault(hand, other.fault, period_ms)
             if texts and second_texts:
-                selected.append(FaultScenario(main, texts[0], GRASP_STAGE, second_texts[-1]))
+                waits = main.sensing_ticks(hand, texts[0], period_ms)
+                selected.append(FaultScenario(main, texts[0], GRASP_STAGE, second_texts[-1], waits))
     return selected
 
 
@@ -362,4 +405,14 @@ def _instance_values(hand: Hand, fault: str) -> list[dict[str, str]]:
     }
     return next(
         ([{key: name} for name in names[key]] for key in names if f"{{{key}}}" in fault), [{}]
+    )
+
+
+def _lacks_load_cell(hand: Hand, fault: str) -> bool:
+    """Return True if a fault concerns a tendon without load cell, or the motor of such a tendon."""
+    words = dict(word.split("=", 1) for word in fault.split() if "=" in word)
+    names = (words.get("tendon"), words.get("node"))
+    return any(
+        not has_cell and (tendon.name in names or tendon.motor in names)
+        for tendon, has_cell in zip(hand.tendon, hand.has_cell.tolist(), strict=True)
     )

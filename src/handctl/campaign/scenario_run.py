@@ -92,9 +92,8 @@ def run_scenario(
         protocol: protocol that the drives of the hand use.
     """
     row = scenario.row
-    bound = row.bound_ticks(protocol, simulation.period_ns / 1e6) + (
-        PAIR_EXTRA_TICKS if scenario.second_fault else 0
-    )
+    bound = row.bound_ticks(protocol, simulation.period_ns / 1e6) + scenario.sensing_ticks
+    bound += PAIR_EXTRA_TICKS if scenario.second_fault else 0
     result = ScenarioResult(scenario.name, row.id, scenario.stage, bound=bound)
     start_ns = simulation.k * simulation.period_ns
     start_tension = simulation.simulated_hand.truth()["tension"]

@@ -40,6 +40,7 @@ from handctl.safety.faults.node import (
     STILL_PULLING_FRACTION,
     STILL_PULLING_N,
     STILL_PULLING_S,
+    STILL_REPORTED_N,
     STUCK_GOAL_M,
     STUCK_JOINT_DEG,
     STUCK_S,
@@ -137,7 +138,7 @@ def detect_node_faults_under_torque(x: StateTables, c: ConstantTables, evidence:
         if jerk > c.run[h.NOISE_LIMIT]:
             evidence[N07, n] = jerk
         disobeyed = abs(x.tendon[s.RESIDUAL + residuals.COMMAND_DIFFERENCE, n])
-        if disobeyed > NOT_OBEYED_N:
+        if disobeyed > NOT_OBEYED_N or torque_correlation.is_command_contradicted(x, c, n):
             evidence[N14, n] = disobeyed
         if x.tendon[s.SWING_S, n] > SWING_S:
             evidence[N14B, n] = math.sqrt(x.tendon[s.SWING_SQUARE, n])
@@ -177,7 +178,7 @@ def _detect_stuck_encoders(x: StateTables, c: ConstantTables, evidence: Evidence
 
 @kernel_helper
 def detect_tension_after_cut(x: StateTables, c: ConstantTables, evidence: Evidence) -> None:
-    """Find tendons that are still under tension after the torque was cut."""
+    """Find tendons that are still under tension after the torque was cut, by load cell or by reported torque."""
     if x.run_int[s.CUT_TICKS] * c.run[h.PERIOD] < STILL_PULLING_S:
         return
     for n in range(x.tendon.shape[1]):
@@ -187,3 +188,17 @@ def detect_tension_after_cut(x: StateTables, c: ConstantTables, evidence: Eviden
             and tension > STILL_PULLING_FRACTION * x.tendon[s.TENSION_AT_CUT, n]
         ):
             evidence[N16, n] = tension
+        elif _still_reports_torque(x, c, n):
+            evidence[N16, n] = abs(x.tendon[s.MEASURED_FORCE, n])
+
+
+@kernel_helper
+def _still_reports_torque(x: StateTables, c: ConstantTables, n: int) -> bool:
+    """Return True if a drive reports torque as before the torque was cut."""
+    # After a cut, a drive that sends its torque separately sends none. Its last torque is old.
+    if not c.tendon_int[h.ANSWERS_ONCE, n]:
+        return False
+    # The last report before the cut is in REPORT_FORCES, which is updated under torque only.
+    before = abs(x.tendon[s.REPORT_FORCES + 3, n])
+    reported = abs(x.tendon[s.MEASURED_FORCE, n])
+    return reported > STILL_REPORTED_N and reported > STILL_PULLING_FRACTION * before

@@ -10,13 +10,13 @@ from handctl.core.control_law.digit_reference import is_tendon_streamed
 from handctl.core.detectors import residuals, stuck_sensors
 from handctl.core.detectors.bus_faults import Evidence
 from handctl.core.detectors.replayed_readings import age_of_repeated_readings
+from handctl.core.detectors.tendon_slip import derailed_limit
 from handctl.core.estimation.measurements import monitored_tension
 from handctl.core.estimation.varying_moment_arms import moment_arm
 from handctl.core.state_block import StateTables
 from handctl.safety.faults.tendon import (
     CELL_FORCE_N,
     CELL_TICKS,
-    DERAILED_DEG,
     DERAILED_READINGS,
     FRICTION_WARN_N,
     RELAXED_S,
@@ -101,7 +101,7 @@ def detect_tendon_faults_under_torque(
         if age > 0:
             evidence[T05B, n] = age
         slip = abs(x.tendon[s.SLIP, n])
-        if x.tendon[s.DERAILED_READINGS, n] >= DERAILED_READINGS and slip > DERAILED_DEG:
+        if x.tendon[s.DERAILED_READINGS, n] >= DERAILED_READINGS and slip > derailed_limit(c, n):
             evidence[T08, n] = slip
 
 

@@ -8,7 +8,12 @@ from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation.measurements import monitored_tension
 from handctl.core.state_block import StateTables
-from handctl.safety.faults.tendon import DERAILED_DEG, SLACK_N, TAUT_N
+from handctl.safety.faults.tendon import (
+    DERAILED_DEG,
+    DERAILED_WITHOUT_CELL_DEG,
+    SLACK_N,
+    TAUT_N,
+)
 
 SETTLE_S = 0.1
 """Time for which a tendon must be taut before the reference for its slip is measured [s]."""
@@ -44,7 +49,13 @@ def update_slip(x: StateTables, c: ConstantTables, tared: bool) -> None:
             x.tendon[s.SLIP, n] = (
                 (apart - x.tendon[s.SLIP_REFERENCE, n]) / c.tendon[h.ARMS_SUM, n] * DEG_PER_RAD
             )
-            far = abs(x.tendon[s.SLIP, n]) > DERAILED_DEG
+            far = abs(x.tendon[s.SLIP, n]) > derailed_limit(c, n)
             x.tendon[s.DERAILED_READINGS, n] = (
                 x.tendon[s.DERAILED_READINGS, n] + 1.0 if far else 0.0
             )
+
+
+@kernel_helper
+def derailed_limit(c: ConstantTables, n: int) -> float:
+    """Return the slip above which a tendon counts as derailed [deg]."""
+    return DERAILED_WITHOUT_CELL_DEG if c.tendon_int[h.CELL_GROUP, n] < 0 else DERAILED_DEG

@@ -31,8 +31,15 @@ from handctl.compiled import kernel_helper, square
 from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
+from handctl.core.detectors.residuals import COMMAND_DIFFERENCE
 from handctl.core.state_block import StateTables
-from handctl.safety.faults.node import REPORTED_FRACTION, REPORTED_S
+from handctl.safety.faults.node import (
+    CONTRADICTED_FRACTION,
+    CONTRADICTED_MEAN_N,
+    CONTRADICTED_N,
+    REPORTED_FRACTION,
+    REPORTED_S,
+)
 
 MIN_FILLING = 0.9
 """Response of the low-pass filter to a constant 1 above which the test is made.
@@ -181,3 +188,35 @@ def fraction_of_command_reported(x: StateTables, n: int) -> float:
     )
     # The lower bound of the divisor prevents a division by 0.
     return ab / max(x.tendon[s.REPORT_MOMENTS + COMMAND_SQUARED_ROW, n], 1e-300)
+
+
+@kernel_helper
+def is_command_contradicted(x: StateTables, c: ConstantTables, n: int) -> bool:
+    """Return True if a motor reports a force that none of its last three commands explains.
+
+    The low-passed difference of command and report must have the same sign, so a single report does
+    not count. A drive that obeys reports a command of the last three ticks, even after a lost
+    frame. The difference is then 0, however fast the command changes. So this test is quicker than
+    the low-passed difference alone, for example if two drives are exchanged and their loops drive
+    each other.
+
+    A drive that closes its position loop is not tested, because it has no torque command. Nor is a
+    drive that sends its torque separately, because the torque may be older than the reply.
+    """
+    if c.tendon_int[h.DRIVE_CLOSES_LOOP, n] or not c.tendon_int[h.ANSWERS_ONCE, n]:
+        return False
+    if x.tendon[s.REPORT_ON_TIME, n] <= SETTLED_TICKS:
+        return False
+    lowest = math.inf
+    highest = -math.inf
+    for earlier in range(3):
+        command = x.tendon[s.REPORT_FORCES + earlier, n]
+        if math.isnan(command):
+            return False
+        lowest = min(lowest, command)
+        highest = max(highest, command)
+    report = x.tendon[s.MEASURED_FORCE, n]
+    mean = x.tendon[s.RESIDUAL + COMMAND_DIFFERENCE, n]
+    beyond = lowest - report if mean > 0.0 else report - highest
+    explained = CONTRADICTED_N + CONTRADICTED_FRACTION * max(abs(lowest), abs(highest))
+    return abs(mean) > CONTRADICTED_MEAN_N and beyond > explained

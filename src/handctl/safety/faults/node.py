@@ -40,6 +40,14 @@ WARM_TICKS = 20
 """Number of consecutive ticks with a high temperature after which there is a fault."""
 NOT_OBEYED_N = 15.0
 """Difference between commanded and reported torque above which there is a fault, converted to tension [N]."""
+CONTRADICTED_N = 6.0
+CONTRADICTED_FRACTION = 0.25
+CONTRADICTED_MEAN_N = 4.0
+"""Thresholds for a report that contradicts its command: force [N], fraction of the command, filtered difference [N].
+
+A drive that obeys reports one of its last three commands, within 0.1 N in simulation. A drive whose current follows
+a step with a time constant of 4 ms still differs by 15 % of the step after three ticks of 2.5 ms.
+"""
 SWING_N = 8.0
 SWING_S = 0.25
 SWING_HZ = 8.0
@@ -57,7 +65,11 @@ ticks and replies shifts.
 STILL_PULLING_S = 0.1
 STILL_PULLING_FRACTION = 0.5
 STILL_PULLING_N = 10.0
+STILL_REPORTED_N = 1.0
 """Thresholds for a tendon that is still pulled after a cut: time [s], fraction of the tension at the cut, tension [N].
+
+The last threshold is for the motor force that the drive reports. A drive without torque reports less than 0.1 N in
+simulation, and the reading of a load cell drifts by newtons.
 
 After this time, tendons of the packaged hands have at most a third of their tension if the motor is
 off, and at least 0.74 of their tension if the motor still pulls.
@@ -248,7 +260,8 @@ declare_row("N14", "command not obeyed", odrive=f"{WEAKER_SIGN}: by tension (T04
     )  # fmt: skip
 N14 = declare_fault(
     "N14", "a command is not obeyed",
-    f"The filtered difference of commanded and reported torque is above {NOT_OBEYED_N:g} N at the tendon",
+    f"The filtered difference of commanded and reported torque is above {NOT_OBEYED_N:g} N at the tendon, or it is "
+    f"above {CONTRADICTED_MEAN_N:g} N and the report is far from the last three commands",
     SafetyAction.RELAX, ENDED_BY_OPERATOR, MOTOR_INSTANCE, relax_method=RelaxMethod.OPEN_LOOP,
     cause="The drive limits its torque, is in another mode, or its torque constant is wrong.",
     remedy="Check torque limit and torque constant of the drive, and run handctl conformance on it.",
@@ -274,7 +287,7 @@ declare_row("N16", "node refuses to release", ticks=2, ms=100, required=21,
     why="in the required time of 21 ticks of 5 ms the springs open the finger")  # fmt: skip
 N16 = declare_fault(
     "N16", "a drive does not release",
-    f"The tension does not fall within {STILL_PULLING_S * 1e3:g} ms after the torque was cut",
+    f"The tension or the reported torque does not fall within {STILL_PULLING_S * 1e3:g} ms after the torque was cut",
     SafetyAction.CUT, ENDED_BY_OPERATOR, TENDON_INSTANCE,
     cause="The drive does not obey the cut, or something else pulls the tendon.",
     remedy="Remove the motor power now. Then check the drive before the hand is powered again.",

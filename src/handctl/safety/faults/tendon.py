@@ -51,8 +51,14 @@ REPEAT_WINDOW = 16
 SATURATED_TICKS = 3
 """Number of consecutive ticks with a saturated load cell after which there is a fault."""
 DERAILED_DEG = 15.0
+DERAILED_WITHOUT_CELL_DEG = 10.0
 DERAILED_READINGS = 3
-"""Thresholds for a derailed tendon: difference of joint and spool beyond any stretch [deg], and readings in a row."""
+"""Thresholds for a derailed tendon: difference of joint and spool beyond any stretch [deg], and readings in a row.
+
+The second threshold is for a tendon without load cell, because no other fault reports soon that such a tendon has
+torn. Without a fault, three readings in a row of ``orca_like`` differed by 2.8 degrees with three times the usual
+noise, and by 5.1 degrees with a stiffness that was 30 % too low.
+"""
 
 _SLACK_VISIBILITY = (
     f"{WEAKER_SIGN}: only with joint encoders, by three readings, else by slack (T02)"
@@ -166,7 +172,7 @@ T08 = declare_fault(
     "T08", "a tendon left its pulley",
     f"In {DERAILED_READINGS} readings, joint and spool differ by more than a tendon can stretch",
     SafetyAction.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE,
-    cause="The tendon has derailed or crossed another one.",
+    cause="The tendon has derailed or crossed another one, or a tendon without load cell has torn.",
     remedy="Put the tendon back on its pulleys, then commission the hand (handctl commission).",
 )  # fmt: skip
 
