@@ -9,9 +9,9 @@ import pytest
 
 from handctl.cli.main import main
 from handctl.hand.digit import DigitModel
-from handctl.hand.load import load_hand
-from handctl.report.truth import read_truth
-from tests.cli.refused import refused
+from handctl.hand.hand_loading import load_hand
+from handctl.report.truth_record import read_truth
+from tests.cli.command_refusals import refusal_line
 
 FOLDER = Path(__file__).parents[1] / "hand"
 GRIPPER, MIXED = "parallel_gripper.toml", "mixed_gripper.toml"
@@ -20,10 +20,10 @@ MAX_SLIP_MM = 6.0
 
 
 @pytest.fixture
-def hands(place: Path) -> Path:
+def hands(work_folder: Path) -> Path:
     """Copy the hand files of the two grippers into the present folder."""
     for name in (GRIPPER, MIXED):
-        shutil.copy(FOLDER / name, place)
+        shutil.copy(FOLDER / name, work_folder)
     return place
 
 
@@ -44,8 +44,8 @@ def test_a_gripper_grasps_holds_releases_and_is_re_executed(
     assert 0.0 <= jaw["error_deg"] < 0.2
     truth = read_truth(hands / "run.truth")
     forces = [name for name in truth.columns if name.startswith("contact_force/")]
-    assert abs(truth.table(forces, truth.t_ns[-1:])).max() == 0.0, "the hand has released"
-    opened = truth.table([f"q/{joint}" for joint in load_hand(hand).joints], truth.t_ns[-1:])
+    assert abs(truth.columns_at(forces, truth.t_ns[-1:])).max() == 0.0, "the hand has released"
+    opened = truth.columns_at([f"q/{joint}" for joint in load_hand(hand).joints], truth.t_ns[-1:])
     assert np.abs(opened).max() < 0.06
     assert main(["replay", "execute", "run.mcap", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["differing"] == 0
@@ -104,7 +104,7 @@ MISTAKES = {
     ),
     "a noise in millimetres": ("joint_noise_m = 2e-5", "joint_noise_m = 0.02", "joint_noise_m: 0.02; expected"),
 }  # fmt: skip
-"""Texts of the file of the parallel gripper, texts in their place, and a part of the line of ``config check``."""
+"""Texts of the file of the parallel gripper, texts in their work_folder, and a part of the line of ``config check``."""
 
 
 @pytest.mark.parametrize("name", MISTAKES)
@@ -131,7 +131,7 @@ def test_a_coordinate_moves_joints_of_one_type(
     Path("bad.toml").write_text(text)
     assert (
         "coupling: column 0 moves revolute and prismatic joints; expected joints of one type"
-        in refused(capsys, "config", "check", "--hand", "bad.toml")
+        in refusal_line(capsys, "config", "check", "--hand", "bad.toml")
     )
 
 
@@ -170,7 +170,7 @@ def test_positions_of_a_task_are_in_mm(
         f'schema = 1\nname = "t"\n[[phase]]\nkind = "move"\nangle_deg = {{ {angle} }}\nduration_s = 1.0\n'
     )
     words = ("demo", "--lockstep", "--dry-run", "--hand", GRIPPER, "--task", "task.toml")
-    assert said in refused(capsys, *words)
+    assert said in refusal_line(capsys, *words)
 
 
 def test_a_fast_move_of_a_prismatic_joint_is_refused_in_mm(
@@ -180,13 +180,13 @@ def test_a_fast_move_of_a_prismatic_joint_is_refused_in_mm(
         'schema = 1\nname = "t"\n[[phase]]\nkind = "move"\nangle_deg = { left = 28 }\nduration_s = 0.2\n'
     )
     words = ("demo", "--lockstep", "--dry-run", "--hand", GRIPPER, "--task", "task.toml")
-    assert "left may have 28 mm to go, at 122.2 mm/s" in refused(capsys, *words)
+    assert "left may have 28 mm to go, at 122.2 mm/s" in refusal_line(capsys, *words)
 
 
 def test_identification_refuses_prismatic_joints(
     hands: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    line = refused(capsys, "identify", "--hand", GRIPPER, "--lockstep", "--dry-run")
+    line = refusal_line(capsys, "identify", "--hand", GRIPPER, "--lockstep", "--dry-run")
     assert "left has a prismatic joint; expected digits with hinges only" in line
 
 
@@ -196,5 +196,7 @@ def test_the_schema_2_file_and_its_content_are_the_same_hand(hands: Path) -> Non
         Path("whole.toml").write_text(hand.to_toml())
         again = load_hand("whole.toml")
         assert again.identity == hand.identity
-        for one, other in zip(DigitModel.all_of(hand), DigitModel.all_of(again), strict=True):
+        for one, other in zip(
+            DigitModel.all_from_hand(hand), DigitModel.of_hand(again), strict=True
+        ):
             np.testing.assert_array_equal(one.table, other.table)

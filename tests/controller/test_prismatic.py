@@ -6,27 +6,27 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.controller.setup import make_controller
+from handctl.controller.run_setup import make_controller
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_constants import HandConstants
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import HandMode
 from handctl.document import validate_content
 from handctl.hand.digit import DigitModel
 from handctl.hand.inverse_kinematics import closest_tip
 from handctl.hand.kinematics import joint_points
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.programs.calibration import Calibration
-from handctl.programs.commission import PULL_N, CommissionProgram, calibration_of_result
-from handctl.programs.grasp import TaskProgram
-from handctl.programs.live import LiveProgram, apply_goal
+from handctl.programs.commission import PULL_TENSION_N, CommissionProgram, calibration_of_result
+from handctl.programs.task_program import TaskProgram
+from handctl.programs.live_session import LiveProgram, apply_goal
 from handctl.programs.program import Program
 from handctl.programs.requests import MoveDigits
-from handctl.programs.streams import mapping_of_stream
+from handctl.programs.stream_plans import mapping_of_stream
 from handctl.programs.task import Task
 from handctl.report.summary import mean_angles
 from handctl.session.simulate import SimulatedRun, SimulatorSettings
-from tests.controller.synthetic import slack
+from tests.controller.synthetic_states import slack_hand_estimate
 
 FOLDER = Path(__file__).parents[1] / "hand"
 HANDS = ("parallel_gripper", "mixed_gripper")
@@ -50,34 +50,34 @@ def moves(name: str) -> Task:
 def test_a_hand_is_commissioned_and_moves(name: str, seed: int) -> None:
     hand = load_hand(FOLDER / f"{name}.toml")
     settings = SimulatorSettings(hand, seed=seed)
-    with settings.peer(round(1e9 / RATE_HZ)) as peer:
+    with settings.simulated_hand(round(1e9 / RATE_HZ)) as peer:
 
         def begin(program: Program, calibration: Calibration | None, first: int) -> SimulatedRun:
             controller = make_controller(hand, Gains(), RATE_HZ, program, calibration, True)
-            run = SimulatedRun.of(controller, peer)
-            run.record = False
+            run = SimulatedRun.begin(controller, peer)
+            run.record_ticks = False
             run.k = first
             return run
 
         run = begin(CommissionProgram(), None, 0)
-        for _, out in run.ticks(60.0):
+        for _, out in run.run_ticks(60.0):
             assert not [event for event in out.events if event.level == "error"]
         assert not run.state.progress.failure
         calibration = calibration_of_result(
             run.controller.model, run.state.progress, "2026-01-01T00:00:00+00:00"
         )
         for row in calibration.tendon.values():
-            assert row.answer_N == pytest.approx(PULL_N, abs=1.5)
+            assert row.answer_N == pytest.approx(PULL_TENSION_N, abs=1.5)
         run = begin(TaskProgram(moves(name)), calibration, run.k)
         errors = list[np.ndarray]()
         largest = np.zeros(len(hand.joints))
-        for _, out in run.ticks(run.k / RATE_HZ + 30.0):
+        for _, out in run.run_ticks(run.k / RATE_HZ + 30.0):
             assert not [event for event in out.events if event.level == "error"]
-            if run.state.mode == Mode.ACTIVE and run.state.progress.phase.startswith("move"):
+            if run.state.mode == HandMode.ACTIVE and run.state.progress.phase.startswith("move"):
                 q = peer.world.plant.engine.q
                 errors.append(hand.display_units.displayed(run.state.view("q_goal") - q))
                 largest = np.maximum(largest, hand.display_units.displayed(q))
-        assert run.state.mode == Mode.DONE
+        assert run.state.mode == HandMode.DONE
         # 1 mm or 1 deg rms.
         assert np.sqrt(np.nanmean(np.square(errors), axis=0)).max() < 1.0
         assert largest[0] > 14.0
@@ -86,7 +86,7 @@ def test_a_hand_is_commissioned_and_moves(name: str, seed: int) -> None:
 @pytest.mark.parametrize("name", HANDS)
 def test_inverse_kinematics_finds_postures_of_prismatic_joints(name: str) -> None:
     rng = np.random.default_rng(0)
-    for digit in DigitModel.all_of(load_hand(FOLDER / f"{name}.toml")):
+    for digit in DigitModel.all_from_hand(load_hand(FOLDER / f"{name}.toml")):
         low, high = digit.reach
         for _ in range(20):
             theta = rng.uniform(low, high)
@@ -107,7 +107,7 @@ def test_the_mean_of_a_sliding_digit_is_its_position() -> None:
 
 def model_of(name: str) -> HandModel:
     """Return the model of a gripper."""
-    return HandModel.of(load_hand(FOLDER / f"{name}.toml"), Gains(), RATE_HZ)
+    return HandModel.from_hand(load_hand(FOLDER / f"{name}.toml"), Gains(), RATE_HZ)
 
 
 def test_targets_of_a_stream_are_in_mm_and_deg() -> None:
@@ -138,8 +138,8 @@ def test_thresholds_count_10_mm_as_1_rad() -> None:
 )
 def test_a_live_move_is_refused_in_mm(angle: float, duration_s: float, said: str) -> None:
     model = model_of("parallel_gripper")
-    progress = replace(LiveProgram().initial(model), phase="live")
+    progress = replace(LiveProgram().initial_progress(model), phase="live")
     request = MoveDigits(do="move", angle_deg={"left": angle}, duration_s=duration_s)
-    after, (event,) = apply_goal(model, progress, request, slack(model), 0.0)
+    after, (event,) = apply_goal(model, progress, request, slack_hand_estimate(model), 0.0)
     assert after.goals == progress.goals
     assert said in event.text

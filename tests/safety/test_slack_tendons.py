@@ -219,7 +219,7 @@ def test_a_drive_that_still_reports_torque_after_a_cut_is_detected(group, before
     tendons = FilteredTendons(1)
     tendons.set_constants(cell_group=group)
     tendons.tick(measured_force=before, asked=before)
-    reported = [tendons.cut([NAN], measured_force=now, asked=0.0) for _ in range(52)]
+    reported = [tendons.run_tick_after_cut([NAN], measured_force=now, asked=0.0) for _ in range(52)]
     assert reported[48] == {}
     assert reported[-1] == ({"t0": abs(now)} if found else {})
 
@@ -230,7 +230,7 @@ def test_an_old_torque_is_no_sign_of_a_drive_that_does_not_release():
     tendons.set_constants(answers_once=0)
     tendons.tick(measured_force=20.0, asked=20.0)
     for _ in range(60):
-        assert tendons.cut([0.0], measured_force=20.0) == {}
+        assert tendons.run_tick_after_cut([0.0], measured_force=20.0) == {}
 
 
 def test_thresholds_leave_room_between_slack_and_taut():
