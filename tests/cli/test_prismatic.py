@@ -24,7 +24,7 @@ def hands(work_folder: Path) -> Path:
     """Copy the hand files of the two grippers into the present folder."""
     for name in (GRIPPER, MIXED):
         shutil.copy(FOLDER / name, work_folder)
-    return place
+    return work_folder
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -197,6 +197,6 @@ def test_the_schema_2_file_and_its_content_are_the_same_hand(hands: Path) -> Non
         again = load_hand("whole.toml")
         assert again.identity == hand.identity
         for one, other in zip(
-            DigitModel.all_from_hand(hand), DigitModel.of_hand(again), strict=True
+            DigitModel.all_from_hand(hand), DigitModel.all_from_hand(again), strict=True
         ):
             np.testing.assert_array_equal(one.table, other.table)

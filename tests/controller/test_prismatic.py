@@ -13,17 +13,17 @@ from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode
 from handctl.document import validate_content
 from handctl.hand.digit import DigitModel
+from handctl.hand.hand_loading import load_hand
 from handctl.hand.inverse_kinematics import closest_tip
 from handctl.hand.kinematics import joint_points
-from handctl.hand.hand_loading import load_hand
 from handctl.programs.calibration import Calibration
 from handctl.programs.commission import PULL_TENSION_N, CommissionProgram, calibration_of_result
-from handctl.programs.task_program import TaskProgram
 from handctl.programs.live_session import LiveProgram, apply_goal
 from handctl.programs.program import Program
 from handctl.programs.requests import MoveDigits
 from handctl.programs.stream_plans import mapping_of_stream
 from handctl.programs.task import Task
+from handctl.programs.task_program import TaskProgram
 from handctl.report.summary import mean_angles
 from handctl.session.simulate import SimulatedRun, SimulatorSettings
 from tests.controller.synthetic_states import slack_hand_estimate

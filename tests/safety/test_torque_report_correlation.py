@@ -227,7 +227,7 @@ def test_torque_that_comes_separately_is_judged_by_its_mean_only() -> None:
     motors = ReportingMotors()
     motors.set_constants(answers_once=0)
     for force in commanded:
-        motors.step(force, np.zeros(2))
+        motors.run_tick(force, np.zeros(2))
     assert not motors.disobeyed
 
 
