@@ -1,6 +1,6 @@
 """The simulator in real time.
 
-One thread reads frames, advances the plant to the clock, and answers at once.
+One thread reads frames, advances the plant to the time of the clock, and answers at once.
 """
 
 import select
@@ -23,7 +23,7 @@ OVERRUN_NS = 5 * MAX_TURN_NS
 MAX_DELAY_NS = 150_000_000
 """Largest delay of the plant, as plant time [ns].
 
-Above, the clock slips: the lost time is given up.
+If the delay is larger, the clock slips: the plant never makes up for the lost time.
 """
 MAX_READS_PER_TURN = 64
 """Maximum number of reads of the ports in one turn.
@@ -31,7 +31,7 @@ MAX_READS_PER_TURN = 64
 The limit keeps a busy bus from stopping the plant.
 """
 SLIP_PAUSE_S = 0.005
-"""Pause after a slip of the clock [s], for other processes on the processor core."""
+"""Pause after a slip of the clock, in which other processes can use the processor core [s]."""
 MAX_CATCH_UP_NS = 4_000_000
 """Maximum plant time by which one turn advances the plant [ns].
 
@@ -70,7 +70,7 @@ class ServedNodes(Protocol):
 
     Attributes:
         t_ns: present time of the nodes [ns].
-        slip_ns: time by which the simulation is behind the wall clock for good [ns].
+        slip_ns: delay behind the wall clock that the simulation never makes up [ns].
         foreign: number of frames that no node handled.
     """
 
@@ -84,7 +84,7 @@ class ServedNodes(Protocol):
 
     @property
     def malformed(self) -> int:
-        """Return the number of frames the nodes could not decode."""
+        """Return the number of frames that the nodes could not decode."""
         ...
 
     def receive(self, frame: Frame) -> list[Frame]:
@@ -125,7 +125,7 @@ class BusServer:
         """Set up the server.
 
         Args:
-            world: nodes to serve, whose time is the present time of the clock.
+            world: nodes to serve. Their time must be the present time of the clock.
             ports: ports in the order of the hand's buses.
             clock: clock that the world follows.
             faults: socket for faults and other requests, None without such a socket.
@@ -149,7 +149,7 @@ class BusServer:
     def turn(self) -> None:
         """Wait for frames or for the next millisecond.
 
-        Then advance the plant, and answer the frames.
+        After the wait, advance the plant, and answer the frames.
         """
         ready = self._wait_for_sockets()
         frames = self._receive_frames(ready)
@@ -229,7 +229,7 @@ class BusServer:
     def _give_up_lost_time(self, behind_ns: int) -> None:
         """Give up the time lost while this process did not run.
 
-        Plant and watchdogs stood still meanwhile.
+        During this time, plant and watchdogs stood still.
         """
         self._world.slip_ns += behind_ns
         self.slips += 1

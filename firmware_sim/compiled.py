@@ -29,7 +29,7 @@ ArgumentType: TypeAlias = "str | type[ctypes.Structure] | np.dtype[Any]"
 _KERNEL_ARGUMENTS: dict[str, dict[str, tuple[ArgumentType, ...] | None]] = {}
 """Argument types of each kernel, by module and kernel name.
 
-None for a kernel that only other kernels call.
+The value is None for a kernel that only other kernels call.
 """
 
 
@@ -127,7 +127,7 @@ def _imported_kernels(module: ModuleType) -> dict[str, ModuleType]:
 def _source_digest(modules: set[ModuleType]) -> str:
     """Return a digest of the sources of modules and of all modules with imported kernels.
 
-    Empty for no modules.
+    Without modules, the digest is empty.
     """
     reached = set(modules)
     new = set(modules)
@@ -154,10 +154,10 @@ def _compile_kernel(arguments: tuple[Any, ...], kernel: FunctionType) -> Any:
 
 
 def use_compiled_kernels(module: ModuleType) -> None:
-    """Replace the kernels of a module by their compiled forms, in this process, for callers through the module.
+    """Replace the kernels of a module by their compiled forms, for all callers in this process that use the module.
 
-    Kernels for other kernels only (``kernel_helper``) stay Python functions, because Python code also calls
-    them with objects.
+    Functions that are marked with ``kernel_helper`` stay Python functions, because Python code also
+    calls them with objects.
     """
     compiled_kernels = machine_code(module)
     for name, arguments in _KERNEL_ARGUMENTS[module.__name__].items():

@@ -158,8 +158,8 @@ class TendonSpec:
     Attributes:
         name: name of the tendon.
         motor: name of the motor that winds the tendon.
-        arms: moment arm of the tendon by joint name [m]. If the arm depends on the joint angle,
-            this is the mean.
+        arms: moment arm of the tendon by joint name [m]. If the arm depends on the joint angle, the
+            value is its mean.
         curves: moment arms of the tendon that depend on the joint angle, by joint name.
         stiffness: stiffness of the tendon at tensions below the knee [N/m].
         damping: viscous damping of the tendon [N s/m].
@@ -442,7 +442,10 @@ def _with_template(content: dict[str, Any], kind: str, section: dict[str, Any]) 
 
 
 def _merged_tables(base: dict[str, Any], override: dict[str, Any]) -> dict[str, Any]:
-    """Return two tables merged key by key. Where both have a value, ``override`` decides."""
+    """Return two tables merged key by key.
+
+    If both tables have a value for a key, the value of ``override`` is used.
+    """
     tables = {key: _merged_tables(base[key], value) for key, value in override.items()
               if isinstance(value, dict) and isinstance(base.get(key), dict)}  # fmt: skip
     return base | override | tables
@@ -559,7 +562,7 @@ def _joint_values(
 def _link_inertia(section: dict[str, Any], i: int) -> tuple[float, ...]:
     """Return the six inertia values of link ``i`` of a digit.
 
-    If the file has a single number, it is the moment of inertia of a round bar about y and z.
+    A single number in the file is the moment of inertia of a round bar about y and z.
     """
     value = section["link_inertia_kg_m2"][i]
     if isinstance(value, int | float):

@@ -76,13 +76,14 @@ class LockstepHand:
 
         Args:
             t_ns: start of the tick [ns], not before the previous tick.
-            frames: frames of the host as a contiguous array of ``frame_records.FRAME_DTYPE``. Their times are
-                ignored.
+            frames: frames of the host as a contiguous array of ``frame_records.FRAME_DTYPE``. The
+                times in these frames are ignored.
 
         Returns:
-            The answers as an array of ``frame_records.FRAME_DTYPE``. On each bus, the times form a sequence
-            within the tick. With simulated wires, the array has the frames that have arrived by the
-            end of the tick, and error frames of the host's controllers.
+            The answers as an array of ``frame_records.FRAME_DTYPE``. On each bus, the times are
+            those of answers that follow one another within the tick. With simulated wires, the
+            array has the frames that have arrived by the end of the tick, and error frames of the
+            host's controllers.
         """
         end_ns = t_ns + self._period_ns
         if self.wired:
@@ -99,7 +100,9 @@ class LockstepHand:
         )
 
     def step(self, t_ns: int, frames: Iterable[tuple[Any, ...]]) -> list[Frame]:
-        """Answer the host's frames of one tick, given and returned as objects. See ``exchange``.
+        """Answer the host's frames of one tick, and return the answers as objects.
+
+        See ``exchange``.
 
         Args:
             t_ns: start of the tick [ns], not before the previous tick.
@@ -131,7 +134,7 @@ class LockstepHand:
         }
 
     def close(self) -> None:
-        """Complete and close the truth file, if any."""
+        """Complete and close the truth file, if there is one."""
         if self._truth is not None:
             counts = {
                 "foreign_frames": self.world.foreign,
@@ -141,6 +144,6 @@ class LockstepHand:
             self._truth = None
 
     def _loads(self) -> list[float]:
-        """Return the occupied fraction of the elapsed time for each wire."""
+        """Return for each wire the fraction of the elapsed time in which frames occupied the wire."""
         assert self.wired
         return [round(wire.load(0, max(1, self.world.t_ns)), 4) for wire in self.wired.wires]

@@ -29,7 +29,7 @@ ROUND_SHAPES = (
     mujoco.mjtGeom.mjGEOM_CYLINDER,
     mujoco.mjtGeom.mjGEOM_SPHERE,
 )
-"""Shapes with a radius, the preferred ones first. They give the radius of a link."""
+"""Shapes that give the radius of a link, the preferred shapes first."""
 BOX_CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 """Corners of a box around the origin with edges of length 2, (8, 3)."""
 
@@ -149,7 +149,7 @@ def _compiled_model(
         spec.compiler.fusestatic = False
         spec.compiler.discardvisual = False
         if file_format == "urdf":
-            # In a URDF, elements of their own give the inertia, not the shapes.
+            # In a URDF, separate elements give the inertia, which does not follow from the shapes.
             spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
             _name_mesh_files(spec, root, Path(path).absolute().parent)
         try:

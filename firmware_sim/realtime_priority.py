@@ -10,7 +10,7 @@ from collections.abc import Callable
 REALTIME_PRIORITY = 50
 """Real-time priority of the simulator.
 
-The controller has 60, and is therefore never delayed by the simulator.
+The controller has the priority 60. Therefore the simulator never delays the controller.
 """
 ORDINARY_PRIORITY_S = 5.0
 """Time without real-time priority after the plant fell behind the clock [s]."""
@@ -50,7 +50,7 @@ class RealTimePriority:
     priority while it still imports modules. A busy simulator with real-time priority would leave
     the controller almost no time. Therefore the simulator takes the priority only at the first
     frame of a host. If the plant falls behind repeatedly, the simulator gives the priority back for
-    ``ORDINARY_PRIORITY_S``. A single stop of the machine does not count as repeated.
+    ``ORDINARY_PRIORITY_S``. After a single stop of the machine, the simulator keeps the priority.
 
     Attributes:
         active: True while the process has the priority.

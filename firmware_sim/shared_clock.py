@@ -4,7 +4,7 @@ The clock pauses while the machine is too slow.
 
 The operating system may stop the simulator for many milliseconds. The answers of the simulator are
 then late, although the simulated hand works correctly. A controller that uses the shared clock
-waits for these answers. In every tick, the controller sets a time called the gate. The simulator
+waits for late answers. In every tick, the controller sets a time called the gate. The simulator
 never advances beyond the gate.
 
 The clock is a file with six 64-bit integers. Both processes map the file into memory:
@@ -34,8 +34,8 @@ MAX_GATE_WAIT_NS = 120_000_000
 
 A controller that stays away for longer has stopped or died.
 
-This wait is shorter than the delay at which the plant's clock slips. The longest pause for a late
-controller is shorter than this wait.
+The wait at the gate is shorter than the delay at which the plant's clock slips. The longest pause
+for a late controller is shorter than this wait.
 """
 
 
@@ -44,8 +44,8 @@ class SharedClock:
 
     See ``bus_server.ServerClock``.
 
-    Before ``publish``, no controller shares the clock, and its time is CLOCK_MONOTONIC times the
-    scale.
+    Before ``publish``, no controller shares the clock, and the time of the clock is CLOCK_MONOTONIC
+    times the scale.
 
     Attributes:
         scale: plant time per wall time.
@@ -108,7 +108,7 @@ class SharedClock:
     def close(self) -> None:
         """Remove the file of the clock.
 
-        A controller with the file still mapped waits as for a stopped simulator.
+        A controller that still maps the file then waits, as it waits for a stopped simulator.
         """
         if self._path:
             self._path.unlink(missing_ok=True)

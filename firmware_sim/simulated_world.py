@@ -32,7 +32,8 @@ _ARRIVAL_NS = itemgetter(4)
 MAX_ENCODER_OFFSET_RAD = 0.5
 """Maximum encoder angle at theta = 0 in a hand that is not homed [rad].
 
-It is small against PMAX and the 3 rad of a grasp.
+This angle is small compared with the position range of the drives, and with the 3 rad that a grasp
+needs.
 """
 
 
@@ -40,9 +41,10 @@ class SimulatedWorld:
     """The plant and the simulated nodes of one hand.
 
     If the world is not homed, it starts as a hand at power-up. Each tendon is slack by 1 to 3 mm,
-    because the motors were off. Where a tendon is just taut at q = 0, its encoder reads an angle
-    within 0.5 rad of ``zero_rad``, as after a spool was clamped by hand. Slack and angle are random
-    with a seed. A homed world starts with taut tendons and with the encoders at ``zero_rad``.
+    because the motors were off. At the spool angle where a tendon is just taut at q = 0, the
+    encoder of its motor reads an angle within 0.5 rad of ``zero_rad``, as after a spool was clamped
+    by hand. Slack and encoder angle are random numbers that depend on a seed. A homed world starts
+    with taut tendons and with the encoders at ``zero_rad``.
 
     Attributes:
         hand: description of the hand.
@@ -191,7 +193,7 @@ class SimulatedWorld:
         return self._motor_nodes[name]
 
     def host_frame(self, name: str) -> Frame:
-        """Build a frame without effect, sent only by the host of a motor."""
+        """Build a frame that has no effect and that only the host of a motor sends."""
         spec = self.motor_spec(name)
         can_id, data = PROTOCOL_SPECS[spec.protocol].host_frame(spec.node_id)
         return Frame(can_id, data, 0, self._bus_index(spec.bus), self.t_ns)
@@ -251,7 +253,7 @@ class SimulatedWorld:
         return receivers
 
     def refresh_identifiers(self) -> None:
-        """Read the identifiers of all nodes again, because some may have changed."""
+        """Read the identifiers of all nodes again, because some identifiers may have changed."""
         self._nodes_of_bus = [[(node, node.ids) for node in bus] for bus in self.nodes]
         self._by_id = [{} for _ in self.nodes]
         if self.exchange:
@@ -264,7 +266,8 @@ class SimulatedWorld:
 
         Args:
             t_ns: time to advance to [ns].
-            row_wake_ns: earliest wake time of the drives with rows [ns], None if not known.
+            row_wake_ns: earliest wake time of the drives whose state is in array rows [ns], None if
+                not known.
         """
         plant = self.plant
         truth = self._truth
@@ -295,7 +298,7 @@ class SimulatedWorld:
         """Advance plant and nodes to exactly ``t_ns``, so that samples belong to their exact time.
 
         Other steps keep their places in time. The step around ``t_ns`` is divided, and the next
-        call completes this step.
+        call completes the divided step.
         """
         self.advance(t_ns)
         rest_ns = t_ns - self.t_ns
@@ -316,7 +319,8 @@ class SimulatedWorld:
         """Return the earliest wake time of all nodes [ns].
 
         Args:
-            row_wake_ns: earliest wake time of the drives with rows [ns], None if not known.
+            row_wake_ns: earliest wake time of the drives whose state is in array rows [ns], None if
+                not known.
         """
         if not self.exchange:
             return min([node.wake_ns for _, node in self._nodes_by_bus], default=NEVER_NS)
@@ -331,7 +335,7 @@ class SimulatedWorld:
         """Wake the due nodes, and store the frames sent by them.
 
         Returns:
-            Earliest wake time of the drives with rows [ns], None if not known.
+            Earliest wake time of the drives whose state is in array rows [ns], None if not known.
         """
         if self.exchange and not self._without_row and self.exchange.send_due(now_ns):
             return self.exchange.wake_ns
@@ -348,7 +352,7 @@ class SimulatedWorld:
         return None
 
     def queue_frames(self, frames: list[Frame]) -> None:
-        """Queue frames of senders outside the hand for the bus."""
+        """Queue frames on the bus that come from senders outside the hand."""
         self._unsolicited += frames
 
     def take_unsolicited(self) -> list[Frame]:
@@ -362,7 +366,7 @@ class SimulatedWorld:
     def take_unsolicited_records(self) -> Any:
         """Return the unsolicited frames as an array of ``frame_records.FRAME_DTYPE``.
 
-        It is valid until the next frame is sent.
+        The array is valid until the next frame is sent.
         """
         assert self.exchange
         return (
@@ -371,7 +375,7 @@ class SimulatedWorld:
 
     @property
     def malformed(self) -> int:
-        """Return the number of frames the nodes could not decode."""
+        """Return the number of frames that the nodes could not decode."""
         return sum(node.malformed for _, node in self._nodes_by_bus)
 
     def header(self, clock: str) -> dict[str, object]:

@@ -144,7 +144,7 @@ def rounded_down(pace: float) -> float:
 
 
 def _pace_ratio(start: ClockReadings, end: ClockReadings) -> float:
-    """Return the plant time per computing time, infinite for no computing time."""
+    """Return the plant time per computing time. It is infinite if no computing time has passed."""
     cpu_s = end.cpu_s - start.cpu_s
     return (end.plant_s - start.plant_s) / cpu_s if cpu_s > 0.0 else math.inf
 

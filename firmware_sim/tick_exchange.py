@@ -1,6 +1,6 @@
 """The frames of one tick and their answers as records.
 
-A compiled kernel answers cyclic frames, nodes all others.
+A compiled kernel answers the cyclic frames. The nodes answer all other frames.
 """
 
 from operator import is_not
@@ -142,7 +142,7 @@ class TickExchange:
     def _build_table(self) -> None:
         """Build the table of receivers by identifier.
 
-        Python handles identifiers that a node without a row may answer.
+        Python handles the identifiers that a node whose state is not in an array row may answer.
         """
         world = self._world
         receivers = list[tuple[int, int, int]]()
@@ -157,8 +157,8 @@ class TickExchange:
             }
             for can_id in {can_id for ids in cyclic_ids.values() for can_id in ids}:
                 accepting = [node for node in nodes if _does_node_accept(node, can_id)]
-                # A node without a row also accepts this identifier, so Python must handle these
-                # frames.
+                # A node whose state is not in an array row also accepts this identifier, so Python
+                # must handle these frames.
                 if not all(can_id in cyclic_ids[id(node)] for node in accepting):
                     continue
                 next_receiver = -1
@@ -208,11 +208,11 @@ class TickExchange:
 
     @property
     def wake_ns(self) -> int:
-        """Return the earliest wake time of drives with rows [ns], as the last ``answer`` or ``send_due`` left it."""
+        """Return the earliest wake time of drives in array rows [ns], after the last ``answer`` or ``send_due``."""
         return int(self._progress[WAKE_NS])
 
     def next_wake(self) -> int:
-        """Return the present earliest wake time of drives with rows [ns]."""
+        """Return the present value of the earliest wake time of drives in array rows [ns]."""
         if self._table is None:
             self._build_table()
         return int(self._kernels.next_wake(self._drive_rows, *self._drive_structs))
@@ -224,7 +224,7 @@ class TickExchange:
             now_ns: present time [ns].
 
         Returns:
-            False if a node must be woken in Python. No frame is sent then.
+            False if a node must be woken in Python. In this case, no frame is sent.
         """
         if not self.sends_unsolicited or self._world.faults.in_frames:
             return False

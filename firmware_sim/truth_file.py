@@ -1,6 +1,6 @@
 """The truth file: a record of the plant's true state in every millisecond.
 
-Tests compare a controller with it.
+Tests compare a controller with this record.
 
 The file starts with a line of JSON, which is padded with spaces and completed when the file is
 closed. Rows follow. Each row has an int64 t_ns and a float64 for each column, little-endian.
@@ -70,8 +70,8 @@ def truth_columns(plant: Plant) -> list[tuple[str, str]]:
 class TruthWriter:
     """Writer of a truth file.
 
-    The values of a row belong to the time of the row. Only the contact forces belong to the step
-    before (0.5 ms).
+    The values of a row belong to the time of the row. Only the contact forces belong to the
+    previous step of the plant, 0.5 ms earlier.
 
     Attributes:
         due_ns: plant time at which the next row must be written [ns].

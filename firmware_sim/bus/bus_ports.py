@@ -25,8 +25,8 @@ class BusPort(Protocol):
 
     Attributes:
         lost: frames that could not be sent or read.
-        due_ns: time at which the port must be served even if no socket is ready [ns].
-            ``medium.NEVER_NS`` if only sockets matter.
+        due_ns: time at which the port must be served even if no socket is ready [ns]. The time is
+            ``medium.NEVER_NS`` if the port must be served only when a socket is ready.
     """
 
     @property

@@ -1,9 +1,9 @@
 """The hub of a local bus: every client receives the records of all other clients, and no client can block the hub.
 
 A record has 72 bytes (``frame.RECORD_SIZE``). One read from a socket may return several records,
-and may end in the middle of a record. The hub drops records for a client without room in the socket
-buffer. In each record for a client, bytes 6 and 7 hold the number of records dropped for the client
-until now, modulo 65536.
+and may end in the middle of a record. If the socket buffer of a client has no room, the hub drops
+the records for this client. In each record for a client, bytes 6 and 7 hold the number of records
+dropped for the client until now, modulo 65536.
 """
 
 import contextlib
@@ -26,7 +26,7 @@ BUFFER_BYTES = 1 << 20
 Linux grants 416 KiB by default.
 """
 _PEER_CREDENTIALS = struct.Struct("3i")
-"""Linux's ``struct ucred``: process, user and group of the peer of a Unix socket."""
+"""Linux's ``struct ucred``: process, user and group of the other end of a Unix socket."""
 _MAX_READ_BYTES = 1 << 16
 """Maximum bytes of one read from a client.
 
@@ -37,13 +37,13 @@ The limit keeps a client that floods the bus from blocking the others.
 class HubConnection:
     """One connection of a hub and a client.
 
-    Both directions carry whole records, and no method blocks.
+    Both directions of the connection carry whole records, and no method blocks.
 
     Attributes:
         socket: non-blocking stream socket of the connection.
         dropped: number of records dropped because the kernel's send buffer was full.
         closed: True once the other end has closed the connection.
-        unsent: bytes not yet sent of a partly sent record.
+        unsent: bytes of a partly sent record that are not yet sent.
     """
 
     def __init__(self, link: socket.socket) -> None:
@@ -99,7 +99,7 @@ class HubConnection:
         """Send the remaining bytes of a partly sent record.
 
         Returns:
-            True if no bytes remain. The next record may then be sent.
+            True if no bytes remain, so that the next record may be sent.
         """
         if self.unsent:
             self.unsent = self.unsent[self._send(self.unsent) :]
@@ -239,9 +239,9 @@ class BusHub:
 
 
 def _is_foreign(link: socket.socket) -> bool:
-    """Check whether the peer runs as a third user, neither this process's user nor root.
+    """Check whether the other end of a connection runs as a third user, neither this process's user nor root.
 
-    Only Linux tells the user.
+    Only Linux tells the user of the other process.
     """
     if not sys.platform.startswith("linux"):
         return False

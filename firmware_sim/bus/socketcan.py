@@ -82,7 +82,7 @@ class SocketCanPort:
         except OSError as error:
             if error.errno != errno.ENETDOWN:
                 raise
-            self.lost += 1  # The interface is down. Reads succeed again once it is up.
+            self.lost += 1  # The interface is down. Reads succeed again once the interface is up.
         return frames
 
     def _frame_from_bytes(self, raw: bytes) -> Frame:

@@ -1,6 +1,6 @@
 """A port that serves a local bus with wire timing.
 
-Every client and every identifier of a node has a CAN controller.
+Every client and every identifier of a node has its own simulated CAN controller.
 """
 
 import socket
@@ -120,7 +120,9 @@ class TimedPort:
         return self._hub.write_sockets()
 
     def receive(self, ready_sockets: Collection[socket.socket]) -> list[Frame]:
-        """Receive the frames that were the next to end on the wire, if any have ended by now.
+        """Receive the next frames that have ended on the wire.
+
+        If none has ended by now, return no frames.
 
         See ``bus_ports.BusPort``.
         """
@@ -141,7 +143,7 @@ class TimedPort:
     def _report_queues(self) -> None:
         """Send each client the level of the client's queue.
 
-        Sending into a full queue can then fail in the client at once.
+        With the level, the client can refuse at once to send into a full queue.
         """
         for link, controller in self._clients.items():
             arrived, reported = self._queues[link]

@@ -1,4 +1,4 @@
-"""The faults of a simulated hand, whether waiting, acting or over, each with a count of effects."""
+"""The faults of a simulated hand that wait, act or are over. Each has a count of its effects."""
 
 import random
 from typing import Any
@@ -34,7 +34,7 @@ GENERATING_KINDS = ("flood", "unknown", "foreign")
 class ActiveFaults:
     """The faults of a simulated world, timed by its clock.
 
-    Their effects are deterministic, in lockstep and in real time.
+    The effects of faults are deterministic, in lockstep and in real time.
 
     Attributes:
         on: True once a fault has been injected.
@@ -45,7 +45,7 @@ class ActiveFaults:
     """
 
     def __init__(self, world: Any) -> None:
-        """Create the collection without any fault.
+        """Start without faults.
 
         Args:
             world: world in which the faults act.

@@ -37,7 +37,7 @@ class BenchInterface(Protocol):
         ...
 
     def queue_frames(self, frames: list[Frame]) -> None:
-        """Queue frames of senders outside the bench for the bus."""
+        """Queue frames on the bus that come from senders outside the bench."""
         ...
 
 
@@ -108,13 +108,13 @@ class BenchWorld:
         return next(motor for motor in self.hand.motors if motor.name == name)
 
     def host_frame(self, name: str) -> Frame:
-        """Return a frame without effect, sent only by the host of a drive."""
+        """Return a frame that has no effect and that only the host of a drive sends."""
         spec = self.motor_spec(name)
         can_id, data = PROTOCOL_SPECS[spec.protocol].host_frame(spec.node_id)
         return Frame(can_id, data, 0, 0, self.t_ns)
 
     def queue_frames(self, frames: list[Frame]) -> None:
-        """Queue frames of senders outside the bench for the bus."""
+        """Queue frames on the bus that come from senders outside the bench."""
         self._bench.queue_frames(frames)
 
     def refresh_identifiers(self) -> None:

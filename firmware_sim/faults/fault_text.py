@@ -97,7 +97,10 @@ SIZE_RANGES = {
 }  # fmt: skip
 """Allowed sizes of faults by kind. Kinds without an entry have ``DEFAULT_SIZE_RANGE``."""
 TWO_MOTOR_KINDS = ("swap", "cross")
-"""Kinds of fault that act on two motors. Their text names the second motor, ``with=NAME``."""
+"""Kinds of fault that act on two motors.
+
+The text of such a fault names the second motor, ``with=NAME``.
+"""
 DEFAULT_SIZE_RANGE = (-1e6, 1e6)
 """Allowed sizes of a fault whose kind has no entry in ``SIZE_RANGES``."""
 DRIVE_KINDS = ("reset", "error", "watchdog", "voltage", "hot", "disobey", "runaway", "hold_on", "foreign", "forget",
@@ -241,9 +244,10 @@ def instances_of_component(component: str, hand: Hand, kind: str = "") -> list[s
     """List the names of all components of one type in a hand.
 
     Args:
-        component: NODE, BUS, ENCODER, JOINT, CELL, TENDON or DIGIT.
+        component: type of component, one of the constants from ``NODE_TARGET`` to ``DIGIT_TARGET``.
         hand: hand whose components are listed.
-        kind: kind of fault possible for the components, empty for any kind.
+        kind: kind of fault that the listed components can have. If it is empty, all components are
+            listed.
     """
     motors = [motor.name for motor in hand.motors]
     return {

@@ -8,7 +8,7 @@ from firmware_sim.bus.frame import EXTENDED_FLAG, Frame
 from firmware_sim.faults.fault_text import Fault
 
 NEVER_NS = 1 << 62
-"""Release time [ns] of stored frames that a fault releases itself, and not at a certain time."""
+"""Release time of stored frames [ns], if the fault itself releases them and not the clock."""
 
 
 @dataclass
@@ -198,8 +198,8 @@ def _replay_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[
     Until so many answers exist, send the present frames.
     """
     active.calls += 1
-    # The release time is NEVER_NS plus the number of the answer, so ``due`` never releases these
-    # frames.
+    # The release time is NEVER_NS plus the number of the answer, so ``due_frames`` never releases
+    # these frames.
     active.delayed += [(NEVER_NS + active.calls, frame) for frame in frames]
     then = active.calls - int(active.fault.size)
     if then <= 0:

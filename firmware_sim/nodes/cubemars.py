@@ -47,7 +47,7 @@ Source: names of the models, such as AK80-9 KV100.
 SUPPLY_V = 48.0
 """Supply voltage of the motors [V]."""
 STALL_FACTOR = 2.0
-"""Stall torque divided by the torque at full scale. An assumption."""
+"""Assumed stall torque divided by the torque at full scale."""
 DEFAULT_TYPE = "ak80-9"
 """Motor model if the hand file gives none."""
 THERMAL_PERIOD_NS = 100_000_000
@@ -88,7 +88,7 @@ class CubemarsNode:
     Attributes:
         enabled: True if the motor follows commands.
         error: present error of the motor.
-        offset: angle in frames at the spool angle theta = 0 [rad].
+        offset: angle in the frames of the motor when the spool angle theta is 0 [rad].
         thermal: temperatures of the motor.
         short: True if feedback has six bytes, as in older firmware.
         ids: identifiers that the node may answer.
@@ -103,7 +103,7 @@ class CubemarsNode:
         Args:
             spec: description of the motor.
             motor: rotor of the motor.
-            offset: angle in frames at the spool angle theta = 0 [rad].
+            offset: angle in the frames of the motor when the spool angle theta is 0 [rad].
         """
         self.motor = motor
         self.offset = offset
@@ -126,7 +126,7 @@ class CubemarsNode:
         """Process a frame, and answer with a frame of the same identifier.
 
         Returns:
-            The answers, None if the frame is not for the motor.
+            The answers, or None if the frame is not for the motor.
         """
         if frame.can_id != self._id:
             return None
@@ -198,7 +198,10 @@ class CubemarsNode:
         return Frame(self._id, data, frame.flags, frame.bus, t_ns)
 
     def trip(self, feedback_error: FeedbackError) -> None:
-        """Enter an error state, which removes the torque. Error.NONE ends the error state."""
+        """Enter an error state, which removes the torque.
+
+        ``FeedbackError.NONE`` ends the error state.
+        """
         self.error = feedback_error
         if feedback_error != FeedbackError.NONE:
             self._switch_torque(enable=False)
@@ -223,7 +226,7 @@ class CubemarsNode:
 
 
 def shaft_of_motor(motor_type: str) -> ShaftSpec:
-    """Build the shaft of a motor model. Its inertia and stall torque are assumptions."""
+    """Build the shaft of a motor model. Inertia and stall torque of the shaft are assumptions."""
     position, velocity, peak = FULL_SCALE[motor_type]
     speed_constant, ratio = SPEED_CONSTANTS[motor_type]
     top_speed = speed_constant * SUPPLY_V / ratio * math.tau / 60.0

@@ -68,7 +68,7 @@ from firmware_sim.plant.plant_structs import RotorStruct, TendonStruct
 FRAME_DURATION_NS = 135_000
 """Maximum duration of a classical frame of 8 bytes at 1 Mbit/s [ns].
 
-Answers have this spacing. Source: VCAN.
+The answers of a tick follow each other at this distance. Source: VCAN.
 """
 FD_FRAME_DURATION_NS = 57_000
 """Maximum duration of an FD frame of 8 bytes at 1/5 Mbit/s [ns]. Source: VCAN."""
@@ -103,7 +103,7 @@ class ReceiverStruct(ctypes.Structure):
 
 
 def empty_table(buses: int) -> Any:
-    """Make a table of receivers without any receiver, shape (2 * 2048 * buses,)."""
+    """Make an empty table of receivers, shape (2 * 2048 * buses,)."""
     return np.full(buses * 2 * _STANDARD_ID_COUNT, -1, np.int64)
 
 
@@ -495,7 +495,8 @@ def _answer(  # noqa: PLR0913 - compiled functions take flat arrays
         last_ns: maximum delay of an answer after the start of the tick [ns].
         table: index of the first receiver of each identifier, or -1.
         max_answers: maximum number of answers to one frame.
-        receivers: all receivers, to which ``table`` and receivers point.
+        receivers: array of all receivers. The indices in ``table`` and in the receivers point into
+            this array.
         mit: rows of MIT drives.
         odrive: rows of ODrives.
         cia402: rows of CiA 402 drives.
@@ -588,7 +589,8 @@ def answer(frames: Any, answers: Any, at: Any, t_ns: int, last_ns: int, max_answ
     Args:
         frames: frames of the host.
         answers: array for the answers, filled by the kernel.
-        at: address and length of each other array of ``_answer``, in the order of ``Exchange``.
+        at: address and length of each other array of ``_answer``, in the order of
+            ``tick_exchange.TickExchange``.
         t_ns: present time [ns].
         last_ns: maximum delay of an answer after the start of the tick [ns].
         max_answers: maximum number of answers to one frame.
@@ -694,7 +696,7 @@ def send_due(
         progress: array with the number of frames in ``sent_frames``, see ``SENT``.
 
     Returns:
-        False if Python must wake a drive. Nothing is written then.
+        False if Python must wake a drive. In this case, no frame is written.
     """
     for i in range(len(drives)):
         receiver_row = drives[i]
@@ -738,8 +740,8 @@ def merge(frames: Any, other_frames: Any, merged: Any) -> None:
     count = len(frames)
     for i in range(len(merged)):
         frame = frames[i] if i < count else other_frames[i - count]
-        # This is an insertion sort, because both arrays are almost sorted and equal times must keep
-        # their order.
+        # The loop is an insertion sort, because both arrays are almost sorted and equal times must
+        # keep their order.
         place = i
         while place > 0 and merged[place - 1].t_ns > frame.t_ns:
             merged[place] = merged[place - 1]

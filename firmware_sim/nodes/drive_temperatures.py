@@ -1,6 +1,6 @@
 """Temperatures of a drive's winding and MOSFETs.
 
-Each is modelled as a heat capacity that loses heat to ambient.
+Each of the two is modelled as a heat capacity that loses heat to the surroundings.
 """
 
 import ctypes
@@ -11,16 +11,16 @@ AMBIENT_C = 25.0
 PHASE_RESISTANCE_OHM = 0.6
 """Resistance of the whole current path [ohm].
 
-An assumption: a current of 2.1 A (0.55 N m) dissipates 2.7 W.
+The value is assumed. With it, a current of 2.1 A (0.55 N m) dissipates 2.7 W.
 """
 WINDING_K_PER_W = 8.0
-"""Thermal resistance of the winding [K/W]. An assumption for an actuator of 40 mm."""
+"""Thermal resistance of the winding, assumed for an actuator of 40 mm [K/W]."""
 WINDING_S = 120.0
-"""Thermal time constant of the winding [s]. An assumption for an actuator of 40 mm."""
+"""Thermal time constant of the winding, assumed for an actuator of 40 mm [s]."""
 MOSFET_K_PER_W = 2.0
-"""Thermal resistance of the MOSFETs [K/W]. An assumption for an actuator of 40 mm."""
+"""Thermal resistance of the MOSFETs, assumed for an actuator of 40 mm [K/W]."""
 MOSFET_S = 20.0
-"""Thermal time constant of the MOSFETs [s]. An assumption for an actuator of 40 mm."""
+"""Thermal time constant of the MOSFETs, assumed for an actuator of 40 mm [s]."""
 
 
 class DriveTemperatures:

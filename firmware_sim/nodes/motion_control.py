@@ -1,7 +1,7 @@
 """Setpoint generators and cascaded controllers for the position and velocity modes of the drives.
 
-The controllers of a real drive run at 10 to 20 kHz. Here the position loop runs once per
-millisecond. The velocity loop is a part of the servo (``plant.motor``), and is integrated
+The controllers of a real drive run at 10 to 20 kHz. In the simulation, the position loop runs once
+per millisecond. The velocity loop is a part of the servo (``plant.motor``), and is integrated
 implicitly. Drives of all protocols share this cascade:
 
     velocity demand = position gain (position - angle) + velocity, within +-speed
@@ -18,14 +18,14 @@ from firmware_sim.plant.motor import Motor
 PERIOD_NS = 1_000_000
 """Period of the setpoint generators and position loops [ns]."""
 VELOCITY_BANDWIDTH = 200.0
-"""Bandwidth of the velocity loop of drives without a documented gain [1/s]. An assumption."""
+"""Assumed bandwidth of the velocity loop of drives without a documented gain [1/s]."""
 INTEGRAL_RATE = 20.0
 """Integral gain divided by velocity gain, for drives without a documented gain [1/s].
 
-An assumption.
+The value is an assumption.
 """
 POSITION_GAIN = 10.0
-"""Position gain of drives without a documented gain [1/s]. An assumption."""
+"""Assumed position gain of drives without a documented gain [1/s]."""
 INTEGRAL_DECAY = 0.99**8
 """Factor by which the integral decays in each period while the torque is limited.
 
@@ -96,7 +96,7 @@ class MotionSetpoint:
     ) -> bool:
         """Move the setpoint towards a position with a trapezoidal velocity profile.
 
-        Each step plans the rest again.
+        Each step plans the rest of the motion again.
 
         Args:
             target: target position [rad].
@@ -112,11 +112,11 @@ class MotionSetpoint:
         if math.isinf(fall):
             stoppable = abs(rest) / step_s
         else:
-            # This is the largest speed from which velocity steps of fall * step_s stop within the
-            # remaining distance.
+            # The next lines compute the largest speed from which velocity steps of fall * step_s
+            # stop within the remaining distance.
             half = 0.5 * fall * step_s
             stoppable = math.sqrt(half * half + 2.0 * fall * abs(rest)) - half
-        # The last step jumps to the target. It may need up to twice the deceleration.
+        # The last step jumps to the target. This jump may need up to twice the deceleration.
         slowest = fall * step_s
         if abs(rest) <= min(slowest, speed) * step_s and abs(self.velocity) <= 2.0 * slowest:
             self.jump(target)

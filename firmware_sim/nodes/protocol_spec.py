@@ -18,8 +18,8 @@ class SimulatedNode(Protocol):
     Attributes:
         wake_ns: time of the next call of ``wake`` [ns].
         malformed: number of frames with the node's identifiers that the node could not decode.
-        ids: identifiers that the node may answer. After each change, this is a new object. None if
-            the node must see every frame.
+        ids: identifiers that the node may answer. After each change, the set is a new object. It is
+            None if the node must see every frame.
     """
 
     @property
@@ -41,7 +41,7 @@ class SimulatedNode(Protocol):
         """Process a frame from the bus, and answer it.
 
         Returns:
-            The answers, None if the frame is not for this node.
+            The answers, or None if the frame is not for this node.
         """
         ...
 
@@ -108,16 +108,16 @@ class ProtocolSpec(NamedTuple):
             angle at theta = 0 [rad].
         numbers: valid node numbers of drives.
         shaft: shaft of the default motor on a bench.
-        host_frame: function that returns identifier and payload of a frame for a node number. The
-            frame is sent only by hosts, and has no effect.
-        corrupt_command: function that makes a command to disable ineffective, for a faulty drive.
+        host_frame: function that returns, for a node number, identifier and payload of a frame that
+            only hosts send and that has no effect.
+        corrupt_command: function that makes the command *disable* ineffective, for a faulty drive.
         corrupt_reply: function that changes a value in the reply to a read request, for a faulty
             drive.
         force_command: function that makes a drive follow a torque command in any state, for a
             faulty drive. None if the protocol has none.
         row: class of a node whose numbers are kept in a row of an array, for compiled kernels. None
             if there is none.
-        node_kind: kind of node in compiled kernels, see ``cyclic_kernels.Receiver``.
+        node_kind: kind of node in compiled kernels, see ``cyclic_kernels.ReceiverStruct``.
     """
 
     node: Callable[[MotorSpec, Motor, float], DriveNode]

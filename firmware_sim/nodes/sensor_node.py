@@ -1,6 +1,6 @@
 """The sensor node.
 
-At each SYNC, it samples the load cells and joint encoders and sends their readings.
+At each SYNC, the node samples the load cells and joint encoders, and sends their readings.
 
 Frame (up to 8 bytes, bits numbered from the lowest bit of byte 0, Intel order):
 
@@ -151,7 +151,7 @@ def drift_since(node: Any, t_ns: int) -> float:
 
 @kernel_helper
 def has_joints(node: Any, joints: int, counter: int) -> bool:
-    """Return True if a SYNC with this counter is answered also with the joint encoders."""
+    """Return True if the answer to a SYNC with this counter also contains the joint angles."""
     return joints > 0 and counter % node.joint_decimation == 0
 
 
@@ -268,14 +268,14 @@ class SensorNode:
 
     @property
     def cyclic_ids(self) -> tuple[int, ...]:
-        """Return the identifiers of the frames for the node in every tick."""
+        """Return the identifiers of the frames that the node receives in every tick."""
         return (self._spec.sync_id,)
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
         """Answer a SYNC frame with tension frames, and with joint frames if these are due.
 
         Returns:
-            The answers, None if the frame is not a SYNC frame.
+            The answers, or None if the frame is not a SYNC frame.
         """
         if frame.can_id != self._spec.sync_id:
             return None

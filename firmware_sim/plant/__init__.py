@@ -1,4 +1,4 @@
 """The mechanics of the simulated hand.
 
-MuJoCo computes links and contacts, this package tendons and rotors.
+MuJoCo computes links and contacts. This package computes tendons and rotors.
 """

@@ -1,7 +1,7 @@
 """Kernels that advance tendons, rotors and servos by a step, in scalar arithmetic.
 
 In compiled kernels, tendons and rotors are rows of an array. In Python, they are objects in a list.
-Both forms have the same attributes.
+The rows and the objects have the same attributes.
 
 Tendon damping and Coulomb-like capstan friction rise too steeply with speed for an explicit step of
 the light links. Therefore the engine integrates the slope of both implicitly, as a damping of the
@@ -24,7 +24,7 @@ Source: MODEL, section 3, v0.
 COULOMB_SPEED = 0.05
 """Spool speed at which Coulomb friction reaches 76 % of its final value [rad/s].
 
-The tendon then moves at 0.25 mm/s.
+At this speed of the spool, the tendon moves at 0.25 mm/s.
 """
 ENCODER_STEP = 2.0 * math.pi / (1 << 14)
 """Resolution of the encoder [rad]: 14 bits for one turn of the spool. Source: MODEL, section 4."""
@@ -94,8 +94,8 @@ def _elastic(tendon: Any, stretch: float) -> float:
 def _secant(tendon: Any, tension_loss: float, tension_angle: float) -> float:
     """Compute the friction of a tendon divided by the speed of the tendon [N s/m].
 
-    This secant is used instead of the tangent. With the tangent, friction would reverse the motion
-    of a light link.
+    The quotient (secant) is used instead of the tangent. With the tangent, friction would reverse
+    the motion of a light link.
 
     Args:
         tendon: the tendon with its present speed.
@@ -103,7 +103,7 @@ def _secant(tendon: Any, tension_loss: float, tension_angle: float) -> float:
         tension_angle: tension of the tendon times its wrap angle [N rad].
     """
     speed = abs(tendon.speed)
-    # This is the limit of the secant at rest, where the quotient would be 0/0.
+    # Near rest, the quotient would be 0/0. Its limit is returned instead.
     if speed < 1e-3 * CAPSTAN_SPEED:
         return float(tension_angle * tendon.friction / CAPSTAN_SPEED)
     return float(tension_loss / speed)
@@ -140,8 +140,8 @@ def _add_friction(tendon: Any, joints: Any, arms: Any, q: Any, torque: Any) -> N
         # At a prismatic joint, the tendon does not bend.
         if arms[PULLEY_NUMBER_COUNT * i + STRAIGHT_AT] == 0.0:
             angle += q[joints[i]]
-        # This is the capstan equation. At positive speed, the tendon moves towards the spool, and
-        # friction lowers the tension behind a pulley.
+        # The next lines are the capstan equation. At positive speed, the tendon moves towards the
+        # spool, and friction lowers the tension behind a pulley.
         local = tension * math.exp(-rate * angle)
         torque[joints[i]] += _arm_at(arms, i, q[joints[i]]) * local
         if local < lowest:
@@ -218,7 +218,7 @@ def limit_torque_by_speed(
 ) -> float:
     """Limit a torque command [N m] to the range from slope (-speed - omega) to slope (speed - omega).
 
-    Here omega is the velocity at the end of the step, as for the command of the servo.
+    In this range, omega is the velocity at the end of the step, as for the command of the servo.
 
     Args:
         rotor: the rotor.
@@ -249,15 +249,15 @@ def limit_torque_by_speed(
 def compute_command(rotor: Any) -> None:
     """Compute the limited torque command [N m] of the servo, from the velocity at the end of the step.
 
-    The control loop of a real drive runs at 10 to 20 kHz. With the implicit form, all gains stable
-    in the drive are stable here. A drive that moves its position setpoint by itself moves it to the
-    end of the step.
+    The control loop of a real drive runs at 10 to 20 kHz. With the implicit form, all gains that
+    are stable in the drive are stable here. If a drive moves its position setpoint by itself, the
+    setpoint first moves to its value at the end of the step.
     """
     servo = rotor.servo_row
     lag = rotor.lag
     gain = rotor.gain
     bend = math.tanh(rotor.omega / COULOMB_SPEED)
-    # The slope is the derivative of the smoothed Coulomb friction. It is a part of the implicit
+    # The slope is the derivative of the smoothed Coulomb friction, and is a part of the implicit
     # step.
     slope = rotor.coulomb * (1.0 - bend * bend) / COULOMB_SPEED
     inertia = rotor.inertia / rotor.step + slope
@@ -395,8 +395,8 @@ def _steps(
         data: address of the second argument of the step function.
 
     Returns:
-        Number of completed steps. It is less than ``count`` if the plant has diverged, and 0 if a
-        motor has a fault.
+        Number of completed steps. The number is less than ``count`` if the plant has diverged, and
+        0 if a motor has a fault.
     """
     for i in range(len(rotors)):
         if rotors[i].faulty:

@@ -45,7 +45,7 @@ TABLE_HALF_EXTENTS = (0.12, 0.12, 0.005)
 VISUAL_GROUP = 2
 """MuJoCo group of the meshes. Viewers show the groups 0 to 2."""
 HIDDEN_GROUP = 3
-"""MuJoCo group of the shapes replaced by meshes in pictures. Viewers do not show this group."""
+"""MuJoCo group of the shapes that meshes replace in pictures. Viewers do not show this group."""
 MAX_CONTACTS = 16
 """Maximum number of measured contacts between a digit and the object.
 
@@ -68,10 +68,11 @@ _OPTIONS = f"""
 def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
     """Build the model of a hand and a scene as MJCF text.
 
-    Joints have the order of the hand. They are the first entries of qpos and qvel, and the free
-    joint of the object follows. Contacts are softer than in MODEL, section 6. With the solref of
-    0.002 given there, the penetration in a grasp is less than the error of the collision detector.
-    Contacts would then vanish for single steps. Source of the other settings: MODEL, section 6.
+    Joints have the order of the hand. The hand's joints are the first entries of qpos and qvel, and
+    the free joint of the object follows. Contacts are softer than in MODEL, section 6. With the
+    solref of 0.002 given there, the penetration in a grasp is less than the error of the collision
+    detector. With so small a penetration, contacts would vanish for single steps. Source of the
+    other settings: MODEL, section 6.
 
     Args:
         hand: the hand.
@@ -117,8 +118,9 @@ def rest_poses(digit: Digit) -> list[tuple[Any, Any]]:
     """Compute the pose of each link of a digit with all joints at zero.
 
     Returns:
-        Position of the joint, shape (3,) [m], and rotation, shape (3, 3), of each link. Both are
-        given in the palm frame, or in the frame of the link that carries the digit.
+        Position of the joint, shape (3,) [m], and rotation, shape (3, 3), of each link. Position
+        and rotation are given in the palm frame, or in the frame of the link that carries the
+        digit.
     """
     position = np.array(digit.position)
     rotation = _rotation_of_rpy(digit.rpy_deg)
@@ -165,11 +167,11 @@ def palm_box(hand: Hand, carrier: str) -> tuple[Any, Any]:
 
 
 def _mesh_assets(meshes_by_link: dict[str, LinkMesh]) -> str:
-    """Build the MJCF assets of the meshes, an empty text without meshes."""
+    """Build the MJCF assets of the meshes. Without meshes, the text is empty."""
     if not meshes_by_link:
         return ""
-    # Inertia "shell" is also defined for open surfaces. It has no effect, because meshes have no
-    # mass.
+    # Inertia "shell" is also defined for open surfaces. The inertia has no effect, because meshes
+    # have no mass.
     meshes = "".join(
         f'<mesh name="{link}" file={quoteattr(mesh.file)} scale="{_numbers_text(mesh.scale)}" inertia="shell"/>'
         for link, mesh in meshes_by_link.items()
@@ -214,7 +216,7 @@ def _last_link(hand: Hand, name: str) -> int:
 
 
 def _hidden_if(has_mesh: bool) -> str:
-    """Return the attribute for hiding a shape replaced by a mesh in pictures.
+    """Return the attribute that hides a shape, if a mesh replaces the shape in pictures.
 
     Without a mesh, the text is empty.
     """
@@ -224,7 +226,7 @@ def _hidden_if(has_mesh: bool) -> str:
 def touches_palm(hand: Hand, digit: Digit) -> list[bool]:
     """Return True for each link of a digit that overlaps at rest with the palm or the carrying link.
 
-    These links are hinged close to the palm. The model excludes their collisions with the palm.
+    Such links are hinged close to the palm. The model excludes their collisions with the palm.
     """
     centre, half = palm_box(hand, digit.carrier)
     carrier = [one for one in hand.digits if one.name == digit.carrier]
@@ -235,7 +237,7 @@ def touches_palm(hand: Hand, digit: Digit) -> list[bool]:
         outside = np.maximum(np.abs(points - centre) - half, 0.0)
         overlap = bool((np.linalg.norm(outside, axis=1) <= digit.radius).any())
         for one in carrier:
-            # The carrying link is a capsule along the x axis of this frame.
+            # The carrying link is a capsule along the x axis of its frame.
             nearest = np.clip(points[:, :1], 0.0, one.length[-1]) * np.array([1.0, 0.0, 0.0])
             overlap |= bool(
                 (np.linalg.norm(points - nearest, axis=1) <= digit.radius + one.radius).any()
@@ -347,7 +349,7 @@ def _contact_sensor(hand: Hand, digit: Digit) -> str:
 def _normal_force_sensor(hand: Hand, digit: Digit) -> str:
     """Build the sensor that measures the contact forces between a digit and the object.
 
-    Axis 1 of each is the normal.
+    Axis 1 of each measured force is the normal of the contact.
     """
     return (
         f'<contact name="normal/{digit.name}" {_touch_sensors(hand, digit)} geom2="object" num="{MAX_CONTACTS}"'
@@ -374,7 +376,7 @@ def _object_element(grasp_object: GraspObject) -> str:
 
 
 def _table_element(grasp_object: GraspObject, support: SinkingTable | None) -> str:
-    """Build the body of the table, an empty text for a scene without support."""
+    """Build the body of the table. For a scene without support, the text is empty."""
     if support is None:
         return ""
     x, y, z = table_position(grasp_object)

@@ -42,7 +42,8 @@ class Motor:
         torque: torque, as derived by the drive from the current [N m].
         velocity: angular velocity that the drive estimates [rad/s].
         heat: integral of the squared torque since the node last updated its temperatures [N2 m2 s].
-        servo: setpoints and gains of the drive. A fault can put the values of another motor here.
+        servo: setpoints and gains of the drive. A fault can replace this servo by the servo of
+            another motor.
         servo_row: setpoints and gains in the memory of the rotor, for kernels.
         inertia: inertia of the rotor [kg m2].
         viscous: viscous friction of the rotor [N m s/rad].

@@ -266,7 +266,7 @@ class Plant:
         return TABLE_UPDATE_STEPS - self.steps % TABLE_UPDATE_STEPS if table_active else 1 << 30
 
     def _table_can_act(self, table: SupportTable) -> bool:
-        """Check whether the table can still change the plant, or a stage can after the table has sunk."""
+        """Check whether the table, or a stage after the table has sunk, can still change the plant."""
         return bool(self.stages) or not table.settled
 
     def _run_steps(self, count: int) -> None:
@@ -298,7 +298,7 @@ class Plant:
     def _run_single_step(self, faulty_motors: list[Motor]) -> None:
         """Run one step of the plant.
 
-        Python steps the given faulty motors, the kernel all others.
+        Python steps the given faulty motors. The kernel steps all others.
         """
         engine = self.engine
         q, dq, torque, damping = self._bodies or self._joint_lists()

@@ -38,7 +38,7 @@ class Servo:
     target_speed: float = 0.0
 
     def release(self) -> None:
-        """Set gains and setpoints to zero. The motor then turns freely."""
+        """Set gains and setpoints to zero, so that the motor turns freely."""
         self.kp = self.kd = self.position = self.velocity = self.torque = self.speed_gain = 0.0
         self.target_speed = 0.0
 

@@ -43,8 +43,8 @@ class RigidBodyEngine:
         n = joint_count
         self.step: Callable[[], None] = lambda: mujoco.mj_step(model, data)
         self.native = _native_step(model, data)
-        # These arrays are views into MuJoCo's memory. They are valid as long as the data object
-        # exists.
+        # These arrays are views into MuJoCo's memory. The views are valid as long as the data
+        # object exists.
         self.q: Any = data.qpos[:n]
         self.dq: Any = data.qvel[:n]
         self.applied: Any = data.qfrc_applied[:n]
@@ -78,8 +78,8 @@ class RigidBodyEngine:
             digits: names of the digits.
 
         Returns:
-            Function without arguments. Its result lists the components x, y, z of each digit's
-            force in the palm frame, digit by digit.
+            Function without arguments. The result of the function lists the components x, y, z of
+            each digit's force in the palm frame, digit by digit.
         """
         index = np.array(
             [
@@ -96,7 +96,7 @@ class RigidBodyEngine:
     def force_indices(self, sensor_kind: str, digits: list[str]) -> list[int]:
         """Return the index in ``sensed`` of each digit's force.
 
-        The values there have the opposite sign. See ``forces_on``.
+        The values in ``sensed`` have the opposite sign. See ``forces_on``.
         """
         return [self._sensor_index(f"{sensor_kind}/{digit}") for digit in digits]
 

@@ -103,8 +103,8 @@ class TendonRouting:
 
     Attributes:
         tendons: the tendons.
-        rows: array with a row for each tendon, for compiled kernels. Otherwise the list
-            ``tendons``.
+        rows: array with a row for each tendon, for compiled kernels. Without compiled kernels, it
+            is the list ``tendons``.
         joints: joint index of each pulley, tendon by tendon, as an array or a list.
         arms: ``PULLEY_NUMBER_COUNT`` numbers of each pulley, as an array or a list.
     """

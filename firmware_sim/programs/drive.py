@@ -97,7 +97,7 @@ class SimulatedDriveBench:
 
     @property
     def malformed(self) -> int:
-        """Return the number of frames the nodes could not decode."""
+        """Return the number of frames that the nodes could not decode."""
         return sum(node.malformed for node in self.nodes)
 
     def receive(self, frame: Frame) -> list[Frame]:

@@ -16,8 +16,8 @@ Vector = tuple[float, float, float]
 class SceneStage:
     """One stage of a scene.
 
-    The first stage starts when the table starts to sink, each later stage when the previous one
-    ends.
+    The first stage starts when the table starts to sink. Each later stage starts when the previous
+    stage ends.
 
     Attributes:
         down: unit vector of gravity in the palm frame after the turn, None to keep the direction.

@@ -1,4 +1,4 @@
-"""The table under the object, which sinks once the hand holds the object."""
+"""The table under the object. It sinks once the hand holds the object."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -38,7 +38,7 @@ def grasped(
 
 
 class SupportTable:
-    """The table under the object, which can sink.
+    """The sinking table under the object.
 
     Attributes:
         depth: depth of the table below its initial position [m].
@@ -69,7 +69,7 @@ class SupportTable:
         self._digits = (
             (np.array(starts, np.int64), np.array(sides, np.int64)) if kernels else (starts, sides)
         )
-        # A hand with fewer digits must hold the object with all of them.
+        # A hand with fewer digits than required must hold the object with all its digits.
         digits = min(support.drop_digits, len(opposed))
         self._criteria = support.drop_force**2, digits, support.drop_opposed
         self._grasped_since: float | None = None

@@ -69,7 +69,7 @@ class CanErrorState(enum.IntEnum):
 
 
 class CanController:
-    """A CAN controller on a simulated wire. ``Wire.add`` creates it.
+    """A CAN controller on a simulated wire. ``SimulatedWire.add`` creates the controller.
 
     Attributes:
         queue: queued frames, each with earliest start [ns] and priority.

@@ -57,7 +57,7 @@ class SimulatedWire:
         busy_ns: time in which the wire was occupied, errors included [ns].
         frames: number of frames sent successfully.
         errors: number of frames that were destroyed or not acknowledged.
-        disturbed: number of next frames that the wire will destroy. Tests set this number.
+        disturbed: number of the following frames that the wire will destroy. Tests set this number.
     """
 
     def __init__(self, rate: BitRates, options: WireOptions = WireOptions()) -> None:
@@ -156,8 +156,8 @@ class SimulatedWire:
         lowest = min([c.queue[0][1] for c in candidates])
         self._senders = [c for c in candidates if c.queue[0][1] == lowest]
         frames = [c.queue[0][2] for c in self._senders]
-        # Two frames with the same identifier both win arbitration. If their contents differ, both
-        # are destroyed.
+        # Two frames with the same identifier both win arbitration. If the contents differ, both
+        # frames are destroyed.
         identical = len(frames) == 1 or all(frame[:3] == frames[0][:3] for frame in frames)
         self._acknowledged = self._has_receiver()
         self._intact = identical and self._acknowledged and not self._is_next_frame_disturbed()

@@ -32,9 +32,9 @@ from numpy.typing import NDArray
 from handctl.kernel_loading import load_kernel
 
 numba_config: Any = _config
-"""Module with the settings of numba, which has no type information."""
+"""Module with the settings of numba. The module has no type information."""
 cgutils: Any = _cgutils
-"""Module with the code generation of numba, which has no type information."""
+"""Module with the code generation of numba. The module has no type information."""
 F = TypeVar("F", bound=Callable[..., Any])
 
 KERNEL_SOURCES = (
@@ -106,7 +106,9 @@ def kernel(*arguments: str) -> Callable[[F], F]:
 
 
 def kernel_helper(function: F) -> F:
-    """Mark a function that only kernels call. Such a function is compiled into the kernels.
+    """Mark a function that only kernels call.
+
+    The function is compiled into the kernels that call it.
 
     Python cannot call the function.
     """
@@ -180,7 +182,7 @@ def _source_hash() -> str:
 
 
 def _remove_old(root: Path) -> None:
-    """Delete the compiled code of all versions except the `MAX_CACHE_FOLDERS` used last."""
+    """Delete the compiled code of all versions except the last `MAX_CACHE_FOLDERS` versions that were used."""
     with contextlib.suppress(OSError):
         folders = sorted(
             root.glob("kernels-*"), key=lambda path: path.stat().st_mtime, reverse=True
@@ -279,7 +281,9 @@ class _UncompiledKernel(NamedTuple):
 
 
 def compile_kernels(progress: Callable[[int, int], None] | None = None) -> None:
-    """Compile all imported kernels, or load the stored code. Then no kernel is compiled during a tick.
+    """Compile all imported kernels, or load the stored code.
+
+    Afterwards, no kernel is compiled during a tick.
 
     Args:
         progress: function called with the number of kernels that are ready and the number of all
@@ -315,7 +319,9 @@ def _compiled_count(folder: Path, kernels: Sequence[_UncompiledKernel]) -> int:
 def _compile_together(
     folder: Path, waiting: Sequence[_UncompiledKernel], report: Callable[[int, int], None]
 ) -> None:
-    """Compile kernels into a folder, with one process per core. Meanwhile a lock makes other users of the folder wait.
+    """Compile kernels into a folder, with one process per core.
+
+    During the compilation, a lock makes other users of the folder wait.
 
     If a kernel cannot be compiled, ``compile_kernels`` raises the error later.
 

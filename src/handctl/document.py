@@ -49,8 +49,8 @@ def load_document(path: Path, model: type[DocumentT]) -> DocumentT:
 def validate_content(content: Mapping[str, Any], model: type[DocumentT], source: str) -> DocumentT:
     """Validate content that was parsed from TOML.
 
-    The content is converted to JSON for this. Strict validation of JSON accepts a list as a tuple
-    and 1 as a float, but refuses true.
+    For the validation, the content is converted to JSON. Strict validation of JSON accepts a list
+    as a tuple and 1 as a float, but refuses true.
 
     Raises:
         ConfigError: a key or a value in the content is wrong.
@@ -67,8 +67,8 @@ def _error_line(
     """Return the most specific of the errors that pydantic has found.
 
     An unknown key takes precedence over a missing key, because a misspelt key causes both errors.
-    Otherwise the error at the deepest place is returned. In a union, this is the error of the
-    intended alternative.
+    If there is no unknown key, the error at the deepest place is returned. In a union, the deepest
+    error is that of the intended alternative.
     """
     details = error.errors(include_url=False)
     deepest = max(details, key=lambda d: len(_without_tags(content, d["loc"], d["type"])))
@@ -96,8 +96,8 @@ def _error_line(
 def _without_tags(content: Any, location: Sequence[str | int], kind: str) -> tuple[str | int, ...]:
     """Return the location of an error without the names that pydantic adds for the alternatives of a union.
 
-    All parts of a location must exist in the content. Only the last part of a missing key's
-    location does not.
+    All parts of a location exist in the content, except the last part of the location of a missing
+    key.
     """
     path: list[str | int] = []
     for position, part in enumerate(location):
@@ -138,7 +138,7 @@ def _keys_at(annotation: Any, location: Sequence[str | int]) -> set[str]:
             return _keys_at(fields[str(first)].annotation, rest)
         return _keys_at(annotation, rest) if _is_alternative(annotation, first) else set()
     arguments = get_args(annotation)
-    # A list or a table has one more part in the location, a union or an annotated type has none.
+    # A list or a table adds a part to the location. A union or an annotated type adds none.
     is_container = get_origin(annotation) in (tuple, list, dict)
     below = location[1:] if is_container else location
     if is_container and not location:
@@ -147,6 +147,9 @@ def _keys_at(annotation: Any, location: Sequence[str | int]) -> set[str]:
 
 
 def _is_alternative(model: type[BaseModel], name: str | int) -> bool:
-    """Return True if pydantic names a model of a union like this: by its tag, or by its class."""
+    """Return True if pydantic uses this name for a model of a union.
+
+    The name is the tag or the class of the model.
+    """
     tags = [get_args(field.annotation) for field in model.model_fields.values()]
     return name == model.__name__ or (name,) in tags

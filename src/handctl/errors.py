@@ -8,7 +8,7 @@ from handctl.printing import one_line_message
 REMOVE_POWER = "REMOVE POWER"
 """Text that marks a failure after which a motor may still have torque.
 
-Only the operator can remove this torque.
+Only the operator can remove the torque that the motor then has.
 """
 
 

@@ -3,13 +3,13 @@
 When numba loads a stored function, three steps take most of the time. First, numba registers all
 types and functions that can be compiled. Second, numba imports the modules of the numba functions
 that the stored function contains. Third, numba parses the intermediate code (bitcode) of the stored
-function, which is needed only to inline this function into others. A program that finds the code of
-all kernels in the folder compiles nothing, and needs no such step. If a function is compiled later,
-numba registers the types then. If a kernel calls another kernel, the bitcode of the called kernel
-is parsed then.
+function. The bitcode is needed only to inline the function into others. A program that finds the
+code of all kernels in the folder compiles nothing, and needs no such step. If a function is
+compiled later, numba registers the types at that time. If a kernel calls another kernel, the
+bitcode of the called kernel is parsed then.
 
-These steps are internal to numba. They are left out only for the versions of numba in
-``TESTED_VERSIONS``.
+These three steps are internal to numba. This module leaves them out only for the versions of numba
+in ``TESTED_VERSIONS``.
 """
 
 from collections.abc import Iterator
@@ -79,7 +79,8 @@ def _do_nothing() -> None:
 def _without_module(module: str, constants: list[Any], name: str) -> Any:
     """Return the constants of a function.
 
-    The original of numba also imports the module, which only interpreted code needs.
+    The function of numba that this one replaces also imports the module, which only interpreted
+    code needs.
 
     Args:
         module: name of the module.
@@ -119,7 +120,7 @@ def _parsed_module(library: Any, bitcode: bytes) -> Any:
 def _get_executable(rebuild: Any, library: Any, function: Any, environment: Any) -> Any:
     """Return the Python function of a code library.
 
-    The original of numba looks up the function's name in the parsed bitcode.
+    The function of numba that this one replaces looks up the name in the parsed bitcode.
     """
     library.codegen._engine._defined_symbols.add(function.llvm_cpython_wrapper_name)
     return rebuild(library, function, environment)

@@ -59,7 +59,7 @@ def atomic_path(path: Path, new: bool = False) -> Iterator[Path]:
 
 
 def path_with_suffix(path: Path, suffix: str) -> Path:
-    """Return the path of an output beside its source. The output has the path of the source with another suffix.
+    """Return the path of an output: the path of its source file with another suffix.
 
     Raises:
         ConfigError: the path has no file name, e.g. ``.`` or ``/``.

@@ -25,7 +25,10 @@ def installed_handler(
 
 
 class TerminationFlag:
-    """Flag that SIGTERM sets. A program that checks the flag completes the step in progress."""
+    """Flag that SIGTERM sets.
+
+    A program that checks this flag between its steps can complete the present step before it ends.
+    """
 
     def __init__(self) -> None:
         self.requested = False

@@ -26,7 +26,7 @@ def _host_frame(node_id: int) -> tuple[int, bytes]:
 
 def _corrupt_command(frame: Frame) -> Frame:
     """Replace a command for switching the torque off by a frame for no node."""
-    # These are RPDOs whose control word lacks bit 1 (enable voltage).
+    # The replaced frames are RPDOs whose control word lacks bit 1 (enable voltage).
     disables = 0x200 < frame.can_id < 0x280 and len(frame.data) >= 2 and not frame.data[0] & 0x02
     # The NMT commands are 2 stop, 0x80 pre-operational, 0x81 reset node and 0x82 reset
     # communication.

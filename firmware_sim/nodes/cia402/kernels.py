@@ -30,7 +30,7 @@ CYCLIC_OBJECTS = (
 )  # fmt: skip
 """Objects with the first places in the list of a dictionary's values.
 
-Kernels thus know the indices.
+Therefore kernels know the indices of these objects.
 """
 (CONTROL_WORD, STATUS_WORD, MODE_SHOWN, POSITION, VELOCITY, TARGET_TORQUE, MAX_TORQUE, TORQUE, CURRENT,
  TORQUE_OFFSET, MASTER, HEARTBEAT_MS, MAX_SPEED) = range(len(CYCLIC_OBJECTS))  # fmt: skip
@@ -40,7 +40,7 @@ VALUE_CAPACITY = 192
 SPEED_BAND = 0.1
 """Range of speed in which the torque falls to zero, as a fraction of the speed limit.
 
-An assumption.
+The value is an assumption.
 """
 _MAX_INT16 = (1 << 15) - 1
 """Maximum value of a signed object of two bytes."""

@@ -53,13 +53,13 @@ DRIVE_FOLLOWS_BIT = 1 << 12
 FOLLOWING_ERROR_BIT = 1 << 13
 """Bits of the status word.
 
-FOLLOWS also stands for *set-point acknowledged* and *homing attained*.
+DRIVE_FOLLOWS_BIT also stands for *set-point acknowledged* and *homing attained*.
 """
 NEW_SETPOINT_BIT = 1 << 4
 CHANGE_IMMEDIATELY_BIT = 1 << 5
 RELATIVE_BIT = 1 << 6
 HALT_BIT = 1 << 8
-"""Bits of the control word. In homing mode, NEW_SETPOINT starts homing."""
+"""Bits of the control word. In homing mode, NEW_SETPOINT_BIT starts homing."""
 INDEX_NEGATIVE, INDEX_POSITIVE = 33, 34
 """Homing methods that move to the next index pulse, in negative or positive direction."""
 HOMING_METHODS = (INDEX_NEGATIVE, INDEX_POSITIVE, 35, 37)
@@ -67,14 +67,14 @@ HOMING_METHODS = (INDEX_NEGATIVE, INDEX_POSITIVE, 35, 37)
 NO_WINDOW = 0xFFFFFFFF
 """Value of the following error window that switches the supervision off."""
 POSITION_GAIN = 20.0
-"""Gain of the position controller [1/s]. An assumption."""
+"""Assumed gain of the position controller [1/s]."""
 
 
 def check_write(object_index: int, value: int) -> None:
     """Check a value before it is written to an object.
 
     Raises:
-        Abort: the value is a homing method that the drive does not have.
+        SdoAbort: the value is a homing method that the drive does not have.
     """
     if object_index == 0x6098 and value not in HOMING_METHODS:
         raise SdoAbort(OUT_OF_RANGE)
@@ -141,7 +141,7 @@ class MotionModes:
             self._rest_s = self._node.objects[0x60C2, 1] * 10.0 ** self._node.objects[0x60C2, 2]
 
     def _take_control(self, word: int) -> None:
-        """Apply the mode's bits of a control word.
+        """Apply the bits of a control word that belong to the active mode.
 
         Bit 4 starts a motion only on its rising edge.
         """
@@ -236,7 +236,7 @@ class MotionModes:
         acceleration_index: int,
         deceleration_index: int,
     ) -> bool:
-        """Move the demand towards the target with the speed and ramps in objects.
+        """Move the demand towards the target, with the speed and the ramps from objects of the drive.
 
         Return True at the target.
         """

@@ -90,7 +90,7 @@ class Cia402Node:
         objects: object dictionary.
         thermal: temperatures of the drive.
         ids: None, because the node answers many identifiers.
-        malformed: number of frames the node could not decode.
+        malformed: number of frames that the node could not decode.
         wake_ns: time of the next call of ``wake`` [ns].
         watchdog_fed_ns: time of the master's last heartbeat [ns], -1 if the drive does not
             supervise the master.
@@ -186,7 +186,7 @@ class Cia402Node:
 
     @property
     def cyclic_ids(self) -> tuple[int, ...]:
-        """Return the identifiers of the frames for the node in every tick."""
+        """Return the identifiers of the frames that the node receives in every tick."""
         standard = {self.master_id, self.rpdo_id} | ({self.sync_id} if self.tpdo_id >= 0 else set())
         return tuple(standard - {-1, 0, 0x600 + self.node_id})
 
@@ -194,7 +194,7 @@ class Cia402Node:
         """Process a frame from the bus.
 
         Returns:
-            The frames sent in response by the drive, None if the frame is not for this node.
+            The frames sent in response by the drive, or None if the frame is not for this node.
         """
         can_id = frame.can_id
         data = frame.data
@@ -293,7 +293,7 @@ class Cia402Node:
             Payload of the SDO reply.
 
         Raises:
-            Abort: the drive refuses the request.
+            SdoAbort: the drive refuses the request.
         """
         specifier = data[0]
         if specifier >> 5 == 3:
@@ -307,8 +307,8 @@ class Cia402Node:
         # Command 1 is a download request. Bit 1 is set if the transfer is expedited (in one frame).
         if specifier >> 5 != 1 or not specifier & 2:
             raise SdoAbort(UNKNOWN_COMMAND)
-        # Bit 0 tells whether the request gives a size, by the number of unused bytes in bits 3..2.
-        # Otherwise the size of the object counts.
+        # If bit 0 is set, bits 3..2 give the number of unused bytes. If it is not set, the request
+        # gives no size, and the size of the object counts.
         size = 4 - (specifier >> 2 & 3) if specifier & 1 else self.objects.size(key)
         self._write_object(key, data[4 : 4 + size])
         return b"\x60" + data[1:4] + bytes(4)
@@ -325,7 +325,7 @@ class Cia402Node:
             toggle: toggle bit of the request.
 
         Raises:
-            Abort: no upload of a text is in progress.
+            SdoAbort: no upload of a text is in progress.
         """
         if not self._segments:
             raise SdoAbort(UNKNOWN_COMMAND)
@@ -337,7 +337,7 @@ class Cia402Node:
 
     def _write_object(self, key: tuple[int, int], value_bytes: bytes) -> None:
         """Write an object as a host requests it, and apply the new value."""
-        # These are the communication and mapping objects of RPDOs (0x1400, 0x1600) and TPDOs
+        # This range has the communication and mapping objects of RPDOs (0x1400, 0x1600) and TPDOs
         # (0x1800, 0x1A00).
         if 0x1400 <= key[0] < 0x1C00:
             if self.nmt != PRE_OPERATIONAL:
@@ -385,7 +385,7 @@ class Cia402Node:
             self._unsolicited += self.pdos.on_event()
 
     def _process_rpdo(self, can_id: int, data: bytes) -> bool:
-        """Process an RPDO of this node. Other frames are left alone.
+        """Process an RPDO of this node, and ignore any other frame.
 
         Returns:
             True if the identifier belongs to an RPDO of this node.

@@ -80,7 +80,7 @@ class ObjectDictionary:
 
     Attributes:
         texts: texts by object, such as the name of the device.
-        values: values of all other objects. Those of ``kernels.CYCLIC_OBJECTS`` come first.
+        values: values of all other objects. The values of ``kernels.CYCLIC_OBJECTS`` come first.
     """
 
     def __init__(self, node_id: int, memory: Any = None) -> None:
@@ -153,7 +153,7 @@ class ObjectDictionary:
         """Return the size of an object [bytes].
 
         Raises:
-            Abort: the object does not exist.
+            SdoAbort: the object does not exist.
         """
         if key not in self._sizes:
             raise SdoAbort(NO_SUB if key[0] in self._indices else NO_OBJECT)
@@ -167,7 +167,7 @@ class ObjectDictionary:
         """Return the value of an object as bytes.
 
         Raises:
-            Abort: the object does not exist.
+            SdoAbort: the object does not exist.
         """
         size = self.size(key)
         return self[key].to_bytes(size, "little", signed=key in self._signed)
@@ -176,7 +176,7 @@ class ObjectDictionary:
         """Write the bytes of a received frame to an object.
 
         Raises:
-            Abort: the object does not exist, is read-only, or has another length.
+            SdoAbort: the object does not exist, is read-only, or has another length.
         """
         if len(value_bytes) != self.size(key):
             raise SdoAbort(WRONG_TYPE)

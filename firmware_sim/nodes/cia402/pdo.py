@@ -46,7 +46,7 @@ class NodePdos:
         """Write a communication or mapping object over SDO.
 
         Raises:
-            Abort: the mapping is not possible, or is in use by an active PDO.
+            SdoAbort: the mapping is not possible, or is in use by an active PDO.
         """
         index, sub = key
         if index & 0x200:
@@ -137,7 +137,7 @@ class NodePdos:
     def standard_rpdo(self) -> int:
         """Return the identifier of the RPDO that kernels can handle, or -1.
 
-        It writes control word and target torque at once.
+        This RPDO writes control word and target torque at once.
         """
         for i in range(4):
             can_id = self._objects[0x1400 + i, 1]

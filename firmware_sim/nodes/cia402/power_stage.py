@@ -40,7 +40,7 @@ class PowerStage:
     """The state machine of a drive's power stage.
 
     Attributes:
-        state: OFF, READY, ON, ENABLED or FAULT.
+        state: OFF_STATE, READY_STATE, ON_STATE, ENABLED_STATE or FAULT_STATE.
         reset_bit: True if the bit fault reset was set in the last control word.
     """
 
@@ -52,7 +52,7 @@ class PowerStage:
     def command(self, word: int) -> None:
         """Apply a control word.
 
-        Fault reset acts on its rising edge, all other bits act by their level.
+        The bit fault reset acts on its rising edge. All other bits act by their level.
         """
         edge = bool(word & 0x80) and not self.reset_bit
         self.reset_bit = bool(word & 0x80)

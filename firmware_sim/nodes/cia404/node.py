@@ -119,7 +119,7 @@ class AmplifierNode:
         nmt: NMT state of the amplifier.
         objects: object dictionary of the amplifier.
         ids: identifiers that the node may answer.
-        malformed: number of frames the node could not decode.
+        malformed: number of frames that the node could not decode.
         wake_ns: time of the next heartbeat [ns].
         serial: serial number of the amplifier.
     """
@@ -161,7 +161,7 @@ class AmplifierNode:
         """Process a frame from the bus.
 
         Returns:
-            The frames sent in response by the amplifier, None if the frame is not for this node.
+            The frames sent in response by the amplifier, or None if the frame is not for this node.
         """
         can_id = frame.can_id
         data = frame.data
@@ -254,7 +254,7 @@ class AmplifierNode:
             Payload of the SDO reply.
 
         Raises:
-            Abort: the amplifier refuses the request.
+            SdoAbort: the amplifier refuses the request.
         """
         if data[0] >> 5 == 2:
             self._sample_load_cells()

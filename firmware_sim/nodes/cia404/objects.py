@@ -62,7 +62,7 @@ INT32_VALUE_INDEX = 0x9130
 _OVERLOAD_VALUES = {INT16_VALUE_INDEX: -(1 << 15), INT32_VALUE_INDEX: -(1 << 31)}
 """Integer process values that report an overload.
 
-The float process value is then NaN. Source: WIKA MH-4-CAN.
+In an overload, the process value as a float is NaN. Source: WIKA MH-4-CAN.
 """
 _MAPPABLE_SIZES_BYTES = {
     FLOAT_VALUE_INDEX: 4,
@@ -134,7 +134,7 @@ class AmplifierObjects:
         """Return the value of an object as bytes.
 
         Raises:
-            Abort: the object does not exist.
+            SdoAbort: the object does not exist.
         """
         if key[0] in _MAPPABLE_SIZES_BYTES:
             if not 1 <= key[1] <= len(self.readings):
@@ -150,7 +150,8 @@ class AmplifierObjects:
         """Write the bytes of a received frame to an object.
 
         Raises:
-            Abort: the object does not exist, is read-only or has another length, or the mapping is not possible.
+            SdoAbort: the object does not exist, is read-only or has another length, or the mapping
+                is not possible.
         """
         self.read(key)
         if key[0] in _MAPPABLE_SIZES_BYTES or key in self._fixed:

@@ -30,8 +30,8 @@ MOTOR_TYPE_RANGES = {
 }
 """PMAX [rad], VMAX [rad/s] and TMAX [N m] of each motor type.
 
-The fact sheet lacks some types. These are from public client software: DM4310V from i2rt, DM6248
-from openarm_can.
+The fact sheet lacks some types. The values of these types come from public client software: DM4310V
+from i2rt, DM6248 from openarm_can.
 """
 
 
@@ -84,7 +84,7 @@ STALL_FACTOR = 2.0
 
 The no-load speed of these types is VMAX.
 
-Both are assumptions.
+The factor and this no-load speed are assumptions.
 """
 DEFAULT_TYPE = "dm4310"
 """Motor type if none is given."""
@@ -119,7 +119,7 @@ def _host_frame(node_id: int) -> tuple[int, bytes]:
 def _corrupt_command(frame: Frame) -> Frame:
     """Replace the command *disable* by a request for feedback.
 
-    The faulty motor then still answers.
+    With this request, the faulty motor still answers.
     """
     # The identifiers of remote and extended frames have flags above their lowest 11 bits.
     if frame.data != b"\xff" * 7 + b"\xfd" or frame.can_id > 0x7FF:

@@ -19,8 +19,8 @@ Feedback from MST_ID (8 bytes, highest byte and bit first):
     bit  7..0   temperature of the winding [degC]
 
 Kernels handle the eight bytes as one signed 64-bit integer. The sign of the integer has no meaning.
-Callers that want compiled kernels must call them through this module, because ``compiled.use``
-replaces the attributes of the module.
+Callers that want compiled kernels must call them through this module, because
+``compiled.use_compiled_kernels`` replaces the attributes of the module.
 """
 
 import ctypes
@@ -59,7 +59,7 @@ class FrameRanges(NamedTuple):
 class MitStruct(ctypes.Structure):
     """Memory of a drive for compiled kernels, see ``node.MitNode``.
 
-    ``motor_number`` is the row of its rotor.
+    ``motor_number`` is the row of the drive's rotor.
     """
 
     _fields_ = [

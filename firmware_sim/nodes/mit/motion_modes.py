@@ -8,8 +8,8 @@ Frames (little-endian). The motor follows each of them only in the frame's own m
 
 Source: fact sheet mit_damiao and the manual of DM-J4310-2EC. According to the manual, the ramps in
 registers ACC and DEC act in position-velocity and velocity mode, and the codes of force-position
-mode end at 10000. Two things are assumptions: the gains, and that ACC or DEC of 0 (the value as
-delivered) means no ramp.
+mode end at 10000. The gains are assumptions. It is also an assumption that a value of 0 in ACC or
+DEC, as delivered, means no ramp.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""A motor with the firmware of a Damiao drive, which sends only answers.
+"""A motor with the firmware of a Damiao drive. The drive sends only answers.
 
 Source: fact sheet mit_damiao.
 
@@ -104,7 +104,7 @@ class MitNode:
     Attributes:
         state: state nibble of the motor.
         registers: registers of the motor.
-        offset: angle in frames at the spool angle theta = 0 [rad].
+        offset: angle in the frames of the motor when the spool angle theta is 0 [rad].
         thermal: temperatures of the motor and its drive.
         ids: identifiers that the node may answer.
         malformed: number of frames with the node's identifiers that the node could not decode.
@@ -130,7 +130,7 @@ class MitNode:
         Args:
             spec: description of the motor.
             motor: rotor of the motor.
-            offset: angle in frames at the spool angle theta = 0 [rad].
+            offset: angle in the frames of the motor when the spool angle theta is 0 [rad].
         """
         self.motor = motor
         self.offset = offset
@@ -155,7 +155,7 @@ class MitNode:
 
     @property
     def cyclic_ids(self) -> tuple[int, ...]:
-        """Return the identifiers of the frames for the node in every tick."""
+        """Return the identifiers of the frames that the node receives in every tick."""
         return (self.node_id,)
 
     def _update_derived(self) -> None:
@@ -178,7 +178,7 @@ class MitNode:
         """Process a frame, and answer in the same frame format.
 
         Returns:
-            The answers, None if the frame is not for the motor.
+            The answers, or None if the frame is not for the motor.
         """
         can_id, data, flags, bus, _ = frame
         if can_id == self.node_id:
@@ -214,8 +214,8 @@ class MitNode:
         """Process a frame to ESC_ID and return the payload of the answer, None if the frame is malformed."""
         if len(data) != 8:
             return None
-        # The last byte is compared first. It differs in most commands, so the comparison of seven
-        # bytes is rarely made.
+        # The last byte is compared first. This byte differs in most commands, so the comparison of
+        # seven bytes is rarely made.
         if data[7] >= _CLEAR_COMMAND and data[7] != 0xFF and data[:7] == _SPECIAL_COMMAND_START:
             return self._process_special_command(data, t_ns)
         self.watchdog_fed_ns = t_ns

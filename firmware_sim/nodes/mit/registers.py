@@ -17,7 +17,7 @@ OVER_CURRENT = 3
 ACCELERATION = 4
 """Register: acceleration of the ramps in position-velocity and velocity mode [rad/s2], 0 for no ramp."""
 DECELERATION = 5
-"""Register: deceleration of the ramps in these modes, a negative number [rad/s2], 0 for no ramp."""
+"""Register: deceleration of the ramps in position-velocity and velocity mode, negative [rad/s2], 0 for no ramp."""
 MAX_SPEED = 6
 """Register: largest speed in all modes except MIT mode [rad/s]."""
 MST_ID = 7

@@ -14,12 +14,15 @@ STOP_PAYLOAD = b"\x01\x00\x00"
 
 
 def _host_frame(node_id: int) -> tuple[int, bytes]:
-    """Return a request that reads the mode, to be answered to the sender with number 0."""
+    """Return a request that reads the mode. The answer goes to the sender with number 0."""
     return EXTENDED_FLAG | 0x8000 | node_id, b"\x11\x00"
 
 
 def _corrupt_command(frame: Frame) -> Frame:
-    """Replace the command of mode 0 by mode 13 without bounds, which makes no torque but keeps the power stage on."""
+    """Replace the command of mode 0 by mode 13 without bounds.
+
+    Mode 13 then makes no torque, but keeps the power stage on.
+    """
     return (
         frame._replace(data=b"\x01\x00\x0d" + frame.data[3:])
         if frame.data[:3] == STOP_PAYLOAD

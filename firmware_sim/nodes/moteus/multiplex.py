@@ -66,7 +66,7 @@ class PayloadReader:
         """Return the next bytes of the payload.
 
         Raises:
-            Malformed: the payload has fewer bytes left.
+            MalformedPayload: the payload has fewer bytes left.
         """
         part = self._data[self._at : self._at + length]
         if len(part) != length:
@@ -78,7 +78,8 @@ class PayloadReader:
         """Return the next number of the payload, a varuint of at most five bytes.
 
         Raises:
-            Malformed: the payload ends within the number, or the number has more than five bytes.
+            MalformedPayload: the payload ends within the number, or the number has more than five
+                bytes.
         """
         value = 0
         for i in range(5):

@@ -1,8 +1,8 @@
 """A motor with a moteus controller. Source: docs/facts/moteus.md.
 
 The drive executes a frame subframe by subframe. If the frame writes the mode, all written registers
-take effect at the end of the frame. The reply is built before, and therefore has the mode that the
-drive had before the frame. An unknown subframe ends the execution of its frame.
+take effect at the end of the frame. The reply is built before that. Therefore it contains the mode
+that the drive had before the frame. An unknown subframe ends the execution of its frame.
 
 In position mode, the drive moves the commanded position with the commanded velocity until the next
 command. A command without a position keeps the present target.
@@ -10,8 +10,8 @@ command. A command without a position keeps the present target.
 Choices where the fact sheet has only an assumption:
 
 - The preparation of the power stage (modes 2, 3 and 4) takes 10 ms.
-- The drive is calibrated and has the gains of ``text_channel.FACTORY_CONFIGURATION``. Its integrator is not
-  simulated.
+- The drive is calibrated and has the gains of ``text_channel.FACTORY_CONFIGURATION``. The
+  integrator of the drive is not simulated.
 - Limits of velocity, acceleration and slip have no effect. The target moves as if they were nan.
 - Stop position, fixed current and the voltage modes are not simulated. A command with one of these
   modes is refused like an invalid value.
@@ -49,11 +49,11 @@ MAX_TORQUE_LIMITS = 102
 BROADCAST_NUMBER = 0x7F
 """Destination number of frames to all drives."""
 ENABLING_NS = 10_000_000
-"""Duration of the preparation of the power stage [ns]. An assumption."""
+"""Assumed duration of the preparation of the power stage [ns]."""
 THERMAL_PERIOD_NS = 100_000_000
 """Period of the update of the temperatures [ns]."""
 BRAKE_DAMPING = 0.05
-"""Damping of a motor whose phases are shorted (mode brake) [N m s/rad]. An assumption."""
+"""Assumed damping of a motor whose phases are shorted (mode brake) [N m s/rad]."""
 FIRST_SERIAL_NUMBER = 0x6D6F7465_75730000_00000000
 """Serial number of node 0. Other nodes add their node number."""
 FIRMWARE_VERSION = 0x00010001
@@ -75,9 +75,9 @@ class MoteusNode:
         command: values of the command registers.
         channel: text channel, which holds the configuration.
         thermal: temperatures of motor and drive.
-        offset: angle in frames at the spool angle theta = 0 [rad].
+        offset: angle in the frames of the drive when the spool angle theta is 0 [rad].
         ids: None, because the node answers many identifiers.
-        malformed: number of frames the node could not decode.
+        malformed: number of frames that the node could not decode.
         wake_ns: time of the next call of ``wake`` [ns].
         watchdog_fed_ns: time of the last command [ns].
     """
@@ -88,7 +88,7 @@ class MoteusNode:
         Args:
             spec: description of the motor.
             motor: rotor of the motor.
-            offset: angle in frames at the spool angle theta = 0 [rad].
+            offset: angle in the frames of the drive when the spool angle theta is 0 [rad].
         """
         self.motor = motor
         self.offset = offset
@@ -117,7 +117,7 @@ class MoteusNode:
         """Execute and answer a frame.
 
         Returns:
-            The answers, None if the frame is not for this controller.
+            The answers, or None if the frame is not for this controller.
         """
         number = frame.can_id & ~EXTENDED_FLAG
         if (
@@ -361,7 +361,7 @@ class MoteusNode:
         self._schedule()
 
     def _stop(self) -> None:
-        """Switch the power stage off and clear the fault, if any."""
+        """Switch the power stage off, and clear the fault if there is one."""
         self.motor.servo.release()
         self._has_target = False
         self.mode = STOPPED

@@ -14,7 +14,7 @@ ENDPOINT_NUMBERS = {"endpoint_enable_watchdog": 201, "endpoint_watchdog_timeout"
 The real numbers differ between firmware versions.
 """
 TORQUE_CONSTANT = 0.05
-"""Torque constant of the motor [N m/A]. An assumption."""
+"""Assumed torque constant of the motor [N m/A]."""
 TOP_SPEED = 24.0 / TORQUE_CONSTANT
 """Speed of the motor without load at 24 V [rad/s].
 

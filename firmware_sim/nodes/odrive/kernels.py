@@ -1,4 +1,4 @@
-"""Kernels for the cyclic messages of an ODrive, as a row or an object.
+"""Kernels for the cyclic messages of an ODrive, which may be an array row or a Python object.
 
 Source: fact sheet odrive_cansimple.
 """
@@ -104,11 +104,13 @@ def follow_torque(node: Any, servo: Any, torque: float) -> None:
 
 @kernel_helper
 def limit_speed(node: Any, servo: Any) -> None:
-    """Set the speed limit of the servo with the gain. Both act in every control mode of an ODrive.
+    """Set the speed limit of the servo, and the gain with which the limit acts.
+
+    Speed limit and gain act in every control mode of an ODrive.
 
     In torque control, the drive brakes above the limit (``enable_torque_mode_vel_limit``, on by
-    default). In velocity control, the drive limits the setpoint. The torque of both is gain (limit
-    - velocity). Source: ODrive firmware 0.5.6, ``controller.cpp``, limitVel.
+    default). In velocity control, the drive limits the setpoint. In both cases, the torque is gain
+    (limit - velocity). Source: ODrive firmware 0.5.6, ``controller.cpp``, limitVel.
     """
     servo.speed_limit = node.velocity_limit * TURN_RAD / node.gear
     servo.speed_gain = node.velocity_gain / TURN_RAD * node.gear * node.gear

@@ -10,8 +10,8 @@ decays while the torque is limited. Each step plans the rest of the trapezoid ag
 differs from trapTraj.cpp only if the target changes on the way.
 
 Differences from the firmware: an overspeed is not an error, because the position controller limits
-the velocity demand. Input mode 0 (inactive) keeps the last setpoint. Modes without an entry above
-are refused by the firmware, and ignored here.
+the velocity demand. Input mode 0 (inactive) keeps the last setpoint. The firmware refuses modes
+without an entry above, and the simulation ignores them.
 """
 
 import math
@@ -220,8 +220,8 @@ class MotionModes:
         gains = LoopGains(
             position_gain, settings.velocity_gain * to_spool, settings.integral_gain * to_spool
         )
-        # The drive has a torque limit for each direction. The servo has one limit for both, so the
-        # smaller limit is used.
+        # The drive has a torque limit for each direction. The servo has one limit for both
+        # directions, so the smaller limit is used.
         torque_limit = max(0.0, min(node.torque_max, -node.torque_min)) * node.gear
         limit = min(node.peak, node.current_limit * node.torque_constant, torque_limit)
         speed = node.velocity_limit * TURN_RAD / node.gear

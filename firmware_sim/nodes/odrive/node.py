@@ -35,7 +35,7 @@ Choices where the fact sheet has only an assumption:
 - The error field of the heartbeat combines the active errors and the disarm reason.
 - Only setpoint messages feed the watchdog.
 - A setpoint of NaN disarms the axis with the error *missing input*.
-- A disarm reason stays until Clear_Errors. Until then, the axis refuses closed loop.
+- A disarm reason stays until Clear_Errors. With a disarm reason, the axis refuses closed loop.
 - Endpoints have the numbers that the hand file gives.
 - A calibration takes ``CALIBRATION_NS`` and moves nothing. With the option ``uncalibrated``, the
   axis refuses closed loop before a calibration.
@@ -94,7 +94,7 @@ NOT_CALIBRATED = 14
 CALIBRATION_NS = {3: 4_000_000_000, 4: 2_000_000_000, 7: 2_000_000_000}
 """Duration of each calibration (full, motor, encoder offset) by its axis state [ns].
 
-An assumption.
+The durations are assumptions.
 """
 COUNTS_PER_TURN = 8192
 """Encoder counts of one turn: the vendor's default of firmware 0.5."""
@@ -148,7 +148,7 @@ class OdriveNode:
         velocity_gain: gain of the velocity loop [N m s/turn].
         thermal: temperatures of motor and drive.
         ids: None, because the node answers many identifiers.
-        malformed: number of frames the node could not decode.
+        malformed: number of frames that the node could not decode.
         wake_ns: time of the next call of ``wake`` [ns].
         watchdog_fed_ns: time of the last setpoint [ns].
         thermal_ns: time of the last update of the temperatures [ns].
@@ -251,14 +251,14 @@ class OdriveNode:
 
     @property
     def cyclic_ids(self) -> tuple[int, ...]:
-        """Return the identifiers of the frames for the node in every tick."""
+        """Return the identifiers of the frames that the node receives in every tick."""
         return self.node_id << 5 | 0x0E, self.node_id << 5 | 0x09 | REMOTE_FLAG
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
         """Process a frame from the bus, and answer it.
 
         Returns:
-            The answers, None if the frame is not for this axis.
+            The answers, or None if the frame is not for this axis.
         """
         can_id = frame.can_id & ~REMOTE_FLAG
         node = can_id >> 5
@@ -285,7 +285,10 @@ class OdriveNode:
         return [Frame(self.node_id << 5 | command, answer)] if answer else []
 
     def _get_payload(self, command: int) -> bytes:
-        """Return the payload of a Get message, empty if the firmware has no such message."""
+        """Return the payload of a Get message.
+
+        If the firmware has no such message, the payload is empty.
+        """
         gear = self.gear
         sign = self.direction
         if self.legacy and command not in _LEGACY_ANSWERS:
@@ -413,7 +416,7 @@ class OdriveNode:
     def endpoint_float(self, endpoint: int) -> float:
         """Return a setting of ``MOTION_ENDPOINTS``.
 
-        If the hand file reuses its number, return the default.
+        If the hand file uses the number of the setting for another endpoint, return the default.
         """
         if endpoint in self._numbers.values():
             return MOTION_ENDPOINTS[endpoint][1]

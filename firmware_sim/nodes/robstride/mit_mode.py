@@ -16,9 +16,9 @@ Source: docs/facts/robstride.md, section MIT mode.
     0x100 + motor       target position, largest speed   feedback
     0x200 + motor       target speed, current limit      feedback
 
-Feedback has the identifier of the host. Its payload is the number of the motor, the position (16
-bits), the velocity (12 bits), the torque (12 bits) and the temperature (16 bits, in 0.1 degC). The
-identity has the identifier of the motor.
+Feedback has the identifier of the host. The payload of feedback is the number of the motor, the
+position (16 bits), the velocity (12 bits), the torque (12 bits) and the temperature (16 bits, in
+0.1 degC). The identity has the identifier of the motor.
 
 Choices where the fact sheet has only an assumption:
 
@@ -67,7 +67,7 @@ class RobstrideMitNode(RobstrideNode):
         Args:
             spec: description of the motor.
             motor: rotor of the motor.
-            offset: angle in frames at the spool angle theta = 0 [rad].
+            offset: angle in the frames of the motor when the spool angle theta is 0 [rad].
         """
         super().__init__(spec, motor, offset)
         self.host_id = int(spec.options.get("host_id", spec.node_id + HOST_OFFSET))
@@ -81,7 +81,7 @@ class RobstrideMitNode(RobstrideNode):
         """Execute and answer a frame.
 
         Returns:
-            The answers, None if the frame is not for the motor.
+            The answers, or None if the frame is not for the motor.
         """
         wrong = frame.can_id & (EXTENDED_FLAG | REMOTE_FLAG) or frame.flags & FDF
         if wrong or frame.can_id & 0xFF != self.node_id or frame.can_id >> 8 > 2:

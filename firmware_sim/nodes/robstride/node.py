@@ -96,7 +96,7 @@ READ_ONLY_PARAMETERS = (0x7019, 0x701A, 0x701B, 0x701C)
 def to_code(value: float, largest: float) -> int:
     """Encode a value between -largest and largest as 16 bits.
 
-    Values beyond are limited to this range.
+    Values outside of this range are limited to it.
     """
     return round((min(largest, max(-largest, value)) + largest) / (2.0 * largest) * 65535)
 
@@ -114,9 +114,9 @@ class RobstrideNode:
         fault: bits of the present faults.
         parameters: bytes of the writable parameters, by number.
         thermal: temperatures of motor and drive.
-        offset: angle in frames at the spool angle theta = 0 [rad].
+        offset: angle in the frames of the motor when the spool angle theta is 0 [rad].
         ids: None, because the node answers many identifiers.
-        malformed: number of frames the node could not decode.
+        malformed: number of frames that the node could not decode.
         wake_ns: time of the next call of ``wake`` [ns].
         watchdog_fed_ns: time of the last command [ns].
     """
@@ -127,7 +127,7 @@ class RobstrideNode:
         Args:
             spec: description of the motor.
             motor: rotor of the motor.
-            offset: angle in frames at the spool angle theta = 0 [rad].
+            offset: angle in the frames of the motor when the spool angle theta is 0 [rad].
         """
         self.motor = motor
         self.offset = offset
@@ -175,7 +175,7 @@ class RobstrideNode:
         """Execute and answer a frame.
 
         Returns:
-            The answers, None if the frame is not for the motor.
+            The answers, or None if the frame is not for the motor.
         """
         number = frame.can_id & ~EXTENDED_FLAG
         if (

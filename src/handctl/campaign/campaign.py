@@ -16,7 +16,7 @@ from handctl.session.simulate import SimulatedRun
 QUICK_SCENARIO_STEP = 7
 """Interval between two scenarios that a quick campaign runs.
 
-A quick campaign runs every seventh scenario.
+A quick campaign runs only every seventh scenario of the fault matrix.
 """
 NOISE_FACTOR = 3.0
 """Factor by which the specified sensor noise is increased in the runs without faults."""
@@ -142,8 +142,8 @@ def run_campaign(
         )
         results = report.results[protocol] = []
 
-        # The defaults bind the values of this protocol. A closure would use those of the last
-        # protocol.
+        # The default arguments bind the values of this protocol. Without them, the function would
+        # use the values of the last protocol.
         def add_result(
             result: ScenarioResult,
             results: list[ScenarioResult] = results,
@@ -158,7 +158,8 @@ def run_campaign(
             run_experiments(
                 hand, rate, scenarios_to_run, jobs, attempt, add_result, on_failure, seed
             )
-        # A quick campaign has these runs as well, because false alarms are as bad as missed faults.
+        # A quick campaign also contains the runs without faults, because false alarms are as bad as
+        # missed faults.
         report.false_alarms[protocol] = run_fault_free(hand, rate, fault_free_s, seed)
         report.simulated_s += fault_free_s
     return report

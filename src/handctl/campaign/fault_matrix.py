@@ -162,7 +162,10 @@ _EXCHANGED_DRIVE_FAULTS = ("N14", "N05", "N06", "T04", "T02", "N04", "T03")
 """Faults that may be detected earlier than N17 if two drives are exchanged, in motion or at unequal tensions."""
 
 _PARTED_FAULTS = ("T08", "N06")
-"""Faults that show that joint and spool moved apart, as they do after a tendon has torn."""
+"""Faults that show that joint and spool do not move together.
+
+The controller may report them in place of T01 and T02 after a tendon has torn.
+"""
 
 FAULT_MATRIX: tuple[MatrixRow, ...] = (
     MatrixRow("B01", "drop node={node} for=2500us", WARN, 2, accepted_faults=("B01", "N02"), stages=ALL_STAGES),
@@ -228,11 +231,12 @@ FAULT_MATRIX: tuple[MatrixRow, ...] = (
     MatrixRow("N11", "error node={node} size=60", CUT, 2, accepted_faults=("N11b",), protocols=(MOTEUS,)),
     MatrixRow("N11", "error node={node} size=0x4000", CUT, 2, accepted_faults=("N11b",), protocols=(ROBSTRIDE,)),
     MatrixRow("N12", "forget node={node}", CUT, 4, 1000.0, ("N12",), protocols=(MIT, ODRIVE, CIA402, ROBSTRIDE)),
-    # Every command of this protocol contains torque limit and watchdog. The position limits, which
-    # the drive forgets, remove its torque. N14 detects this.
+    # Every command of this protocol contains torque limit and watchdog. The drive also forgets its
+    # position limits, and the default limits remove its torque. The controller reports this as N14
+    # (a command is not obeyed).
     MatrixRow("N12", "forget node={node}", RELAX, 4, 1000.0, ("N12", "N14"), protocols=(MOTEUS,)),
     # A restart before the first answer to the enable command looks like a lost command. The lost
-    # settings reveal it.
+    # settings reveal the restart.
     MatrixRow("N12", "reset node={node}", RELAX, 4, 1000.0, ("N12", "N01", "N14"), (ARMING_STAGE,), (MOTEUS,)),
     MatrixRow("N13", "twin node={node} seed=1", RELAX, 2, accepted_faults=("B06", "N13"),
               protocols=ONE_ANSWER_PROTOCOLS),
@@ -254,7 +258,7 @@ FAULT_MATRIX: tuple[MatrixRow, ...] = (
         protocols=ONE_ANSWER_PROTOCOLS),
     MatrixRow("N17", "late node={node} size=50", RELAX, 2, 4000.0, ("N17", *_EXCHANGED_DRIVE_FAULTS),
         protocols=ONE_ANSWER_PROTOCOLS),
-    # In a grasp at rest, the velocity limit of ODrive drives hides that two of them are exchanged.
+    # In a grasp at rest, the velocity limit of ODrive drives hides an exchange of two drives.
     MatrixRow("N17", "swap node={node} with={other}", RELAX, 2, 1000.0, ("N17", *_EXCHANGED_DRIVE_FAULTS),
         (FREE_STAGE,), (ODRIVE,)),
     MatrixRow("N17", "cross node={node} with={other}", RELAX, 2, 2000.0, ("N17", *_EXCHANGED_DRIVE_FAULTS),
@@ -312,7 +316,10 @@ UNTESTED_ROWS = {
 
 
 def scenarios_of_hand(hand: Hand, protocol: str, period_ms: float) -> list[FaultScenario]:
-    """Return the scenarios of every row of the matrix: on the first and the last instance, in all stages of the row.
+    """Return the scenarios of every row of the matrix.
+
+    Each row is tested in all its stages, on the first and on the last instance, for example the
+    first and the last motor.
 
     Args:
         hand: hand that is simulated.
@@ -337,9 +344,9 @@ def scenarios_of_hand(hand: Hand, protocol: str, period_ms: float) -> list[Fault
 def fault_pairs(hand: Hand, protocol: str, period_ms: float) -> list[FaultScenario]:
     """Return a scenario in a grasp for every pair of the faults in `PAIRED_ROWS`.
 
-    The fault with the more severe reaction comes first. The other fault starts a few ticks later,
-    on another instance. If the hand has no instance for a fault, such as a load cell, there are no
-    pairs with this fault. `period_ms` is the control period [ms].
+    The fault with the more severe reaction comes first. The other fault of the pair starts a few
+    ticks later, on another instance. If the hand has no instance for a fault, such as a load cell,
+    there are no pairs with this fault. `period_ms` is the control period [ms].
     """
     rows = [
         next(row for row in FAULT_MATRIX if row.id == id_ and protocol in row.protocols)
@@ -361,7 +368,7 @@ def fault_pairs(hand: Hand, protocol: str, period_ms: float) -> list[FaultScenar
 def texts_of_fault(hand: Hand, fault: str, period_ms: float) -> list[str]:
     """Return the text of a fault for each instance that the hand has.
 
-    The list is empty if the hand has no such instance.
+    The list is empty if the hand has no instance for the fault.
     """
     if fault.startswith(HOST_PREFIX):
         return [fault]
@@ -390,7 +397,7 @@ def _instance_values(hand: Hand, fault: str) -> list[dict[str, str]]:
             }
             for tendon in hand.tendon
             if not of_cell or tendon.name in hand.sensor_node.tendons
-            # The controller would report a trip tension near the rail of the load cell as
+            # The controller would report a trip tension near the end of the load cell's range as
             # saturation.
             if not limited or tendon.tension_trip_N < MAX_READABLE_TRIP_N
         ]

@@ -1,6 +1,6 @@
 """Simulated hands with each drive protocol, and runs that have reached each stage.
 
-The processes in which scenarios run branch off from these runs.
+Each scenario runs in a process that branches off from such a run.
 """
 
 import json
@@ -33,7 +33,7 @@ FIRST_NODE_NUMBER = 0x10
 DATA_BITRATE = 5_000_000
 """Bit rate of the data phase on the buses of a hand whose drives need CAN FD [bit/s]."""
 MIN_CONTROL_RATE_HZ = 200.0
-"""Lowest control rate at which the controller reacts to every fault within its bound [Hz]."""
+"""Lowest control rate at which the controller reacts to every fault within the fault's time limit [Hz]."""
 SPLIT_BUS_RATE_HZ = 250.0
 """Control rate for which motors are distributed over more buses [Hz]."""
 CAMPAIGN_TASK: dict[str, Any] = {
@@ -67,8 +67,8 @@ def with_drives(hand: Hand, protocol: str) -> Hand:
 
     The buses use CAN FD if the protocol needs CAN FD.
 
-    If the frames of the new drives would allow less than ``MIN_CONTROL_RATE_HZ`` on the only bus of a hand, its
-    motors are distributed over more buses.
+    If the frames of the new drives would allow less than ``MIN_CONTROL_RATE_HZ`` on the only bus of
+    a hand, the motors of the hand are distributed over more buses.
     """
     traits = PROTOCOL_TRAITS[protocol]
     motors = tuple(
@@ -156,7 +156,7 @@ def advance_to_stage(simulation: SimulatedRun, stage: str) -> None:
 
 
 class StagedRun(Protocol):
-    """Scenario of the fault matrix or random sequence that branches off from a run at a stage."""
+    """Experiment that branches off from a run at a stage: a scenario of the fault matrix, or a random sequence."""
 
     @property
     def name(self) -> str:

@@ -1,8 +1,8 @@
 """Random sequences of faults, and rules that the controller must keep for any order of faults.
 
 The fault matrix tests that each single fault is detected in time. A sequence has several temporary
-or permanent faults one after the other, on any instance and in any stage. Requests may come between
-them.
+or permanent faults one after the other, on any instance and in any stage. Requests of a client may
+come between the faults.
 
 Rules:
 
@@ -13,7 +13,7 @@ Rules:
 - No tendon exceeds the trip tension. If a sequence has a runaway drive, the limit is the tension
   that the drive and the momentum of the rotor can cause.
 - A stop ends the run without torque, or asks the operator to remove the power.
-- The same inputs lead to the same states.
+- If the inputs are repeated, the controller reaches the same states.
 """
 
 import random
@@ -42,9 +42,9 @@ BRIEF_DURATION_RANGE_MS = (5, 200)
 PERMANENT_FAULTS = ("snap", "slack")
 """Names of the faults that never end by themselves."""
 HOST_FAULT_FRACTION = 0.2
-"""Fraction of the steps of sequences that are requests or faults of the host."""
+"""Fraction of a sequence's steps that are requests or faults of the host."""
 BRIEF_FRACTION = 0.6
-"""Fraction of the other steps, faults that the simulator injects, that end by themselves."""
+"""Fraction of the simulator's faults in a sequence that end by themselves."""
 HOST_FAULT_TEXTS = (
     f"{HOST_PREFIX}ask stop",
     f"{HOST_PREFIX}ask clear",
@@ -56,12 +56,13 @@ HOST_FAULT_TEXTS = (
 SHUTDOWN_TIMEOUT_S = 2.5
 """Time for which a run is observed after the stop [s].
 
-The time covers relaxing, disarming, the timeouts of both, and the heartbeat of an ODrive.
+The time is long enough for relaxing, disarming, the timeouts of both, and the heartbeat of an
+ODrive.
 """
 WATCHDOG_S = 0.05
 """Time without a command after which a drive disables itself [s]."""
 REACTION_TICKS = 10
-"""Largest number of ticks after which the controller no longer commands a runaway drive."""
+"""The controller stops commanding a runaway drive after at most this number of ticks."""
 MODES_IN_ORDER = (
     HandMode.ARMING,
     HandMode.ACTIVE,
@@ -120,7 +121,8 @@ def draw_sequence(hand: Hand, protocol: str, period_ms: float, seed: int) -> Fau
     The result depends only on the seed, the hand, the protocol and the control period [ms].
     """
     chance = random.Random(f"sequence {seed}")
-    # Every row of the matrix has the same probability, no matter how many instances it has.
+    # Every row of the matrix has the same probability, no matter how many instances its fault has
+    # on the hand.
     rows = [row for row in FAULT_MATRIX if protocol in row.protocols]
     count = chance.randint(MIN_FAULTS, MAX_FAULTS)
     steps = []
@@ -155,7 +157,9 @@ def run_sequences(
     on_progress: Callable[[int], None],
     on_failure: Callable[[SimulatedRun, ScenarioResult], None],
 ) -> list[ScenarioResult]:
-    """Run sequences and return their results. Each runs in a copy of a run that has reached the sequence's stage.
+    """Run sequences, and return their results.
+
+    Each sequence runs in a copy of a simulated run that has reached the stage of the sequence.
 
     Args:
         hand: hand whose drives use `protocol`.
@@ -270,7 +274,7 @@ def _tension_bound(
     drive has fired.
     """
     # Without a runaway drive, the bound is the largest trip tension, or the tension at the start if
-    # it is larger.
+    # that tension is larger.
     limits = simulation.controller.limits
     model = simulation.controller.model
     if not any(step.fault.startswith(RUNAWAY_FAULT) for step in sequence.steps):
@@ -300,9 +304,10 @@ def violations_at_end(simulation: SimulatedRun) -> list[str]:
 
 
 def violations_on_replay(simulation: SimulatedRun, state: ControllerState, first: int) -> list[str]:
-    """Execute the inputs again.
+    """Execute the inputs of a simulated run again.
 
-    Return a text about the first tick whose state, frames or events differ, if there is one.
+    Return a text about the first tick whose state, frames or events differ from those of the run,
+    if there is one.
     """
     for entry, out in simulation.recorded_ticks[first:]:
         state, replayed = simulation.controller.tick(state, entry)

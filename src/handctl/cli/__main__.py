@@ -1,4 +1,4 @@
-"""Program ``python -m handctl.cli``, the same as the command ``handctl``."""
+"""Entry point of ``python -m handctl.cli``, which does the same as the command ``handctl``."""
 
 import sys
 

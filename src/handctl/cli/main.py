@@ -1,11 +1,11 @@
-# PYTHON_ARGCOMPLETE_OK: this mark tells a shell with global completion to ask this program
+# PYTHON_ARGCOMPLETE_OK: a shell with global completion asks programs with this mark for completions
 """Entry point of the command line, and table of the commands. This module calls the commands verbs.
 
 The module ``arguments`` of a folder declares the arguments of all verbs in the folder. The code of
 a verb is in the module with the name of the verb.
 
-To show a help text or an error in the arguments, only ``arguments`` is imported. So both appear
-fast.
+Only ``arguments`` is imported to show a help text, or an error in the arguments. Therefore both
+appear fast.
 """
 
 import errno
@@ -38,7 +38,7 @@ class VerbGroup(NamedTuple):
     """Verbs of the command line that have a common purpose.
 
     Attributes:
-        title: common purpose, a heading in the help.
+        title: common purpose of the verbs, printed as a heading in the help.
         verbs: one line of help for each verb, by name.
     """
 
@@ -100,9 +100,9 @@ VERB_HELP = {name: text for group in VERB_GROUPS.values() for name, text in grou
 VERBS_BY_FOLDER = {folder: tuple(group.verbs) for folder, group in VERB_GROUPS.items()}
 """Names of the verbs in each group, by the folder of their modules."""
 RECORDING_VERBS = ("run", "commission", "demo")
-"""Verbs that record a run if ``--dry-run`` is not given."""
+"""Verbs that record a run, unless ``--dry-run`` is given."""
 VERBOSITY_OPTIONS = {"-v", "--verbose", "-q", "--quiet"}
-"""Options that are also allowed before the verb of a command line."""
+"""Options that are allowed before the verb of a command line, and after it."""
 
 HELP_EPILOG = """exit codes:
   0 done, 1 failed, 2 bad input, 3 lossy log, 4 not comparable, 70 internal error, 71 remove power,
@@ -117,16 +117,16 @@ example:
 FILE_NAME_ERRORS = {
     errno.ENOENT, errno.EEXIST, errno.ENOTDIR, errno.EISDIR, errno.ENOTEMPTY, errno.ENAMETOOLONG, errno.ELOOP,
 }  # fmt: skip
-"""Error numbers of failures that a wrong file name from the user causes.
+"""Error numbers of file errors that a wrong file name causes.
 
-The machine causes all other failures of a file.
+All other file errors count as failures of the machine.
 """
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run ``handctl`` with a command line.
 
-    An error becomes a message of one line and an exit code.
+    If an error occurs, print a message of one line, and return an exit code.
     """
     words = list(sys.argv[1:] if argv is None else argv)
     if argv is None:
@@ -206,7 +206,7 @@ def _run_command_line(words: list[str]) -> int:
 
 
 def _verb_table() -> str:
-    """Return the text of the help that lists the verbs in their groups."""
+    """Return the part of the help that lists the verbs of each group."""
     lines: list[str] = []
     for group in VERB_GROUPS.values():
         lines.append(f"{group.title}:")
@@ -283,10 +283,10 @@ def _run_verb(name: str, words: list[str]) -> int:
 
 
 def _start_recorder_early() -> AbstractContextManager[None]:
-    """Start the recorder process early. Then both processes import modules at the same time."""
+    """Start the recorder process early, so that it imports modules while this process does the same."""
     from handctl.log.write.recorder_start import (
         recorder_process_ahead,
-    )  # a verb without a run needs no subprocess
+    )  # a verb that records no run needs no subprocess
 
     return recorder_process_ahead()
 
@@ -304,8 +304,8 @@ def _import_verb(name: str) -> Any:
 def _pause_garbage_collection() -> Iterator[None]:
     """Disable garbage collection in a block that imports modules.
 
-    Imports create many objects that are never freed. ``gc.freeze`` excludes them from later
-    collections.
+    Imports create many objects that are never freed. At the end of the block, ``gc.freeze``
+    excludes these objects from later collections.
     """
     enabled = gc.isenabled()
     gc.disable()

@@ -1,4 +1,7 @@
-"""Client of a hand for asyncio. The client offers the calls of ``HandClient`` as coroutines."""
+"""Client of a hand for programs with asyncio.
+
+This client offers the methods of ``HandClient`` as coroutines.
+"""
 
 import asyncio
 import os
@@ -15,26 +18,29 @@ from handctl.programs.stream_plans import StreamStatus
 from handctl.runtime.confirmed_requests import CONFIRMATION_TIMEOUT_S
 
 OBSERVATION_POLL_PERIOD_S = 0.5e-3
-"""Pause between two reads of the shared memory with observations [s].
+"""Pause between two reads of the shared memory that contains the observations [s].
 
-The event loop runs other tasks meanwhile.
+During the pause, the event loop runs other tasks.
 """
 
 
 class AsyncHandClient:
-    """Client of one hand for asyncio. Use the client with ``async with``.
+    """Client of one hand, for programs with asyncio. Use the client with ``async with``.
 
-    Every method does the same as the method of ``HandClient`` with the same name, and raises the
-    same errors. A thread makes the call, so that other tasks of the event loop continue.
-    ``observe`` is no coroutine, because this method returns at once. If a waiting task is
-    cancelled, the hand keeps the present goal. A call of ``hold`` then brings the hand to rest.
+    Every method has the same effect and errors as the method of ``HandClient`` with that name. The
+    call runs in a thread, so that other tasks of the event loop continue. ``observe`` is an
+    ordinary method, because it returns at once. If a task is cancelled during a call, the hand
+    keeps its present goal. A call of ``hold`` brings such a hand to rest.
 
     Attributes:
         client: the ``HandClient`` whose methods are called.
     """
 
     def __init__(self, client: HandClient) -> None:
-        """Wrap a client that is not open yet. Programs call ``connect_async`` instead."""
+        """Wrap a client that is not open yet.
+
+        Programs call ``connect_async`` instead of this constructor.
+        """
         self.client = client
 
     async def __aenter__(self) -> Self:
@@ -50,13 +56,17 @@ class AsyncHandClient:
     ) -> None:
         """Close the client.
 
-        After an exception or a cancellation, a fault that ended the run raises no second exception.
+        If the block ends with an exception or a cancellation, a fault of the run raises no second
+        exception.
         """
         await asyncio.shield(asyncio.to_thread(self.client.__exit__, kind, error, trace))
 
     @property
     def result(self) -> dict[str, Any]:
-        """Return the output of a run that this client has started, after the end of the run."""
+        """Return the output of the run that this client started.
+
+        The output is available after the run.
+        """
         return self.client.result
 
     @property
@@ -115,13 +125,13 @@ class AsyncHandClient:
     async def observations(
         self, timeout_s: float = CONFIRMATION_TIMEOUT_S
     ) -> AsyncIterator[Observation]:
-        """Yield the observation of every tick from now on, in order, until the run ends.
+        """Yield the observations of all ticks from now until the run ends, in order.
 
         Args:
             timeout_s: longest wait for the next tick [s].
 
         Raises:
-            BusError: no tick of the controller arrives in this time.
+            BusError: the next tick of the controller does not arrive in this time.
         """
         for seen in self.client.poll_observations(timeout_s):
             if seen is None:
@@ -153,7 +163,7 @@ class AsyncTargetStream:
     """Open stream of targets for asyncio. Use the stream with ``async with``.
 
     Attributes:
-        stream: the ``TargetStream`` in use, with attributes such as ``horizon_s``.
+        stream: the ``TargetStream`` that does the work. It has attributes such as ``horizon_s``.
     """
 
     def __init__(self, stream: TargetStream) -> None:
@@ -183,11 +193,11 @@ class AsyncTargetStream:
 
     @property
     def status(self) -> StreamStatus:
-        """Return how many targets the controller has accepted, clipped, ignored because they were late, and refused."""
+        """Return how many targets the controller has accepted, clipped, refused, and ignored as too late."""
         return self.stream.status
 
     async def close(self) -> None:
-        """End the stream. The streamed digits come to rest."""
+        """End the stream. The digits that follow the stream come to rest."""
         await asyncio.to_thread(self.stream.close)
 
 

@@ -1,4 +1,4 @@
-"""Goals that are positions of fingertips in the palm frame.
+"""Conversion of goals for the fingertips, in the palm frame, to goals for the joints.
 
 Inverse kinematics finds joint angles within the joint limits.
 """
@@ -22,17 +22,19 @@ TipPositions = Mapping[str, Sequence[float] | NDArray[np.floating[Any]]] | NDArr
 
 
 class Fingertips:
-    """Inverse kinematics of digits: finds joint angles for positions of their fingertips.
+    """Inverse kinematics of digits.
 
-    A digit with one tendon for three joints, for example, cannot bring the tip to every position.
-    Such a tip comes as close to a target position as the joint limits allow. The search for a
-    posture starts from the previous posture, so that a continuous motion has no jumps.
+    A search finds the joint angles at which the fingertips reach given positions.
+
+    For example, a digit with one tendon for three joints cannot bring its tip to every position.
+    The tip of such a digit comes as close to the target as the joint limits allow. Each search for
+    joint angles starts from the previous result, so that a continuous motion has no jumps.
 
     Attributes:
         digits: names of the digits.
         joints: names of the joints of these digits, in order.
-        distances_m: (D,) distance from each tip to the target position, in the latest posture. The
-            distance is NaN before the first posture.
+        distances_m: (D,) distance that remains between each tip and its target, after the latest
+            search. Before the first search it is NaN.
     """
 
     def __init__(self, hand: Hand, digits: Sequence[str] | None = None) -> None:
@@ -40,11 +42,12 @@ class Fingertips:
 
         Args:
             hand: description of the hand.
-            digits: names of the digits. If None is given, all digits on the palm are used.
+            digits: names of the digits. If it is None, all digits that are mounted on the palm are
+                used.
 
         Raises:
             ConfigError: the hand has no such digit, a name is given twice, or a digit is mounted on
-                another digit. The tip of such a digit moves with the other digit.
+                another digit. The tip of such a digit would move with the other digit.
         """
         on_palm = [digit.name for digit in hand.digit if digit.mount_on is None]
         self.digits = tuple(on_palm if digits is None else digits)
@@ -74,8 +77,8 @@ class Fingertips:
         """Return the joint angles for positions of fingertips, by name of the joint, e.g. for ``hand.move`` [deg].
 
         Args:
-            positions: positions of the tips. If a mapping leaves out a digit, the joints of this
-                digit get no angles.
+            positions: positions of the tips. If a mapping leaves out a digit, the result has no
+                angles for its joints.
 
         Raises:
             ConfigError: the positions have a wrong shape, a digit is unknown, or a position is not
@@ -118,14 +121,14 @@ class Fingertips:
 
 
 class FingertipStream(TargetStream):
-    """Open stream of fingertip positions, a kind of ``TargetStream``. ``HandClient.stream`` opens such a stream.
+    """Open stream of fingertip positions, which ``HandClient.stream`` returns.
 
-    The client computes joint angles from the positions. The controller gets a stream of joint
-    angles, and applies the usual limits.
+    The client computes joint angles from the positions. The controller receives joint angles, and
+    limits them as in every stream.
 
     Attributes:
-        fingertips: inverse kinematics of the digits. Attribute ``distances_m`` is the remaining
-            distance between each tip and the latest target position.
+        fingertips: inverse kinematics of the digits. The attribute ``distances_m`` of this object
+            gives the distance between each tip and its latest target.
     """
 
     def __init__(
@@ -137,7 +140,7 @@ class FingertipStream(TargetStream):
         Args:
             hand: client of the hand.
             sender: sender of the targets.
-            goal: request that has opened the stream of the joints of ``fingertips``.
+            goal: request that has opened the stream. The stream moves the joints of ``fingertips``.
             fingertips: inverse kinematics of the digits.
             horizon_s: time from the sending of a target until the hand shall reach it [s].
             time_scale: time of the hand that passes in a second of real time [s].
@@ -151,7 +154,7 @@ class FingertipStream(TargetStream):
     def _ordered_values(self, values: Any) -> NDArray[np.float64]:
         """Return the joint angles for positions of fingertips [deg].
 
-        Digits that a mapping leaves out keep their angles.
+        If a mapping leaves out digits, their angles stay as they are.
         """
         angles = self.fingertips.angles_deg(values)
         target = self._present_values() if self._last is None else self._last.copy()

@@ -1,8 +1,7 @@
-"""Client of a running hand, which commands motions, streams targets, and reads observations.
+"""Client that commands motions of a running hand, streams targets to it, and reads its observations.
 
-The controller of the hand is a separate process. The client sends the controller the same requests
-as the command line. The controller checks, limits and logs the requests of programs in the same way
-as those of operators.
+The controller of the hand is a separate process. The client sends the same requests as the commands
+of ``handctl``. The controller checks, limits and logs both kinds of requests in the same way.
 """
 
 import itertools
@@ -55,22 +54,29 @@ from handctl.session.exit_codes import ExitCode
 from handctl.session.tasks import load_task_for_hand
 
 START_TIMEOUT_S = 300.0
-"""Longest wait for a controller started here to accept goals [s]. The time covers commissioning on a slow machine.
+"""Longest wait until a controller that this client started accepts goals [s].
 
-A controller that cannot start ends much earlier.
+The time is enough for commissioning on a slow machine. If a controller cannot start, it ends much
+earlier, which ends the wait.
 """
 ATTACH_TIMEOUT_S = 60.0
-"""Longest wait for a controller that another process has started to accept goals [s]."""
+"""Longest wait until a controller that another process started accepts goals [s]."""
 OBSERVATION_POLL_PERIOD_S = 50e-6
-"""Pause between two reads of the shared memory with observations [s]."""
+"""Pause between two reads of the shared memory that contains the observations [s]."""
 STATE_POLL_PERIOD_S = 0.2
-"""Longest wait for a status line, after which the client checks that the controller process still runs [s]."""
+"""Longest wait for a status line of the controller [s].
+
+After this time, the client checks that the controller still runs.
+"""
 SENDER_NAME_BYTES = 64
 """Largest number of bytes that the name of the sender adds to a request."""
 DEFAULT_LEASE_S = 2.0
-"""Default lease [s]. A busy machine delays the renewing thread for a shorter time."""
+"""Default lease [s].
+
+This is longer than the delays of the thread that renews the lease, on a busy machine.
+"""
 SHUTDOWN_MODE_NAMES = {mode.name for mode in SHUTTING_DOWN}
-"""Modes of the hand in which goals have no effect."""
+"""Modes of the hand in which the controller follows no goals."""
 RUN_OWNER = "a running handctl run"
 _client_numbers = itertools.count(1)
 """Counter that numbers the clients and streams of this process."""
@@ -86,22 +92,23 @@ def connect(
     """Return a client of the controller on a bus. If no controller runs on the bus, start one.
 
     If this function starts the controller, the controller ends when this program ends or crashes.
-    Before its end, the controller relaxes and disarms the hand. Otherwise the lease protects the
-    hand: if the commanding program is killed, moving digits come to rest after the lease. After
-    twice the lease, the hand relaxes. The lease also acts if the program is suspended.
+    Before it ends, the controller relaxes and disarms the hand. If another process has started the
+    controller, a lease protects the hand. When the program that commands the hand is killed or
+    suspended, it no longer renews its lease. Moving digits come to rest after the lease, and the
+    hand relaxes after twice the lease.
 
     Args:
         hand: packaged hand or hand file for a new controller. On a real bus a hand is required. On
             other buses the default is ``"jamia"``.
-        bus: bus as for the option ``--bus``. For a hand on several buses, give all of them,
+        bus: bus as for the option ``--bus``. For a hand with several buses, give all buses,
             beginning with the first bus of the hand.
         arguments: further arguments of ``handctl run``, e.g. ``"--log", "run.mcap"``. On a real bus
             ``"--yes"`` confirms that the hand may move.
         lease_s: lease in the time of the hand [s], from 0.2 to 3600. A thread of the client renews
-            the lease. If None is given, the hand keeps the last goal without a time limit.
-        watchdog_s: longest time in which the program neither calls the client nor sends a target
-            [s]. After this time the lease is not renewed. So a program that hangs also loses the
-            right to move the hand. If None is given, any time is allowed.
+            the lease. If it is None, the hand keeps its last goal for any time.
+        watchdog_s: longest time in which the program may neither call the client nor send a target
+            [s]. After this time, the thread no longer renews the lease. Therefore a program that
+            hangs also loses the right to move the hand. If it is None, any time is allowed.
 
     Raises:
         ConfigError: the bus, the lease or the watchdog is invalid, or the bus is real and no hand
@@ -129,7 +136,7 @@ def connect(
 
 
 def _check_lease(lease_s: float | None, watchdog_s: float | None) -> None:
-    """Check the lease and the watchdog, the times after which a client counts as lost.
+    """Check the two times after which a client counts as lost: the lease and the watchdog.
 
     Raises:
         ConfigError: a time is not a number within its limits, or there is a watchdog but no lease.
@@ -146,22 +153,25 @@ def _check_lease(lease_s: float | None, watchdog_s: float | None) -> None:
 
 
 class HandClient:
-    """Client of one hand. Use the client as a context manager. Several threads may share a client.
+    """Client of one hand.
 
-    Only one client at a time may move the hand. Any number of clients may observe the hand. The
+    Use it as a context manager. Several threads of a program may share a client.
+
+    At any time, only one client may move the hand. Any number of clients may observe the hand. The
     first client that moves the hand keeps this right until the client closes, or until another
     client calls ``take_over``.
 
-    If the client has started the controller, closing the client relaxes and disarms the hand.
-    Otherwise the hand stays armed. If this client was moving the hand, the hand comes to rest.
+    If the client has started the controller, closing the client relaxes and disarms the hand. If
+    another process has started the controller, the hand stays armed. The hand comes to rest if this
+    client was moving it.
 
     Attributes:
         bus: bus of the controller.
         name: name of this client. Other clients see this name when the controller refuses their
             commands.
         child: controller process, or None if another process has started the controller.
-        result: output of ``handctl run --json``, e.g. ``log`` and ``failure``. If this client has
-            started the run, the output is available after the end of the run.
+        result: output of ``handctl run --json``, e.g. ``log`` and ``failure``. The output is
+            available after the end of a run that this client has started.
     """
 
     def __init__(
@@ -171,9 +181,10 @@ class HandClient:
         lease_s: float | None = DEFAULT_LEASE_S,
         watchdog_s: float | None = None,
     ) -> None:
-        """Create the client. If `command` is given, this command starts a controller.
+        """Create the client.
 
-        Programs call ``connect`` instead.
+        If ``command`` is given, this command starts a controller. Programs call ``connect`` instead
+        of this constructor.
         """
         self.bus = bus
         self._lease_s = lease_s
@@ -185,7 +196,7 @@ class HandClient:
         self._has_been_live = self._has_commanded = self._closed = self._error_raised = (
             self._is_hand_off
         ) = False
-        self._lock = threading.RLock()  # only one call may wait for a status line at a time
+        self._lock = threading.RLock()  # at any time, only one call may wait for a status line
         self._observations: ObservationReader | None = None
         self._description: Hand | None = None
         self._watcher = StatusWatcher(bus)
@@ -196,10 +207,12 @@ class HandClient:
             pipe = subprocess.PIPE
             self.child = subprocess.Popen(
                 command, stdin=pipe, stdout=pipe, stderr=self._stderr, start_new_session=True
-            )  # Ctrl-C is for this program, which then ends the controller
+            )  # Ctrl-C reaches only this program, which then ends the controller
 
     def __enter__(self) -> Self:
-        """Wait until the hand accepts goals, and return the client. This takes longer if commissioning comes first.
+        """Wait until the hand accepts goals, and return the client.
+
+        A hand without a calibration is commissioned first.
 
         Raises:
             DriveError: the controller does not start or accepts no goals. The message comes from
@@ -208,9 +221,10 @@ class HandClient:
         return self.open()
 
     def open(self) -> Self:
-        """Wait until the hand accepts goals, as the ``with`` statement does. Notebooks need this method.
+        """Wait until the hand accepts goals, as the ``with`` statement does.
 
-        The errors are those of the ``with`` statement. Call ``close`` at the end.
+        Notebooks need this method. This method raises the same errors as the ``with`` statement.
+        Call ``close`` at the end.
         """
         with ExitStack() as undo:
             undo.callback(self._end_command, False)
@@ -238,8 +252,9 @@ class HandClient:
             goals: goals as a mapping, e.g. ``hand.move({"index": 30})``. Keyword arguments add
                 further goals.
             duration_s: duration of the motion in the time of the hand [s].
-            wait: True to return at the end of the motion, False to return at its start.
-            angle_deg: angle of a joint, or one angle for all joints of a digit, by name [deg].
+            wait: True to return at the end of the motion, False to return when the motion begins.
+            angle_deg: angle of a joint, or one angle for all joints of a digit, by name of the
+                joint or digit [deg].
 
         Raises:
             ConfigError: the controller has refused the goal, e.g. because of an unknown digit. The
@@ -270,17 +285,16 @@ class HandClient:
         rate_N_per_s: float = 100.0,
         **tension_N: float,
     ) -> None:
-        """Hold a tension for all tendons of a digit [N], as in ``hand.hold(index=12)``.
+        """Hold a tension [N] in every tendon of a digit, as in ``hand.hold(index=12)``.
 
-        The method returns immediately.
-
-        If no goals are given, all moving digits stop at their present positions.
+        The method returns immediately. If no goals are given, all moving digits stop at their
+        present positions.
 
         Args:
             goals: goals as a mapping, e.g. ``hand.hold({"index": 12})``. Keyword arguments add
                 further goals.
-            rate_N_per_s: rate at which the tension changes to its goal [N/s].
-            tension_N: tension for each digit by name [N].
+            rate_N_per_s: rate at which each tension approaches its goal [N/s].
+            tension_N: tension of each digit, by name of the digit [N].
 
         Raises:
             ConfigError, DriveError, BusError: see ``move``.
@@ -310,23 +324,23 @@ class HandClient:
         """Open a stream of targets. Use the result as a context manager, see ``TargetStream``.
 
         Args:
-            rate_Hz: rate of the targets in the time of the hand [Hz], 20 up to the control rate.
-            space: meaning of the values of a target. In space ``"joint"`` a target has an angle for
-                each joint, in ``"digit"`` one angle for all joints of each digit. In ``"tension"``
-                a target has a tension for each tendon [N], in ``"tip_force"`` a force for each
-                digit [N]. In ``"fingertip"`` a target has the position of each fingertip in the
-                palm frame, (D, 3) [m], see ``FingertipStream``.
-            names: joints, digits or tendons to which the values of a target belong, in order. If
-                None is given, all of the hand are used.
+            rate_Hz: rate of the targets in the time of the hand [Hz], from 20 to the control rate.
+            space: meaning of the values of a target. In space ``"joint"``, a target has an angle
+                for each joint. In ``"digit"``, it has one angle for each digit, which all joints of
+                the digit get. In ``"tension"`` a target has a tension for each tendon [N], in
+                ``"tip_force"`` a force for each digit [N]. In ``"fingertip"`` a target has the
+                position of each fingertip in the palm frame, (D, 3) [m], see ``FingertipStream``.
+            names: joints, digits or tendons to which the values of a target belong, in order. If it
+                is None, a target has values for all joints, digits or tendons.
             interpolation: motion between two successive target angles. ``"linear"`` has a constant
                 speed, ``"minimum_jerk"`` is smooth.
             unit: unit of the angles in a target. For prismatic joints, ``"deg"`` means mm, and
                 ``"rad"`` means m.
             stiffness_N_m_per_rad: stiffness of the streamed joints against a push, for impedance
-                control. If None is given, the stiffness of the gains is used, which is also the
-                largest.
-            damping_ratio: damping ratio that belongs to the stiffness, as a multiple of the damping
-                ratio of the gains, 0.5 to 2.
+                control. If it is None, the gains determine the stiffness. This is also the largest
+                allowed stiffness.
+            damping_ratio: damping ratio of the streamed joints, as a multiple of the damping ratio
+                that the gains give, from 0.5 to 2.
 
         Raises:
             ConfigError: the controller has refused the stream, e.g. because of a name or a rate, or
@@ -372,7 +386,7 @@ class HandClient:
         Args:
             task: packaged task, e.g. ``"grasp"``, or a task file.
             wait: True to return when the hold phase begins, False to return at once. If the task
-                has no hold phase, True waits for its end.
+                has no hold phase, True waits for the end of the task.
             timeout_s: longest wait [s].
 
         Raises:
@@ -399,7 +413,7 @@ class HandClient:
         return seen
 
     def release(self, wait: bool = True, timeout_s: float = 30.0) -> None:
-        """End the hold phase that ``grasp`` reached, and execute the phases of the task after it.
+        """End the hold phase that ``grasp`` reached, and execute the remaining phases of the task.
 
         Args:
             wait: True to return at the end of the task, False to return at once.
@@ -429,7 +443,7 @@ class HandClient:
 
     @property
     def description(self) -> Hand:
-        """Return the description of the hand, which has names, limits and geometry.
+        """Return the description of the hand, with names, limits and geometry.
 
         Raises:
             DriveError, BusError: as for ``state``.
@@ -466,9 +480,10 @@ class HandClient:
             time.sleep(OBSERVATION_POLL_PERIOD_S)
 
     def observations(self, timeout_s: float = CONFIRMATION_TIMEOUT_S) -> Iterator[Observation]:
-        """Yield the observation of every tick from now on, in order, until the run ends.
+        """Yield the observations of all ticks from now until the run ends, in order.
 
-        A program that is more than a second late misses ticks. Then ``k`` jumps.
+        A program that is more than a second late misses ticks. Missed ticks show as a jump of
+        ``k``.
 
         Args:
             timeout_s: longest wait for the next tick [s].
@@ -483,9 +498,11 @@ class HandClient:
                 yield seen
 
     def poll_observations(self, timeout_s: float) -> Iterator[Observation | None]:
-        """Yield the observation of every tick without waiting. Yield None while there is no new observation.
+        """Yield the observation of every tick, or None if there is no new one.
 
-        The argument and the errors are those of ``observations``.
+        The iterator never waits.
+
+        The argument and the errors are the same as in ``observations``.
         """
         reader = self._open_reader()
         reader.last_read_number = reader.written_count
@@ -507,9 +524,9 @@ class HandClient:
         phase: str | None = None,
         timeout_s: float = 10.0,
     ) -> Observation:
-        """Wait until digits are in contact or the hand is in a phase, and return the observation of this tick.
+        """Wait until digits are in contact or the hand is in a phase, and return the observation of that tick.
 
-        If contacts and a phase are given, both must be present in the same tick.
+        If contacts and a phase are given, the wait ends at a tick that has both.
 
         Args:
             contact: a digit, or several digits that must all be in contact.
@@ -541,7 +558,7 @@ class HandClient:
     def _open_reader(self) -> ObservationReader:
         """Return the reader of the observations in shared memory.
 
-        The first call opens the reader. This is possible only while the run is alive.
+        The first call opens the reader, and must come before the run ends.
         """
         if self._observations is not None:
             if not self._observations.run_ended:
@@ -563,7 +580,9 @@ class HandClient:
             raise BusError("the controller is silent", f"bus {self.bus}", RUN_OWNER)
 
     def state(self, timeout_s: float = CONFIRMATION_TIMEOUT_S) -> dict[str, Any]:
-        """Return the present state of the hand as plain values. The state is at most 20 ms old.
+        """Return the present state of the hand as plain Python values.
+
+        The state is at most 20 ms old.
 
         ``observe`` is faster and returns more values.
 
@@ -580,7 +599,7 @@ class HandClient:
 
         Raises:
             DriveError: the run has ended. The message has the reason.
-            BusError: the controller sends no status in this time.
+            BusError: the controller sends no status line in this time.
         """
         self._note_call()
         end = time.monotonic() + timeout_s
@@ -679,12 +698,12 @@ class HandClient:
             )
 
     def _note_call(self) -> None:
-        """Store for the watchdog that the program has called the client now."""
+        """Store the time of this call for the watchdog."""
         if self._heartbeat is not None:
             self._heartbeat.note_call()
 
     def _wait_until_following(self, timeout_s: float) -> dict[str, Any]:
-        """Return the state of the hand, and raise an error if the hand no longer follows goals."""
+        """Return the state of the hand. Raise an error if the hand no longer follows goals."""
         line = self.state(timeout_s)
         if line["mode"] in SHUTDOWN_MODE_NAMES:
             self._collect_result()
@@ -713,8 +732,8 @@ class HandClient:
         Later calls of this method have no effect.
 
         Args:
-            raise_error: True to raise the error that ended the run. False is given while another
-                exception is handled. Then only a drive that may still have torque raises an error.
+            raise_error: True to raise the error that ended the run. False is used while another
+                exception is handled. Then an error is raised only if a drive may still have torque.
         """
         if self._closed:
             return
@@ -742,7 +761,7 @@ class HandClient:
         if self.child is not None and self.child.stdout and not self.child.stdout.closed:
             out, _ = self.child.communicate()
             self._print_new_messages()
-            with suppress(ValueError):  # a killed process leaves no output, or a part of it
+            with suppress(ValueError):  # a killed process leaves no output, or incomplete output
                 self.result = json.loads(out)
 
     def _run_error(self) -> DriveError:
@@ -768,7 +787,7 @@ class HandClient:
 
 
 def _values_by_digit(do: str, goals: object, named: Mapping[str, Any]) -> dict[str, Any]:
-    """Join the values given in a mapping and by keyword arguments, and return them by name of the digit.
+    """Join the values of a mapping with those of keyword arguments, and return them by name of the digit.
 
     Raises:
         ConfigError: the goals are not a mapping, no digit is named, or a digit is named twice.
@@ -784,9 +803,10 @@ def _values_by_digit(do: str, goals: object, named: Mapping[str, Any]) -> dict[s
 
 
 def _with_float_numbers(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert the numbers among some values to float, whatever their type, and return all values.
+    """Convert the numbers of any type among some values to float, and return all values.
 
-    Other values are not converted. A later check can then name a wrong value in the error message.
+    Values that are no numbers stay unchanged, so that the error message of a later check can name
+    them.
     """
     converted = dict(values)
     for key, value in values.items():

@@ -1,6 +1,6 @@
 """Signs of life that a client sends to the controller.
 
-A thread sends them while the program runs.
+A thread of the client sends them, as long as the program runs.
 """
 
 import threading
@@ -11,18 +11,17 @@ from handctl.programs.requests import alive_request_text
 from handctl.runtime.mailbox import RequestSender
 
 BEATS_PER_LEASE = 4
-"""Number of signs of life that are sent in the time of a lease.
+"""Number of signs of life that a client sends in the time of one lease.
 
-Three successive ones may be late or lost.
+The lease survives if three successive signs are late or lost.
 """
 
 
 class Heartbeat:
     """Thread that renews the lease of a client.
 
-    If there is a watchdog, the thread sends signs of life only while the program uses the client
-    often enough. A program that hangs then loses its lease, even if other threads of the program
-    continue.
+    With a watchdog, the thread sends signs of life only while the program uses the client often
+    enough. A program that hangs then loses its lease, even if its other threads continue.
     """
 
     def __init__(self, bus: str, client: str, period_s: float, watchdog_s: float | None) -> None:
@@ -32,8 +31,8 @@ class Heartbeat:
             bus: bus of the controller.
             client: name of the client.
             period_s: time between two signs of life [s].
-            watchdog_s: longest time between two uses of the client by the program [s]. If None is
-                given, any time is allowed.
+            watchdog_s: longest time between two calls of the client by the program [s]. If it is
+                None, any time is allowed.
         """
         self._bus = bus
         self._heartbeat_request = alive_request_text(client).encode()
@@ -47,7 +46,7 @@ class Heartbeat:
         self._thread.start()
 
     def note_call(self) -> None:
-        """Store that the program has used the client now."""
+        """Store the present time as the time at which the program last called the client."""
         self._last_call_s = time.monotonic()
 
     def end(self) -> None:
@@ -65,4 +64,4 @@ class Heartbeat:
                 ):
                     sender.send(
                         self._heartbeat_request
-                    )  # if the mailbox is full, the next message renews the lease
+                    )  # if the mailbox of the controller is full, the next sign of life renews the lease

@@ -1,4 +1,4 @@
-"""Observation of a hand in one tick: a numpy record with names, with units, and with the age of the values."""
+"""Observation of a hand in one tick: a numpy record whose fields have names and units, and the age of the values."""
 
 import time
 from typing import Any
@@ -12,7 +12,7 @@ from handctl.programs.stream_plans import StreamStatus
 from handctl.runtime.observations import PUBLISHED_NAMES
 
 AXIS_OF_FIELD = {PUBLISHED_NAMES[name]: axis for name, axis in TELEMETRY_AXES.items()}
-"""Axis of each array in an observation: joint, tendon, motor or digit."""
+"""For each array in an observation, the kind of its elements: joint, tendon, motor or digit."""
 
 
 class Observation:
@@ -27,20 +27,19 @@ class Observation:
         k: number of the tick.
         t_ns: time of the tick since the start of the run [ns].
         late_ns: lateness of the tick [ns].
-        published_ns: CLOCK_MONOTONIC after the commands of the tick were sent [ns].
+        published_ns: reading of CLOCK_MONOTONIC after the tick had sent its commands [ns].
         q_rad: (J,) estimated joint angle.
         q_sigma_rad: (J,) standard deviation of the joint angle.
         dq_rad_s: (J,) estimated joint rate.
-        q_goal_rad: (J,) commanded joint angle. The angle is NaN for the joints of a digit that
-            holds a tension.
+        q_goal_rad: (J,) commanded joint angle, NaN while the digit of the joint holds a tension.
         tension_N: (N,) estimated tension.
         tension_sigma_N: (N,) standard deviation of the tension.
         tension_goal_N: (N,) commanded tension.
         tip_force_N: (D,) contact force at the tip, normal to the last link.
         tip_force_sigma_N: (D,) standard deviation of the contact force.
         contact: (D,) 1 if the digit is in contact, else 0.
-        motor_position_rad: (M,) measured position at the spool, NaN if the motor did not reply in
-            this tick.
+        motor_position_rad: (M,) measured position at the spool. It is NaN if the motor did not
+            reply in this tick.
         motor_velocity_rad_s: (M,) measured velocity at the spool.
         motor_torque_N_m: (M,) measured torque at the spool.
         motor_temperature_degC: (M,) highest temperature of the drive.
@@ -71,7 +70,7 @@ class Observation:
     motor_age_s: Vector
 
     def __init__(self, record: NDArray[np.void], hand: Hand) -> None:
-        """Make an observation from a record.
+        """Create the observation from a record.
 
         Args:
             record: array of shape (), see ``runtime.observations.observation_dtype``.
@@ -95,7 +94,7 @@ class Observation:
 
     @property
     def age_s(self) -> float:
-        """Return the real time that has passed since the commands of the tick were sent [s]."""
+        """Return the real time since the tick sent its commands [s]."""
         return (time.monotonic_ns() - int(self.record["published_ns"])) / 1e9
 
     @property
@@ -120,7 +119,7 @@ class Observation:
         return StreamStatus(*[self.record[f"stream_{field}"].item() for field in fields])
 
     def names(self, field: str) -> tuple[str, ...]:
-        """Return the names that belong to the values of a field, e.g. the joints for ``"q_rad"``.
+        """Return the name of each value in a field, e.g. the names of the joints for ``"q_rad"``.
 
         Raises:
             KeyError: no array of the observation has this name.

@@ -1,4 +1,4 @@
-"""Stream of targets from a program to a running hand."""
+"""Stream of targets that a program sends to a running hand."""
 
 import time
 from collections.abc import Mapping, Sequence
@@ -21,8 +21,8 @@ TargetValues = (
 )
 """Values of a target, either in the order of the stream's names or by name.
 
-The last value of an omitted name is kept. A fingertip has three values, and every other name has
-one.
+A name that is left out keeps its last value. A fingertip has three values. A joint, digit or tendon
+has one.
 """
 
 
@@ -53,15 +53,16 @@ class StreamOwner(Protocol):
 
 
 class TargetStream:
-    """Open stream of targets. Use the stream as a context manager.
+    """Open stream of targets to a hand. Use it as a context manager.
 
     The hand reaches a target ``horizon_s`` after the target was sent, and continues to the next
     target. A program with a known trajectory should send the point ``horizon_s`` ahead. Then the
     hand follows the trajectory without delay. If no more targets arrive, the hand stays at the last
-    target, then holds, then relaxes. The section ``[stream]`` of the hand file has the times.
+    target. After ``hold_after_ms`` it holds, and after ``relax_after_ms`` it relaxes. The section
+    ``[stream]`` of the hand file contains both times.
 
-    The controller clips a target beyond the range of a joint, and limits speed and acceleration.
-    ``status`` reports how often.
+    The controller clips targets outside the range of a joint, and limits the speed and the
+    acceleration of the motion. ``status`` reports how often it has clipped a target.
 
     Attributes:
         name: name of the stream.
@@ -71,14 +72,17 @@ class TargetStream:
         horizon_s: time from the sending of a target until the hand shall reach it [s].
         sent: number of targets sent.
         skipped: number of targets that were not sent, because the controller had not yet read
-            earlier ones.
+            earlier targets.
     """
 
     def __init__(
         self, hand: StreamOwner, sender: TargetSender, goal: Mapping[str, Any], unit: str, horizon_s: float,
         time_scale: float,
     ) -> None:  # fmt: skip
-        """Create the sending end of a stream. Programs call ``HandClient.stream`` instead."""
+        """Create the sending end of a stream.
+
+        Programs call ``HandClient.stream`` instead of this constructor.
+        """
         self._hand = hand
         self._sender = sender
         self.space: str = goal["space"]
@@ -123,7 +127,7 @@ class TargetStream:
         try:
             accepted = self._sender.send(self.sent, time.monotonic_ns(), target * self._unit_factor)
         except OSError:
-            self._hand.state()  # raises the reason if the run has ended
+            self._hand.state()  # if the run has ended, this call raises an error with the reason
             raise DriveError("the controller no longer accepts targets", self._hand.bus) from None
         self._last = target
         self.sent += accepted
@@ -132,26 +136,26 @@ class TargetStream:
     def sleep(self) -> None:
         """Sleep until the next target is due.
 
-        A late program continues from the present time, and does not send the missed targets in a
-        burst.
+        If the program is late, the next target is due at once, and later targets follow at the rate
+        of the stream. Missed targets are not sent in a burst.
         """
         time.sleep(max(0.0, self.next_due_s() - time.monotonic()))
 
     def next_due_s(self) -> float:
         """Return the time at which the next target is due, on the clock ``time.monotonic`` [s].
 
-        Every call moves the time on by one period.
+        Each call adds one period of the stream to this time.
         """
         self._next_due_ns = max(self._next_due_ns + self._period_ns, float(time.monotonic_ns()))
         return self._next_due_ns / 1e9
 
     @property
     def status(self) -> StreamStatus:
-        """Return how many targets the controller has accepted, clipped, ignored because they were late, and refused."""
+        """Return how many targets the controller has accepted, clipped, refused, and ignored as too late."""
         return self._hand.observe().stream
 
     def close(self) -> None:
-        """End the stream. The streamed digits come to rest."""
+        """End the stream. The digits that follow the stream come to rest."""
         if self._closed:
             return
         self._closed = True
@@ -193,7 +197,7 @@ class TargetStream:
     def _present_values(self) -> NDArray[np.float64]:
         """Return the present values of the hand.
 
-        Values left out in the first target start from the present values.
+        The present values stand for values that the first target of a stream leaves out.
         """
         seen = self._hand.observe()
         if TARGET_UNIT_BY_SPACE[self.space] != "deg":

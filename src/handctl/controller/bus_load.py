@@ -84,7 +84,7 @@ def drive_rows(drive: Drive, bus: Bus) -> tuple[BusLoadRow, ...]:
     """Return the rows of the bus-load table for the frames of a motor.
 
     Raises:
-        ConfigError: if the motor is set to CAN FD and the bus is not.
+        ConfigError: if the motor uses CAN FD and the bus does not.
     """
     kinds = [(size, fd, 1.0, 0.0) for size, fd in drive.frames_per_tick]
     kinds += [(size, fd, 0.0, number) for size, fd, number in drive.background_frames]
@@ -140,7 +140,7 @@ def split_motors_over_buses(hand: Hand, rate_hz: float) -> list[list[str]]:
     All buses get the bit rates of the hand's first bus. The load cells stay on the first bus.
 
     Returns:
-        Names of the motors on each bus. It is empty if a single motor overloads a bus.
+        Names of the motors on each bus. The list is empty if a single motor overloads a bus.
     """
     first = hand.bus[0]
     # The first bus also carries SYNC and the load-cell frames, so it has less capacity for motors.
@@ -169,8 +169,8 @@ def split_motors_over_buses(hand: Hand, rate_hz: float) -> list[list[str]]:
 def with_more_buses(hand: Hand, rate_hz: float) -> Hand:
     """Return a hand whose motors are distributed over as many buses as a control rate [Hz] needs.
 
-    The load cells stay on the first bus, and all buses get its bit rates. The hand stays as it is if
-    one motor alone needs more than a bus.
+    The load cells stay on the first bus. All buses get the bit rates of the first bus. If one motor
+    alone needs more than a whole bus, the hand is returned unchanged.
     """
     groups = split_motors_over_buses(hand, rate_hz)
     if not groups:

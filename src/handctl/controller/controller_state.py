@@ -178,7 +178,7 @@ class ControllerState:
         self.decisions = self.decisions._replace(**changes)
 
     def digest(self) -> bytes:
-        """Return a hash of 8 bytes over the whole state."""
+        """Return an 8-byte hash of the whole state."""
         return xxhash.xxh3_64_digest(
             self.block.data, int.from_bytes(_decision_hash_cache(self.decisions), "little")
         )
@@ -190,19 +190,19 @@ class ControllerState:
         return self.layout.view(self.block, name)
 
     def run_number(self, row: int) -> float:
-        """Return a real number that is stored once per run, by its row."""
+        """Return a real number of the table ``run``, by its row."""
         return float(self._run[row])
 
     def set_run_number(self, row: int, value: float) -> None:
-        """Set a real number that is stored once per run."""
+        """Set a real number of the table ``run``, by its row."""
         self._run[row] = value
 
     def run_integer(self, row: int) -> int:
-        """Return an integer that is stored once per run, by its row."""
+        """Return an integer of the table ``run_int``, by its row."""
         return int(self._run_int[row])
 
     def set_run_integer(self, row: int, value: int) -> None:
-        """Set an integer that is stored once per run."""
+        """Set an integer of the table ``run_int``, by its row."""
         self._run_int[row] = value
 
     @property

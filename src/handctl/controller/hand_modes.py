@@ -274,7 +274,7 @@ def _silent_sensors(state: ControllerState) -> list[str]:
 
 
 def _missing_inputs(state: ControllerState, inputs: ModeInputs) -> list[str]:
-    """Return the missing inputs of the tension filter, when all drives are ready and all sensor frames have arrived."""
+    """Return the motors whose ready drives have sent no position, an input that the tension filter needs."""
     drives = _named_drives(state, inputs)
     blind = [
         name
@@ -400,8 +400,8 @@ def _motors_possibly_on(
 ) -> tuple[str, ...]:
     """Return the names of motors that may make torque at the end of a run.
 
-    If the run ends before arming, handctl has enabled no motor. Then only motors that report to be
-    enabled are returned.
+    If the run ends before arming, handctl has enabled no motor. In this case, only motors that
+    report the state enabled are returned.
     """
     if state.mode not in BEFORE_ARMING:
         return tuple(

@@ -34,7 +34,7 @@ START_MARGIN_N = 15.0
 LOAD_CELL_FAULTS = ("T04b", "T05", "T05b", "T06")
 """Faults that make the measured tension unreliable: the true tension may be larger."""
 RELAXED_WITHIN_N = 3.0
-"""Tension in excess of the relaxed tension at which a tendon still counts as relaxed [N]."""
+"""Distance above the tension of a relaxed tendon within which a tendon counts as relaxed [N]."""
 SETPOINT_MARGIN_N = 3.0
 """Largest margin of the first setpoint above the present tension [N].
 

@@ -71,7 +71,7 @@ class CommissionSetup(Document):
 class PlaybackSetup(Document):
     """Setup of a program that repeats a recorded run.
 
-    ``rows`` is the recording as text, see ``RecordedGoals.text``.
+    ``rows`` is the recording as text, see ``RecordedGoals.to_text``.
     """
 
     program: Literal["playback"] = "playback"
@@ -80,7 +80,7 @@ class PlaybackSetup(Document):
 
 
 class ExerciseSetup(Document):
-    """Setup of a program that makes motions for the evaluation of gains."""
+    """Setup of a program whose motions are used to evaluate gains."""
 
     program: Literal["exercise"] = "exercise"
     amplitudes: tuple[float, ...]
@@ -199,7 +199,7 @@ def _check_position_loop(motor: Motor, drive: Drive) -> None:
     """Check that the commands of a motor's drive can carry a position loop and its gains.
 
     Raises:
-        ConfigError: if the commands cannot.
+        ConfigError: if the commands cannot carry them.
     """
     if not motor.holds_position:
         return
@@ -221,7 +221,7 @@ def _check_position_loop(motor: Motor, drive: Drive) -> None:
 
 
 def _with_sync(drives: tuple[Drive, ...], sensors: SensorInterface) -> tuple[Drive, ...]:
-    """Return the drives with the option ``sync`` in the last CiA 402 drive of each bus that has no SYNC.
+    """Return the drives, with the option ``sync`` set for the last CiA 402 drive on each bus without SYNC.
 
     A bus already has SYNC if the sensor node's SYNC is 0x080, or if a drive has the option in the
     hand file. The last drive is chosen so that SYNC follows every command.

@@ -39,7 +39,7 @@ this would spin the motor, which resembles a snapped tendon (T01) or an oscillat
 Setpoints also keep this margin below the largest tension, because the tension may overshoot.
 """
 OPEN_STREAM, RUNNING_STREAM = 1, 2
-"""Values of the field ``block.STREAMING``."""
+"""Values of the field ``state_block.STREAMING``."""
 
 
 def present_references(model: HandModel, state: ControllerState) -> tuple[Vector, ...]:
@@ -239,7 +239,8 @@ def _begin_segment(
             digit = model.digits[d]
             places = model.digit_coordinates[d]
             held[places] = nearest_holdable_posture(digit, held[places], model.floor[digit.tendons])
-    # The segment starts at the reference of the last tick, so this tick already moves.
+    # The segment starts at the reference of the last tick, so the reference already moves in this
+    # tick.
     since = t_ns / 1e9 - model.period * (1 + state.run_integer(s.MISSED_TICKS))
     duration = max(sent_ns / 1e9 + stream.horizon - since, model.period)
     apart = (sent_ns - state.run_integer(s.STREAM_SENT_NS)) / 1e9
@@ -247,8 +248,8 @@ def _begin_segment(
         state.run_integer(s.STREAMING) == RUNNING_STREAM
         and apart <= MAX_TARGET_GAP_PERIODS * stream.period
     )
-    # Two targets that arrive together do not show the speed of the stream, so half a period is
-    # assumed at least.
+    # Two targets that arrive together do not show the speed of the stream, so the time between them
+    # counts as half a period at least.
     apart = max(apart, 0.5 * stream.period) if steady else math.inf
     return begin_segments(
         state.block, state.layout.places, aim, held, since, duration, apart,

@@ -103,8 +103,8 @@ class Controller:
         gather: function that copies the telemetry from the state block.
         owners: index of the drive, by bus and identifier.
         amplifier_of: index of the CiA 404 amplifier, by bus and identifier.
-        sends_sync: True if the sensor node needs SYNC. Drives without this SYNC send SYNC
-            themselves.
+        sends_sync: True if the sensor node needs SYNC. On a bus without this SYNC, the host sends
+            SYNC after the command of a CiA 402 drive.
         sync_row: SYNC frame of the sensor node as a record.
     """
 
@@ -215,7 +215,7 @@ class Controller:
 
         Args:
             last_state: state after the previous tick.
-            tick_input: inputs of the tick. Its requests are ignored.
+            tick_input: inputs of the tick. The requests in it are ignored.
         """
         gains = last_state.decisions.gains
         controller = (
@@ -353,7 +353,7 @@ class Controller:
     def _groups_not_ready(self, amplifiers: tuple[AmplifierState, ...]) -> tuple[int, ...]:
         """Return the groups of frames from amplifiers whose set-up is not complete.
 
-        Their values are not used.
+        The values in these frames are not used.
         """
         pairs = zip(amplifiers, self.sensors.group_ranges, strict=True)
         return tuple(
@@ -405,8 +405,8 @@ class Controller:
     ) -> None:
         """Count the refused requests, and the malformed requests within the last second.
 
-        A program may test which requests are in range, so refused requests are no fault. Only
-        malformed requests show that a client is faulty.
+        A program may send requests only to test whether they are in range, so refused requests are
+        no fault. Only malformed requests show that a client is faulty.
         """
         recent = state.decisions.refusals
         if request_events or recent:
@@ -649,7 +649,8 @@ class TickInProgress:
         sent: frames to send, from ``command``.
         action: reaction that safety demands, from ``command``.
         events: events of the tick so far.
-        unchanged: state before the motor torques were computed, if other gains are pending.
+        unchanged: state before the motor torques were computed, kept only while other gains are
+            pending.
     """
 
     controller: Controller

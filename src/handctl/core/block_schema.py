@@ -2,15 +2,15 @@
 
 A schema is a list of fields. A field is one or several rows of a table. Each table has an axis: for
 example, a row of the table ``tendon`` has one number per tendon. The declaration of a field returns
-the index of its first row. Compiled code and the controller use this index::
+the index of the field's first row. Compiled code and the controller use this index::
 
     TENSION = STATE.real_field("tension", "tendon", "N", "estimated tension")
     x.tendon[TENSION, n]
 
 All tables of a schema share one array of float64, the block. Integer tables are parts of the block
-that are viewed as int64. Their names end with ``_int``. A layout has the lengths of the axes for
-one hand, and the places of the tables in a block. So a block can be copied as one array, stored as
-bytes, and compared with another block field by field.
+that are viewed as int64. The name of an integer table ends with ``_int``. A layout has the lengths
+of the axes for one hand, and the places of the tables in a block. Since a block is one array, it
+can be copied at once and stored as bytes. Two blocks can be compared field by field.
 """
 
 import hashlib
@@ -55,10 +55,10 @@ class BlockSchema:
     """Declarations of the tables and fields of a block.
 
     Attributes:
-        tables: names of the tables in memory order. A name is an axis, or axes joined by ``*``,
-            with ``_int`` at the end for integers.
-        optional: name of an axis that may have the length 0, empty if there is none. With the
-            length 0, this axis has no effect on ``BlockLayout.identity``.
+        tables: names of the tables in memory order. A name is an axis, or several axes joined by
+            ``*``. The name of an integer table ends with ``_int``.
+        optional: name of the axis that may have the length 0, empty if no axis may. With the length
+            0, this axis has no effect on ``BlockLayout.identity``.
         fields: all fields, in the order of declaration.
     """
 
@@ -67,7 +67,7 @@ class BlockSchema:
 
         Args:
             tables: names of the tables in memory order.
-            optional: name of an axis that may have the length 0, see the class.
+            optional: name of the axis that may have the length 0, see the attributes of the class.
         """
         self.tables = tables
         self.optional = optional
@@ -114,7 +114,7 @@ class BlockLayout:
         places: lengths of the axes, first element of each table, and end of the last table, for
             compiled code.
         size: number of elements of a block.
-        identity: hash of 8 bytes over all fields and all lengths of axes.
+        identity: 8-byte hash of all fields and all axis lengths.
         initial: block before the first tick, read-only.
     """
 
@@ -164,7 +164,7 @@ class BlockLayout:
         return int(np.prod([self.axes[axis] for axis in _axes_of_table(table)], dtype=np.int64))
 
     def _field_span(self, field: BlockField) -> tuple[int, int, tuple[int, ...], bool]:
-        """Return first element, end, shape and integer flag of a field in a block."""
+        """Return the place of a field in a block: first element, end, shape, and True for integers."""
         start, _, width, whole = self._tables[field.table]
         shape = tuple(self.axes[axis] for axis in _axes_of_table(field.table))
         first = start + field.first * width
@@ -176,13 +176,16 @@ class BlockLayout:
         )
 
     def view(self, block: BlockArray, name: str) -> NDArray[Any]:
-        """Return a field as a view into a block: (rows, ...), or (...) for a field with a single row."""
+        """Return a view of a field in a block.
+
+        The view has the shape (rows, ...), or (...) for a field of one row.
+        """
         first, end, shape, whole = self._fields[name]
         part = block[first:end]
         return (part.view(np.int64) if whole else part).reshape(shape)
 
     def axis_of(self, name: str) -> str:
-        """Return the name of a field's axis, ``a*b`` for two axes."""
+        """Return the axis of a field by name. For a field over two axes, the name is ``a*b``."""
         return next(field.table for field in self.schema.fields if field.name == name).removesuffix(
             INTEGER_TABLE_SUFFIX
         )
@@ -192,7 +195,7 @@ class BlockLayout:
         return self._tables[table][0]
 
     def table(self, block: BlockArray, name: str) -> NDArray[Any]:
-        """Return a table as a view into a block, (rows, length of the axis)."""
+        """Return a view of a table in a block, (rows, length of the axis)."""
         shape, kind, offset = self._shapes[name]
         return np.ndarray(
             shape, kind, block, offset

@@ -1,4 +1,6 @@
-"""Constants of a hand for compiled code. They form a separate block, besides the state block.
+"""Constants of a hand for compiled code.
+
+These constants have a block of their own, separate from the state block.
 
 ``HandConstants`` fills the block from a ``HandModel``, from drives and from sensors.
 ``constant_tables`` returns the tables by name, for compiled code. A change of gains needs a new
@@ -161,8 +163,8 @@ PULLEY_WEIGHTS = _real("pulley_weight", "tendon*joint", "",
 COUPLING = _real("coupling", "joint*coordinate", "", "joint angles per coordinate")
 REDUCED_ARMS = _real("reduced_arms", "tendon*coordinate", "m", "moment arms about the coordinates")
 
-# Moment arms that depend on the joint angle. For a digit with such arms, the tables above that
-# depend on R contain the values at the present joint angles.
+# Moment arms that depend on the joint angle. For a digit with such arms, each table above that is
+# computed from the moment arms R holds the values at the present joint angles.
 HAS_VARYING_ARM = _whole("varying", "tendon", "",
     "1 if a moment arm of the tendon depends on the joint angle")  # fmt: skip
 DIGIT_VARYING = _whole("digit_varying", "digit", "",
@@ -196,8 +198,8 @@ HAS_FUSED_JOINTS = _whole("joints_fused", "run", "",
 POSTURE_TICKS = _whole("posture_ticks", "run", "",
     "ticks from one estimate in the null space to the next")  # fmt: skip
 
-# Tension filter: the elements of each filter design. A tendon has six kinds of design. The index of
-# a kind is the regime of the tendon, plus 3 if process noise is added.
+# Tension filter: the elements of each filter design. A tendon has six designs. The index of a
+# design is the number of the tendon's regime, plus 3 for the design with added process noise.
 DESIGN = _real("design", "tendon*kind*element", "", "blocks of the filter, see the elements below")
 F_AT = 0
 B_AT = 49
@@ -213,7 +215,9 @@ CELL_SIGMA_AT = 216
 CELL_ERROR_VARIANCE_AT = 217
 CELL_ERROR_OBSERVABLE_AT = 218
 DESIGN_ELEMENT_COUNT = 219
-"""Number of elements of a filter design. The constants above are the index of the first element of each part.
+"""Number of elements of a filter design.
+
+Each constant above is the index of a part's first element in the design.
 
 The parts are F (7, 7), B (7, 2), K (7, 3), Q (7, 7), R (2), P (7, 7), H (3, 7), the tension row
 (7), the inverse covariance of the innovations (encoder squared, twice the product, load cell
@@ -221,7 +225,8 @@ squared), and four single numbers. ``filter_stack.FilterBlock`` explains the par
 """
 FILTER_DESIGN_COUNT = 6
 
-# Contact and grip: fraction by which each low-pass filter approaches its input in a tick.
+# Filters of contact and grip: fraction of the distance to its input that each low-pass filter
+# covers in a tick.
 TIP_FORCE_FRACTION = _real("felt_fraction", "run", "",
     "update fraction of the smoothed force at the tip")  # fmt: skip
 TIP_FORCE_MEAN_FRACTION = _real("usual_fraction", "run", "",
@@ -233,7 +238,7 @@ GRIP_FAST_FRACTION = _real("fast_fraction", "run", "",
 GRIP_SLOW_FRACTION = _real("slow_fraction", "run", "",
     "update fraction of the slow average of a grip")  # fmt: skip
 
-# Touch, and limits of the fault detectors.
+# Detection of touch, and limits of the fault detectors.
 TOUCH_DECAY = _real("touch_kept", "run", "",
     "fraction of the smoothed unexplained tension that remains after a tick")  # fmt: skip
 STEP_LIMIT = _real("step_limit", "tendon", "rad", "largest step of a motor position in a period")
@@ -285,7 +290,11 @@ TENSION_GROUPS = _whole("tension_groups", "run", "", "frame groups that carry te
 
 
 class ConstantTables(NamedTuple):
-    """Tables of a block of constants, each (rows, lengths of its axes), except ``design``: (N, kind, element)."""
+    """Tables of a block of constants.
+
+    A table has the shape (rows, lengths of its axes). Only ``design`` has the shape (N, kind,
+    element).
+    """
 
     tendon: NDArray[np.float64]
     joint: NDArray[np.float64]
@@ -309,7 +318,7 @@ def constant_tables(block: BlockArray, at: TablePlaces) -> ConstantTables:
 
     Args:
         block: block of constants.
-        at: ``Layout.places`` of the layout of the block.
+        at: ``BlockLayout.places`` of the layout of the block.
     """
     n = at[0]
     j = at[1]

@@ -2,8 +2,8 @@
 
 ``receive_frames`` decodes the feedback of steady drives and all frames of the sensor node, by
 tables of signals. A drive is steady while it is enabled and its state machine (``drives.contract``)
-has nothing to do. ``receive_frames`` stops at each frame that a state machine must handle. Its
-caller handles this frame, and then calls ``receive_frames`` again for the frames after it.
+has nothing to do. ``receive_frames`` stops at each frame that a state machine must handle. The
+caller handles this frame, and calls ``receive_frames`` again for the frames after this one.
 ``encode_commands`` encodes the commands of steady drives, and stops at each drive that is not
 steady. ``WireTables`` builds the tables for a hand.
 """
@@ -67,15 +67,16 @@ FloatArray = NDArray[np.float64]
 ) = range(7)
 """Columns of an entry, which describes the frames with one identifier.
 
-They are: index of the drive or NODE, kind of frame, first signal, signal after the last, payload
-length [bytes], group, and 1 if only the frame nearest to the expected position is used.
+The columns are: index of the drive or ``SENSOR_NODE_OWNER``, kind of frame, first signal, signal
+after the last, payload length [bytes], group, and 1 if only the frame nearest to the expected
+position is used.
 """
 SENSOR_NODE_OWNER = -1
 """Value of the column ``OWNER_COLUMN`` for frames of the sensor node."""
 STATE_MACHINE_FRAMES, FEEDBACK_FRAMES, VALUE_FRAMES, SENSOR_FRAMES, HOST_FRAMES = range(5)
-"""Kinds of frames: for a state machine, reply to a command, further values, of the sensor node, only of this host."""
+"""Kinds of frames: for a state machine, reply to a command, more drive values, sensor node, sent by this host only."""
 ENABLED_PHASE = 3
-"""Value of ``drives.contract.DrivePhase.ENABLED_PHASE``."""
+"""Value of ``drives.contract.DrivePhase.ENABLED``."""
 MISSING_ENTRY = -1
 """Index that stands for a missing entry."""
 POSITION, VELOCITY, TORQUE, TEMPERATURE, STATUS, CELL, ANGLE, COUNTER = map(
@@ -113,7 +114,7 @@ def begin_tick(
 
     Args:
         block: state block.
-        at: ``Layout.places`` of the state block.
+        at: ``BlockLayout.places`` of the state block.
         k: number of the tick.
         t_ns: time of the tick [ns].
         late_ns: delay of the tick's start [ns].
@@ -161,7 +162,7 @@ def store_drive(
 
     Args:
         block: state block.
-        at: ``Layout.places`` of the state block.
+        at: ``BlockLayout.places`` of the state block.
         n: index of the drive.
         position: motor position, at the spool [rad].
         velocity: motor velocity, at the spool [rad/s].
@@ -172,7 +173,7 @@ def store_drive(
         phase: ``drives.contract.DrivePhase`` of the drive.
         fault_code: error code of the drive.
         fault_cause: ``drives.fault_causes.DriveFaultCause`` of the error code, -1 without a fault.
-        steady_status: status of the drive with which its state machine has nothing to do.
+        steady_status: drive status at which the drive's state machine has nothing to do.
         due_ns: time at which the drive's state machine must run next [ns].
         misread: 1 if a frame of the drive in this tick had a wrong shape.
     """
@@ -223,9 +224,9 @@ def receive_frames(
 
     Args:
         block: state block.
-        at: ``Layout.places`` of the state block.
+        at: ``BlockLayout.places`` of the state block.
         constants: constants of the hand.
-        constants_at: ``Layout.places`` of the constants.
+        constants_at: ``BlockLayout.places`` of the constants.
         rows: (n, WORDS_PER_RECORD) records of frames.
         keys: see ``WireTables``.
         entries: see ``WireTables``.
@@ -507,7 +508,7 @@ def encode_commands(
 
     Args:
         block: state block.
-        at: ``Layout.places`` of the state block.
+        at: ``BlockLayout.places`` of the state block.
         frame_words: (frames, WORDS_PER_RECORD) result: records of the commands.
         commands: (frames, 3) see ``WireTables``.
         wholes: ``WireTables.sent_wholes``.
@@ -606,7 +607,8 @@ class WireTables:
             sensors: sensor node of the hand.
             holds_position: for each drive, True if it closes the position loop. Empty if no drive
                 does.
-            torque_gain: (N,) torque at the spool per commanded torque, None for 1.
+            torque_gain: (N,) torque at the spool per commanded torque. If it is None, all gains are
+                1.
         """
         self._signals: list[SignalTable] = []
         found: dict[int, list[int]] = {}
@@ -666,7 +668,7 @@ class WireTables:
         self._entries_without: dict[tuple[int, ...], IntArray] = {}
 
     def entries_without(self, groups: tuple[int, ...]) -> IntArray:
-        """Return a copy of the entries in which state machines of the sensors must handle the frames of some groups."""
+        """Return a copy of the entries in which the frames of some groups go to the state machines of the sensors."""
         entries = self._entries_without.get(groups)
         if entries is None:
             entries = self.entries.copy()

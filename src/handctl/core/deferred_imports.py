@@ -1,9 +1,9 @@
-"""Fast import of scipy, filterpy and control, without those of their modules that handctl does not use.
+"""Fast import of the packages scipy, filterpy and control, without the modules in them that handctl does not use.
 
 The import of ``scipy.stats``, ``scipy.ndimage`` and the plots of control takes longer than the
-import of all other modules of a run. Half of the import time of ``scipy.linalg`` is spent on a
-Fortran compiler and on test functions. A stand-in replaces each module in ``UNUSED_MODULES``. It imports
-the real module when one of the module's functions is used.
+import of all other modules of a run. Half of the import time of ``scipy.linalg`` is spent on
+modules for Fortran compilers and for tests. A stand-in replaces each module in ``UNUSED_MODULES``.
+The stand-in imports the real module when one of its functions is used.
 """
 
 import importlib
@@ -19,7 +19,7 @@ UNUSED_MODULES = ("scipy.stats", "scipy.ndimage", "numpy.f2py", "numpy.testing")
 
 
 class _DeferredAttribute:
-    """A function or distribution of a module that is imported when the function is used."""
+    """A function or distribution of a module. The first use of the function imports the module."""
 
     def __init__(self, module: str, name: str) -> None:
         self._module = module
@@ -37,7 +37,7 @@ class _DeferredAttribute:
     def _apply_to_real_object(self, use: Callable[[Any], Any]) -> Any:
         """Apply a function to the real object.
 
-        During the import of filterpy, which tries one call, return None.
+        The import of filterpy makes one trial call, for which this function returns None.
         """
         module: Any = importlib.import_module(self._module)
         real = getattr(module, self._name)
@@ -45,10 +45,7 @@ class _DeferredAttribute:
 
 
 class _StandIn(ModuleType):
-    """Stand-in for a module.
-
-    It imports the real module when one of the module's functions is used.
-    """
+    """Stand-in for a module. The first use of a function imports the real module."""
 
     def __getattr__(self, name: str) -> _DeferredAttribute:
         if name.startswith("__"):  # the import system looks for __path__ and similar names
@@ -60,7 +57,7 @@ class _StandIn(ModuleType):
 def deferred_imports() -> Iterator[None]:
     """Replace the modules in ``UNUSED_MODULES`` by stand-ins within a ``with`` block.
 
-    Their packages also get the stand-ins as attributes.
+    Each stand-in also becomes an attribute of the package that contains the module.
     """
     replaced = [name.rpartition(".") for name in UNUSED_MODULES if name not in sys.modules]
     places = [(importlib.import_module(package), part) for package, _, part in replaced]

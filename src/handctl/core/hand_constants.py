@@ -55,7 +55,7 @@ class HandConstants:
 
     Attributes:
         layout: layout of the block.
-        block: block of constants. It is read-only, unless a moment arm of the hand varies.
+        block: block of constants. The block is read-only, unless a moment arm of the hand varies.
     """
 
     def __init__(self, model: HandModel, other_constants: Mapping[str, object]) -> None:

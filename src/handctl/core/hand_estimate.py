@@ -1,4 +1,4 @@
-"""Estimate and measurements of a tick, for programs. They are views into the state block."""
+"""Estimate and measurements of a tick, for programs. Both are views into the state block."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,7 +80,7 @@ class HandEstimate:
     def external_tension(self) -> Vector:
         """Return the load force on each tendon that the model does not explain [N].
 
-        It is positive if it acts against closing. Contact with an object causes such a force.
+        A force against closing is positive. Contact with an object causes such a force.
         """
         return self.tendon[s.EXTERNAL_TENSION]
 
@@ -121,7 +121,7 @@ class HandEstimate:
 
     @property
     def contact_force(self) -> Vector:
-        """Return (D,) contact forces at the tips of closing digits [N], less the errors found before the contact."""
+        """Return the contact forces at the tips of closing digits (D,) [N], without errors found before the contact."""
         return self.digit[s.CONTACT_FORCE]
 
     @property

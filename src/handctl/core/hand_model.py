@@ -113,8 +113,8 @@ class HandModel:
         period = 1.0 / rate_hz
         filters = design_filter(space, gains.filter, period, _joint_period(hand, period))
         margin = np.where(hand.has_cell, 0.0, BLIND_SIGMAS * filters.held_sigma)
-        # The floor is raised by the margin only in digits with surplus tendons. Any other digit
-        # would be closed by a higher floor.
+        # The floor is raised by the margin only in digits with surplus tendons. In any other digit,
+        # a higher floor would close the digit.
         held = np.array(
             [
                 len(digit.moment_arms) > digit.coupling.shape[1]
@@ -196,8 +196,8 @@ def _torque_limit(hand: Hand, gain: Vector | None) -> Vector:
 
     A drive that makes less torque than commanded needs a larger command, so its limit is lower. The
     limit has a margin of 1e-12 of its value, because drives refuse commands that exceed their limit
-    even by the last bit. Such an excess could come from rounding, when torques are divided or
-    multiplied by spool radius and torque gain.
+    even by the last bit. Without this margin, rounding could cause such an excess, when torques are
+    divided or multiplied by spool radius and torque gain.
     """
     largest = np.array([hand.motor_of(tendon.name).torque_max_N_m for tendon in hand.tendon]) * (
         1.0 - 1e-12

@@ -100,8 +100,8 @@ class IdentifiedParameters(Document):
     def beside(self, older: "IdentifiedParameters | None") -> "IdentifiedParameters":
         """Return these parameters, together with the parameters of an older identification that are missing here.
 
-        So a run that identifies few parameters does not remove the other parameters. Parameters of
-        different runs count as uncorrelated.
+        A run that identifies only a few parameters therefore does not remove the other parameters.
+        Parameters of different runs count as uncorrelated.
         """
         others = (
             [i for i, name in enumerate(older.names) if name not in self.names] if older else []

@@ -1,6 +1,6 @@
 """Caches for the values of a function.
 
-They find the value of an immutable object by the object's identity.
+The caches find the value of an immutable object by the object's identity.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,8 +14,8 @@ MAX_ENTRIES = 256
 class SequenceCache(Generic[T]):
     """Values of a function for each item of a sequence.
 
-    From one sequence to the next, most items are the same objects. Their values are taken from the
-    last call.
+    From one sequence to the next, most items are the same objects. The values of these objects are
+    taken from the last call.
     """
 
     def __init__(self, function: Callable[[T], bytes]) -> None:

@@ -18,7 +18,7 @@ from pydantic import BaseModel
 MARSHAL_VERSION = 2
 """Version of the format of ``marshal``.
 
-It is the last version that writes no references to shared values.
+Version 2 is the last one that writes no references to shared values.
 """
 ARRAY_MARK, MODEL_MARK, BYTES_MARK = ":array", ":model", ":bytes"
 """Marks that replace the type name in the plain form of arrays, pydantic models and bytes."""

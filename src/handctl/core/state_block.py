@@ -1,9 +1,9 @@
 """Declaration of every quantity of the state block, which each tick passes to the next: table, unit and meaning.
 
 A tick copies the block of the last tick and writes into the copy. The results of a tick
-(measurements, estimates, the command) are stored in the same block as its memory. So the log, the
-viewer and the next tick read the same data. ``state_tables`` returns the tables by name, for
-compiled code. The module ``block_schema`` explains how a row of a table is addressed.
+(measurements, estimates, the command) are stored in the same block as its memory. The log, the
+viewer and the next tick therefore read the same data. ``state_tables`` returns the tables by name,
+for compiled code. The module ``block_schema`` explains how a row of a table is addressed.
 
 The tables have these axes. The capital letter or number after a name is the length of the axis:
 
@@ -13,7 +13,8 @@ The tables have these axes. The capital letter or number after a name is the len
 - coordinate, C: the reduced coordinates of all digits.
 - node, N + 1: the motors, then the load cells.
 - group, G: the frames in which the sensor node sends its readings.
-- instance: the motors, tendons, joints or nodes in which a fault can occur, whichever are most.
+- instance: the places in which a fault can occur: motors, tendons, joints or nodes. The length of
+  this axis is the largest of these four numbers.
 - run, 1: numbers that exist once for the whole hand.
 - servo: N if any drive of the hand closes a position loop by itself, else 0.
 """
@@ -29,7 +30,10 @@ from handctl.core.block_schema import BlockArray, BlockSchema, TablePlaces
 
 NAN = math.nan
 STATE_AXES = ("tendon", "joint", "digit", "coordinate", "node", "group", "instance", "run", "servo")
-"""Names of the axes. ``Layout.places`` begins with their lengths, in this order."""
+"""Names of the axes.
+
+``BlockLayout.places`` begins with the lengths of these axes, in this order.
+"""
 STATE_TABLES = (
     "tendon", "joint", "digit", "coordinate", "run", "servo",
     "tendon_int", "joint_int", "digit_int", "node_int", "group_int", "instance_int", "run_int",
@@ -461,7 +465,7 @@ def state_tables(block: BlockArray, at: TablePlaces) -> StateTables:
 
     Args:
         block: state block.
-        at: ``Layout.places`` of the layout of the block.
+        at: ``BlockLayout.places`` of the layout of the block.
     """
     whole = block.view(np.int64)
     return StateTables(

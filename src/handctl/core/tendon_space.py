@@ -1,4 +1,6 @@
-"""Constants of a hand along its tendons. For each tendon, an elastic tendon joins a motor mass and a load mass.
+"""Constants of a hand along its tendons.
+
+Each tendon is an elastic connection of a motor mass and a load mass.
 
 Along a tendon, the motor is a mass J_m / r_a^2 at the travel x = r_a theta_m, with the spool radius
 r_a. The digit is a mass at the excursion s = R q. The tension between both masses is f = k (x - s -
@@ -102,8 +104,8 @@ def tendon_space(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonSpace:
 def _position_step(motor: Motor) -> float:
     """Return the resolution of a motor's reported position [rad].
 
-    It is the resolution of the protocol, but at least 1/65536 of the position range, because
-    smaller steps are below the noise.
+    The result is the resolution of the protocol, but at least 1/65536 of the position range.
+    Smaller steps are below the noise.
     """
     return max(2 * motor.position_range_rad / 0xFFFF, make_drive(motor, 0).position_step)
 

@@ -167,7 +167,7 @@ def compute_motor_torques(
 ) -> None:
     """Compute the motor torques, see ``computed_torque``.
 
-    They are 0 unless the hand is active or relaxing.
+    The torques are 0 unless the hand is active or relaxing.
     """
     x = state_tables(block, at)
     c = constant_tables(constants, constants_at)

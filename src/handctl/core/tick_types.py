@@ -33,7 +33,10 @@ class HandMode(enum.IntEnum):
     CUT = 7
     """The torque of all motors is removed at once, without a ramp."""
     DONE = 8
-    """Each drive is disarmed, or cannot confirm that it is. The control loop may end."""
+    """Each drive has confirmed that it is disarmed, or cannot confirm it.
+
+    The control loop may end.
+    """
 
 
 BEFORE_ARMING = (HandMode.SILENT, HandMode.INVENTORY, HandMode.READY)

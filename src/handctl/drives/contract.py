@@ -1,12 +1,14 @@
-"""Interface of every motor drive protocol: codec and state machine. The time is an argument.
+"""Interface of every motor drive protocol: codec and state machine.
+
+Functions get the time as an argument.
 
 Each protocol is one class. Each object of the class is the immutable description of one motor on
 one bus. All changing values are in an immutable ``DriveState``. In each tick the controller calls
-``receive`` of each drive for every received frame. It then calls ``advance`` of each drive once
-with the requested drive state. While a drive is enabled and its state machine has nothing to do,
-compiled code in ``core.cyclic_frames`` does this work, from the tables of ``cyclic_messages``. The controller calls
-``advance`` again if the status of the feedback is not ``steady_status``, or when the time
-``due_ns`` comes. No function here reads a clock or a socket.
+``receive`` of each drive for every received frame. The controller then calls ``advance`` of each
+drive once, with the requested drive state. While a drive is enabled and its state machine has
+nothing to do, compiled code in ``core.cyclic_frames`` does this work, from the tables of
+``cyclic_messages``. The controller calls ``advance`` again if the status of the feedback is not
+``steady_status``, or when the time ``due_ns`` comes. No function here reads a clock or a socket.
 """
 
 import enum
@@ -26,7 +28,10 @@ END_OF_TIME_NS = (1 << 63) - 1
 
 
 class DriveTarget(enum.IntEnum):
-    """Drive state that the controller requests. In each tick the drive goes one step towards it."""
+    """Drive state that the controller requests.
+
+    In each tick, the drive goes one step towards this state.
+    """
 
     LISTEN = 0
     """Send nothing to the drive."""
@@ -121,11 +126,12 @@ class Drive(Protocol):
         name: name of the motor in the hand file.
         bus: index of the bus of the drive.
         torque_limit: largest torque command [N m at the spool].
-        exchange: most frames that one tick can have, in both directions, as (payload bytes, CAN
-            FD?). The bus load is computed from them.
-        background: frames whose rate is not the control rate, as (payload bytes, CAN FD?, frames
-            per second).
-        extended: True if the frames have 29-bit identifiers. They take longer on the bus.
+        frames_per_tick: all frames that one tick can have at most, in both directions, as (payload
+            bytes, CAN FD?). The bus load is computed from them.
+        background_frames: frames whose rate is not the control rate, as (payload bytes, CAN FD?,
+            frames per second).
+        has_extended_ids: True if the frames have 29-bit identifiers. Such frames take longer on the
+            bus.
         host_ids: identifiers of frames from a host to the drive. If such a frame is received,
             another host has sent it.
         node_ids: identifiers of frames from the drive.
@@ -134,7 +140,7 @@ class Drive(Protocol):
         one_reply_per_command: True if the drive sends exactly one feedback frame per command. An
             additional frame is then a duplicate, or comes from a second drive with the same number.
         position_step: resolution of the measured position [rad at the spool], 0 if unknown.
-        cyclic: signal tables of the frames that a tick exchanges with the enabled drive.
+        cyclic_messages: signal tables of the frames that a tick exchanges with the enabled drive.
         feedback_period_s: period of the drive's unrequested feedback [s], 0 if every tick requests
             feedback.
     """
@@ -223,7 +229,7 @@ class Drive(Protocol):
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
         """Return the state of the drive after a received frame. A frame of another node leaves the state unchanged.
 
-        No content of a frame makes this method raise an error.
+        This method raises no error, whatever the frame contains.
         """
         ...
 
@@ -246,7 +252,7 @@ class Drive(Protocol):
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
         """Return the frames of a torque command [N m at the spool] that do not enable the drive.
 
-        A test sends them to check that a disabled drive ignores torque commands.
+        A test sends these frames to check that a disabled drive ignores torque commands.
 
         The result is empty if every torque command of the protocol also enables the drive.
         """
@@ -255,7 +261,7 @@ class Drive(Protocol):
     def cut_frames(self) -> tuple[Frame, ...]:
         """Return the frames that remove the torque at once, in any state of the drive.
 
-        They do not depend on the state, and can therefore be built before a run.
+        The frames do not depend on the state, and can therefore be built before a run.
         """
         ...
 

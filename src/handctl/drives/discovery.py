@@ -13,8 +13,8 @@ from typing import NamedTuple
 from handctl.drives.frame import REMOTE_FLAG, Frame
 
 PROBE_ROUNDS = range(4)
-# Time in which a scan only listens, long enough for several heartbeats, and time to wait for the
-# answers in a round [s].
+# Times of a scan [s]: time of listening, which is enough for several heartbeats, and time to wait
+# for answers in a round.
 SCAN_LISTEN_S = 0.7
 PROBE_ANSWER_S = 0.25
 
@@ -61,8 +61,8 @@ TWO_DRIVES_WARNING = (
 def have_two_drives_answered(answers: Mapping[int, Sequence[bytes]], serial: int) -> bool:
     """Return True if two drives with the same number have answered the requests.
 
-    A bus may deliver one frame twice by mistake. It does not deliver the answers to two different
-    requests twice.
+    A bus may deliver one frame twice by mistake. No bus delivers the answers to two different
+    requests twice by mistake.
 
     Args:
         answers: received answers to each request, by request (for example by register number). Each

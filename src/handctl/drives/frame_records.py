@@ -48,7 +48,7 @@ LENGTH_BIT = 56
 
 
 class Frames(Sequence[Frame]):
-    """Sequence of frames stored as records. It compares equal to any sequence with equal frames.
+    """Sequence of frames stored as records. Such a sequence equals any sequence with equal frames.
 
     Attributes:
         records: (n,) frames of type ``FRAME_RECORD_DTYPE``.

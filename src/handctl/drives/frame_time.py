@@ -1,8 +1,7 @@
 """Bus load of a hand, from the longest time that each frame can take with stuff bits.
 
-    classical   exposed to stuffing 34 + 8 n | at most (exposed - 1) / 4 stuff bits | 13 without
-    stuffing CAN FD      header 17 + 4 stuff | ESI and DLC 5, data 8 n | stuff count 4, CRC 17 or
-    21, fixed stuff | 13
+    classical   exposed to stuffing 34 + 8 n | at most (exposed - 1) / 4 stuff bits | 13 without stuffing
+    CAN FD      header 17 + 4 stuff | ESI and DLC 5, data 8 n | stuff count 4, CRC 17 or 21, fixed stuff | 13
 
 The two rows count the bits of a frame with an 11-bit identifier and n data bytes. A 29-bit
 identifier adds SRR, IDE and 18 bits, which are all exposed to stuffing. The last 13 bits of a frame
@@ -49,8 +48,8 @@ FD_SIZES = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 """Possible payload lengths of a CAN FD frame [bytes]. Source: ISO 11898-1, table of DLC."""
 
 
-# Number of bits of a CAN FD frame from start of frame to BRS, and of their stuff bits. They have
-# the nominal bit rate.
+# Number of bits of a CAN FD frame from start of frame to BRS, and of their stuff bits. These bits
+# have the nominal bit rate.
 FD_HEADER_BITS = 17
 FD_HEADER_STUFF_BITS = 4
 FD_END_BITS = 13

@@ -1,4 +1,4 @@
-"""List of drive protocols, and the keys in a ``[[motor]]`` section of the hand file that drives use.
+"""List of drive protocols, and the keys of a ``[[motor]]`` section in the hand file, as drives read them.
 
 ``PROTOCOL_TRAITS`` is the list of protocols. The module ``protocol_registry`` adds the code of each protocol. A
 help text only needs this list, and importing ``protocol_registry`` would take too long.

@@ -1,6 +1,6 @@
 """Registry of the drive protocols.
 
-It adds the code to each protocol in ``motor_description.PROTOCOL_ENTRIES``.
+The registry adds the code to each protocol in ``motor_description.PROTOCOL_TRAITS``.
 """
 
 from collections.abc import Callable

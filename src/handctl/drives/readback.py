@@ -5,10 +5,10 @@ code of a protocol adds the payload of each request, and recognises the reply to
 
 The torque limit and the watchdog in the drive protect the hand even if the host fails. Both are
 therefore read again while the drive is enabled. A drive may restart within a few milliseconds, and
-may then be enabled again. It then has the settings saved in the drive, and not those that the host
-wrote before arming. Its feedback does not show such a restart. Every half second one setting of
-each drive is read, the next setting each time. Each drive has its own time offset, so that no tick
-contains the requests of several drives.
+may then be enabled again. After the restart, the drive has its saved settings, and not those that
+the host wrote before arming. The feedback of the drive does not show such a restart. Every half
+second, the host reads one setting of each drive, in turn. Each drive has its own time offset, so
+that no tick contains the requests of several drives.
 """
 
 from typing import NamedTuple

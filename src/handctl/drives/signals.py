@@ -55,7 +55,7 @@ class SignalQuantity(enum.IntEnum):
 
 
 class SignalCoding(enum.IntEnum):
-    """SignalCoding of the bits of a signal."""
+    """Coding of the bits of a signal."""
 
     UNSIGNED = 0
     SIGNED = 1
@@ -121,7 +121,7 @@ class Signal(NamedTuple):
 
     @property
     def step(self) -> float:
-        """Return the resolution of the value [unit]: a count, or of a float 1 / ``FLOAT_STEPS`` of a count."""
+        """Return the resolution of the value [unit]: one count, or 1 / ``FLOAT_STEPS`` of a count for a float."""
         return abs(self.scale) / (FLOAT_STEPS if self.coding == SignalCoding.FLOAT else 1)
 
 
@@ -249,7 +249,9 @@ def window_at(words: Any, first_word: int, first_byte: int) -> Any:
 
 @kernel_helper
 def write_window(words: Any, first_word: int, first_byte: int, signal_bits: Any) -> None:
-    """Write the bits of a signal (uint64) into a payload. The payload must have zeros at their positions.
+    """Write the bits of a signal (uint64) into a payload.
+
+    The payload must have zeros at the positions of these bits.
 
     Args:
         words: (n,) uint64 words of a row.
@@ -332,7 +334,7 @@ def unpack_rows(data: WordArray, rows: IntegerArray, reals: RealArray) -> RealAr
 def pack_rows(data: WordArray, rows: IntegerArray, reals: RealArray, values: RealArray) -> None:
     """Write the value of each signal (signals,) into the words of an identifier and a payload (1, words).
 
-    All bits at the positions of the signals must be zero before.
+    Before the call, all bits at the positions of the signals must be zero.
     """
     for i in range(len(rows)):
         bits = encode_signal(values[i], rows, reals, i)

@@ -1,8 +1,8 @@
 """Gymnasium environments with a simulated hand, explained in ``docs/how-to/gym.md``.
 
 The import of ``handctl.gym`` registers the environments ``handctl/Track-v0`` and
-``handctl/Grasp-v0``. The call ``gymnasium.make("handctl.gym:handctl/Track-v0")`` needs no import
-before it.
+``handctl/Grasp-v0``. The call ``gymnasium.make("handctl.gym:handctl/Track-v0")`` imports
+``handctl.gym`` itself.
 """
 
 from handctl.extras import require_extra

@@ -1,8 +1,8 @@
 """Base class of the Gymnasium environments: a homed simulated hand in lockstep, which a stream of targets commands.
 
-An action takes the same way as the target of a client: as text in ``TickIn``. Therefore the
-controller checks, clips and limits the action. The safety monitor reacts as on a real hand. The
-base class defines no rewards. ``Track`` and ``Grasp`` do.
+An action reaches the controller in the same way as the targets of a client: as text in ``TickIn``.
+Therefore the controller checks, clips and limits the action, and the safety monitor reacts as on a
+real hand. The subclasses ``TrackEnv`` and ``GraspEnv`` define the rewards.
 """
 
 import json
@@ -40,12 +40,15 @@ from handctl.session.plan import check_hand_ready, default_rate
 from handctl.session.simulate import SimulatedRun, SimulatorSettings, homed_controller
 
 RATE_HZ = 50.0
-"""Rate of the actions that an environment aims at [Hz].
+"""Desired rate of the actions of an environment [Hz].
 
-The actual rate is the nearest one whose period is a whole number of ticks.
+The actual rate is the nearest rate whose period is a whole number of ticks.
 """
 MAX_TARGET_SPEED_DEG_S = 60.0
-"""Default for the largest rate of change of a target [deg/s], a fifth of the default limit of a stream."""
+"""Default of the largest rate of change of a target [deg/s].
+
+This rate is a fifth of the default speed limit of a stream.
+"""
 READY_TIMEOUT_S = 5.0
 """Longest simulated time from power-up until the hand accepts targets [s]."""
 STREAM_NAME = "gym"
@@ -71,7 +74,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
     """
 
     has_tensions: ClassVar = False
-    """True if an action has a tension for each digit after the targets."""
+    """True if an action contains a tension for each digit, after its targets."""
     metadata: dict[str, Any] = {"render_modes": [], "render_fps": round(RATE_HZ)}  # noqa: RUF012
 
     def __init__(
@@ -82,7 +85,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         perturb: Mapping[str, float] | None,
         speed_deg_s: float = MAX_TARGET_SPEED_DEG_S,
     ) -> None:
-        """Create the environment. The controller of each hand is designed only once in a process.
+        """Create the environment. Within a process, the controller of a hand is designed only once.
 
         Args:
             hand: name of a packaged hand, or path of a hand file.
@@ -149,7 +152,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
 
     @abstractmethod
     def extra_values(self, name: str) -> Any:
-        """Return the values of a part of the observation that does not come from the telemetry."""
+        """Return the values of an observation's part that does not come from the telemetry."""
 
     @abstractmethod
     def begin_episode(self) -> None:
@@ -162,16 +165,16 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
     def choose_scene(self) -> str | None:
         """Return the scene of the next episode, or None for a hand without objects.
 
-        A subclass that chooses a scene at random uses ``np_random``.
+        Subclasses that choose a random scene use ``np_random``.
         """
         return None
 
     def action_requests(self, action: Vector) -> list[str]:
-        """Return the requests that a step sends besides the target of the stream."""
+        """Return the requests that a step sends in addition to the target of the stream."""
         return []
 
     def streamed_names(self, action: Vector) -> tuple[str, ...]:
-        """Return those joints or digits whose targets the step streams."""
+        """Return the joints or digits for which a step sends targets."""
         return self.names
 
     @property
@@ -204,7 +207,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
 
     @property
     def simulated_world(self) -> Any:
-        """Return the simulated world, whose true values the rewards need."""
+        """Return the simulated world. The rewards use its true values."""
         return self.simulated_run.simulated_hand.world
 
     def reset(
@@ -215,7 +218,8 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         Power up a homed hand, and wait until the hand accepts targets.
 
         Args:
-            seed: seed for noise, scene and reference in this episode and all later episodes.
+            seed: seed of the noise, the scene and the reference, for this episode and all later
+                episodes.
             options: not used.
         """
         super().reset(seed=seed)
@@ -289,7 +293,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
     def action_for(self, angles_deg: Vector) -> Float32Array:
         """Return the action whose targets are the given angles (V,) [deg].
 
-        The action has no tensions of digits.
+        Such an action contains no tensions of digits.
         """
         scaled = (
             2.0 * (np.asarray(angles_deg) - self.low_deg) / (self.high_deg - self.low_deg) - 1.0
@@ -297,7 +301,10 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         return np.clip(scaled, -1.0, 1.0).astype(np.float32)
 
     def coordinates_of_joints(self, q: Vector) -> Vector:
-        """Return joint angles (J,) in the form of an action's targets (V,), in the unit of the angles."""
+        """Return joint angles (J,) in the form of an action's targets (V,).
+
+        The unit stays the same.
+        """
         if self._space == "joint":
             return np.asarray(q)
         return np.array(
@@ -307,7 +314,8 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
     def _step_requests(self, action: Vector) -> list[str]:
         """Return all requests of a step.
 
-        A request opens a new stream if other joints or digits are streamed than before.
+        If the step sends targets for other joints or digits than the step before, a request opens a
+        new stream.
         """
         requests = self.action_requests(action)
         names = self.streamed_names(action)
@@ -321,9 +329,9 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         return [*requests, self._target_request(action)] if names else requests
 
     def _target_request(self, action: Vector) -> str:
-        """Return the request with the next target.
+        """Return the request with the next target of the stream.
 
-        The target moves towards the target of the action, at most at the largest rate.
+        This target approaches the target of the action, within the largest rate of change.
         """
         change = self.angles_deg(action) - self._target_deg
         self._target_deg = self._target_deg + np.clip(
@@ -350,7 +358,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         )
 
     def _extra_information(self) -> dict[str, Any]:
-        """Return the information about the hand that does not belong to the observation."""
+        """Return information about the hand that the observation does not contain."""
         state = self.simulated_run.state
         stream = stream_status(state)
         return {
@@ -366,7 +374,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
 def _controller_of_file(path: str) -> Controller:
     """Return the controller of a hand that is already homed.
 
-    A controller never changes. Therefore several environments can share one object.
+    The object of a controller never changes. Therefore several environments can share it.
     """
     hand = load_hand(path)
     check_hand_ready(hand, path)
@@ -377,7 +385,7 @@ def _controller_of_file(path: str) -> Controller:
 def _target_range_deg(model: HandModel, space: TargetSpace) -> tuple[Vector, Vector]:
     """Return the lowest and the highest target of each joint or digit in an action (V,) [deg].
 
-    The range of a digit is the part common to the ranges of all coordinates of the digit.
+    The range of a digit is the range that all its coordinates have in common.
     """
     if space == "joint":
         low, high = zip(*(digit.displayed_limits for digit in model.hand.digit), strict=True)

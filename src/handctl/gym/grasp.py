@@ -1,4 +1,4 @@
-"""Environment ``handctl/Grasp-v0``: the hand shall grasp a cylinder, and hold the cylinder when the table sinks."""
+"""Environment ``handctl/Grasp-v0``: the hand shall grasp a cylinder, and hold it when the table below it sinks."""
 
 import json
 from collections.abc import Mapping
@@ -13,27 +13,31 @@ from handctl.gym.environment import MAX_TARGET_SPEED_DEG_S, HandEnv, TargetSpace
 from handctl.gym.observation_layout import ObservationPart, telemetry_part
 
 FULL_REWARD_FORCE_N = 1.0
-"""Force of a digit on the object from which the reward for this digit no longer grows [N]."""
+"""Force of a digit on the object above which the reward for this digit no longer grows [N]."""
 SUCCESS_HOLD_S = 1.0
-"""Time for which the object must stay in the hand after the table begins to sink, for a success [s]."""
+"""Time for which the hand must hold the object after the table begins to sink, to count as a success [s]."""
 DROP_DISTANCE_M = 0.015
-"""Distance of a fall above which the object counts as dropped [m]."""
+"""Largest fall at which the object does not count as dropped [m]."""
 TENSION_RATE_N_PER_S = 40.0
-"""Rate at which the tension of a digit approaches the tension that an action demands [N/s]."""
+"""Rate at which the tension of a digit approaches the tension in an action [N/s]."""
 SUCCESS_REWARD = 10.0
 FAILURE_REWARD = -1.0
-"""Reward for a dropped object or a fault. The value above is the reward for a held object."""
+"""Reward if the hand drops the object, or if a fault occurs.
+
+The constant above is the reward for a held object.
+"""
 
 
 class GraspEnv(HandEnv):
-    """Environment for a grasp: the digits close on a cylinder of random diameter, and hold it when the table sinks.
+    """Environment for a grasp.
+
+    The digits shall close on a cylinder of random diameter, and hold it when the table sinks.
 
     The table sinks after three digits, the thumb among them, have pressed on the cylinder with 1 N
-    for 1.5 s. An action has the targets, and then a value t for the tension of each digit. If t is
-    positive, the digit does not follow a target, but holds t times the largest tension of the
-    digit. The reward of a step is the change of the mean of min(force / 1 N, 1) over the digits. A
-    success adds 10, and a drop or a fault adds -1. The reward uses the true forces and the true
-    height of the object.
+    for 1.5 s. An action has targets, followed by one value t for each digit. A digit with positive
+    t holds t times its largest tension. The other digits follow their targets. The reward of a step
+    is the change of the mean of min(force / 1 N, 1) over the digits. A success adds 10, and a drop
+    or a fault adds -1. The reward uses the true forces and the true height of the object.
     """
 
     has_tensions = True
@@ -106,7 +110,10 @@ class GraspEnv(HandEnv):
         self._held: dict[str, float] = {}
 
     def action_requests(self, action: Vector) -> list[str]:
-        """Return the request with the new tensions of digits that hold a tension, if there are any."""
+        """Return a request that changes the tensions of digits.
+
+        If no tension changes, return no request.
+        """
         tension = self._demanded_tensions(action).tolist()
         held = {
             name: value
@@ -132,15 +139,15 @@ class GraspEnv(HandEnv):
         )
 
     def _demanded_tensions(self, action: Vector) -> Vector:
-        """Return the tension that an action demands of each digit (D,) [N].
+        """Return the tension of each digit in an action (D,) [N].
 
-        The tension is 0 or less for a digit that follows targets.
+        A value of 0 or less belongs to a digit that follows targets.
         """
         tensions: Vector = np.round(action[len(self.names) :] * self._max_tension_N, 3)
         return tensions
 
     def judge_step(self) -> tuple[float, bool, dict[str, Any]]:
-        """Return the reward of a step, True if the object was held or dropped, and information about the object."""
+        """Return the reward of a step, True if the object has been held long enough or dropped, and information."""
         forces = np.linalg.norm(np.reshape(self._forces(), (-1, 3)), axis=1)
         pressing = float(np.minimum(forces / FULL_REWARD_FORCE_N, 1.0).mean())
         reward = pressing - self._pressing

@@ -1,4 +1,7 @@
-"""Observation vector of an environment: named values within fixed bounds, most of them from the telemetry."""
+"""Observation vector of an environment.
+
+The vector has named values within fixed bounds, most of them from the telemetry.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -14,15 +17,15 @@ from handctl.runtime.observations import PUBLISHED_NAMES
 Float32Array = NDArray[np.float32]
 """Type of an observation, and of an action."""
 FIELD_OF_NAME = {name: field for field, name in PUBLISHED_NAMES.items()}
-"""Telemetry field that belongs to each name of an observation's part."""
+"""Field of the telemetry that provides the values of an observation's part, by name of the part."""
 
 
 class ObservationPart(NamedTuple):
-    """Part of an observation: the values that have the same meaning.
+    """Part of an observation whose values all have the same meaning, such as joint angles.
 
     Attributes:
         name: name of the part with the unit, as in ``handctl.client.Observation``.
-        axis: names to which the values belong, e.g. those of the joints.
+        axis: name of each value, e.g. the names of the joints.
         low, high: bounds of every value of the part.
     """
 
@@ -38,11 +41,11 @@ class ObservationLayout:
     Attributes:
         parts: parts of the vector, in order.
         names: name of every value of the vector with the unit, e.g. ``q_rad[index_j1]``.
-        space: bounds of the values. A value beyond a bound is clipped.
+        space: bounds of the values. Values outside the bounds are clipped.
     """
 
     def __init__(self, parts: Sequence[ObservationPart]) -> None:
-        """Arrange the parts one after the other in the vector."""
+        """Arrange the parts in the vector, one after the other."""
         self.parts = tuple(parts)
         self.names = tuple([f"{part.name}[{name}]" for part in parts for name in part.axis])
         sizes = [len(part.axis) for part in parts]
@@ -54,8 +57,8 @@ class ObservationLayout:
         """Return the observation as a vector.
 
         Args:
-            values: function that returns the values of a part for the name of the part. An unknown
-                value (NaN) becomes 0.
+            values: function that takes the name of a part and returns its values. An unknown value
+                (NaN) becomes 0.
         """
         row = np.concatenate([np.asarray(values(part.name), np.float64) for part in self.parts])
         inside = np.clip(
@@ -65,7 +68,7 @@ class ObservationLayout:
 
 
 def telemetry_part(hand: Hand, name: str, low: float, high: float) -> ObservationPart:
-    """Return the part of an observation with the telemetry that has a name such as ``q_rad``."""
+    """Return the part of an observation for one name of the telemetry, such as ``q_rad``."""
     axis: Mapping[str, tuple[str, ...]] = {
         "joint": hand.joints,
         "tendon": hand.tendon_names,

@@ -1,4 +1,4 @@
-"""Environment ``handctl/Track-v0``: the joints of a hand without an object shall follow a random smooth reference."""
+"""Environment ``handctl/Track-v0``: a hand without an object shall follow a smooth random reference with its joints."""
 
 import math
 from collections.abc import Mapping
@@ -16,17 +16,19 @@ from handctl.hand.file.display_units import DisplayUnits
 HALF_REWARD_ERROR_DEG = 5.0
 """Tracking error at which the reward of a step is half the largest reward [deg]."""
 REFERENCE_RANGE_FRACTIONS = (0.15, 0.55)
-"""Default for the lowest and the highest reference angle, as fractions of the range of a joint or digit."""
+"""Default of the lowest and the highest reference, as fractions of the range of each joint or digit."""
 SINE_PERIOD_RANGE_S = (1.5, 4.0)
 """Shortest and longest period of the two sines in the reference [s]."""
 MAX_REFERENCE_RATE_DEG_S = 45.0
 """Largest rate of change of the reference, except in the first second [deg/s]."""
 REFERENCE_BLEND_S = 1.0
-"""Time at the start of an episode in which the reference changes from the initial posture to the sines [s]."""
+"""Time at the start of an episode in which the reference moves from the initial posture to the sines [s]."""
 
 
 class TrackEnv(HandEnv):
-    """Environment in which each joint or digit follows a reference: two sines with random periods and phases.
+    """Environment in which each joint or digit follows a reference.
+
+    A reference is the sum of two sines with random periods and phases.
 
     The reward of a step is 1 / (1 + (e / 5 deg)^2). Here e is the RMS of the true tracking errors
     of all joints or digits. Only a fault ends an episode early.
@@ -57,7 +59,7 @@ class TrackEnv(HandEnv):
         super().__init__(hand, space, duration_s, perturb, speed_deg_s)
 
     def observation_parts(self) -> list[ObservationPart]:
-        """Return the parts of an observation: joint angles and rates, tensions, present and later references."""
+        """Return the parts of an observation: joint angles and rates, tensions, and the references now and later."""
         return [
             *self.body_observation_parts(),
             ObservationPart("reference_rad", self.names, -math.pi, math.pi),
@@ -85,12 +87,12 @@ class TrackEnv(HandEnv):
         return angles if self._space == "digit" else self._joints_of(angles)
 
     def extra_values(self, name: str) -> Any:
-        """Return the reference at present or after the horizon, according to the name of the part [rad]."""
+        """Return the references [rad] of one part of the observation: those of now, or those after the horizon."""
         ahead = self.horizon_s if name == "reference_ahead_rad" else 0.0
         return self.units.si(self.reference_deg(self.t_s + ahead))
 
     def judge_step(self) -> tuple[float, bool, dict[str, Any]]:
-        """Return the reward of a step for its true tracking error, False, and the error as information."""
+        """Return the reward for the true tracking error of a step, False, and the error as information."""
         error = self.units.displayed(self.coordinates_of_joints(self.true_q)) - self.reference_deg(
             self.t_s
         )
@@ -100,7 +102,7 @@ class TrackEnv(HandEnv):
     def _limits_deg(self) -> tuple[Vector, Vector]:
         """Return the lowest and the highest value of each reference [deg].
 
-        The references are digits, or coordinates of joints.
+        A reference belongs to a digit or to a coordinate of joints.
         """
         if self._space == "digit":
             return self.low_deg, self.high_deg
@@ -117,7 +119,10 @@ class TrackEnv(HandEnv):
         )
 
     def _coordinates_of(self, q: Vector) -> Vector:
-        """Return the values of the references that correspond to joint angles (J,), in the unit of these angles."""
+        """Return the values of the references at given joint angles (J,).
+
+        The unit stays the same.
+        """
         if self._space == "digit":
             return self.coordinates_of_joints(q)
         return np.concatenate(
@@ -125,9 +130,9 @@ class TrackEnv(HandEnv):
         )
 
     def _joints_of(self, coordinates: Vector) -> Vector:
-        """Return the joint angles (J,) that correspond to coordinates, in the unit of the coordinates.
+        """Return the joint angles (J,) at given coordinates.
 
-        Joints that one coordinate couples turn together.
+        The unit stays the same. Joints that share a coordinate turn together.
         """
         rows = zip(self.model.digits, self.model.digit_coordinates, strict=True)
         return np.concatenate([digit.coupling @ coordinates[places] for digit, places in rows])

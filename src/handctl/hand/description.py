@@ -1,4 +1,4 @@
-"""Description of a hand: the validated content of its TOML file, frozen, with quantities derived from the content."""
+"""Description of a hand: the validated, unchangeable content of its TOML file, and quantities derived from it."""
 
 import hashlib
 import json
@@ -32,12 +32,12 @@ from handctl.hand.moment_arms import is_arm_varying, mean_arm, polynomial_of_arm
 MESH_KEYS = ("link_mesh", "link_mesh_scale", "link_mesh_position_m", "link_mesh_rpy_deg")
 """Keys of a digit that describe the meshes of its links.
 
-They have no effect on ``Hand.identity``.
+Keys of meshes have no effect on ``Hand.identity``.
 """
 PALM_MESH_KEYS = ("palm_mesh", "palm_mesh_scale", "palm_mesh_position_m", "palm_mesh_rpy_deg")
 """Keys of the section ``mount`` that describe the mesh of the palm.
 
-They have no effect on ``Hand.identity``.
+Keys of meshes have no effect on ``Hand.identity``.
 """
 DIGIT_KEYS_ADDED_LATER = (
     "joint_rated_torque_N_m",
@@ -46,25 +46,29 @@ DIGIT_KEYS_ADDED_LATER = (
     "mount_on", "joint_type",
     "joint_rated_force_N", *PRISMATIC_KEYS, *MESH_KEYS,
 )  # fmt: skip
-"""Keys of a digit that a later version of handctl added.
+"""Keys of a digit that the first versions of handctl did not have.
 
-``Hand.content`` has only those that the file has.
+``Hand.content`` contains such a key only if the hand file has it.
 """
 TENDON_KEYS_ADDED_LATER = ("pretension_N", "excursion_ratio")
-"""Keys of a tendon that a later version of handctl added.
+"""Keys of a tendon that the first versions of handctl did not have.
 
-``Hand.content`` has only those that the file has.
+``Hand.content`` contains such a key only if the hand file has it.
 """
 CONTROL_KEYS = ("control", "kp_N_m_per_rad", "kd_N_m_s_per_rad")
-"""Keys of a motor that a later version of handctl added.
+"""Keys of a motor that the first versions of handctl did not have.
 
-``Hand.content`` has only those that the file has. They have no effect on ``Hand.identity``.
+``Hand.content`` contains such a key only if the hand file has it. These keys have no effect on
+``Hand.identity``.
 """
 EMPTY_SENSOR_NODE: dict[str, Any] = {
     "sync_id": 0x080, "base_id": 0x1A0, "tendons": (), "joints": (), "joint_decimation": 1,
     "tension_noise_N": 0.5, "tension_bias_drift_N": 0.0, "joint_noise_rad": 1e-3,
 }  # fmt: skip
-"""Sensor node of a hand without sensors. Identifiers and noise have no effect without channels."""
+"""Sensor node of a hand without sensors.
+
+It has no channels, so its identifiers and noise have no effect.
+"""
 
 
 class Hand(Section):
@@ -112,8 +116,8 @@ class Hand(Section):
             or not isinstance(buses[0], dict)
             or "name" not in buses[0]
         ):
-            # pydantic reports missing buses as a separate mistake. With any name of a bus, the
-            # sensor node causes no second report.
+            # pydantic reports the missing buses. The sensor node gets any name of a bus, so that it
+            # causes no second report.
             return given | {"sensor_node": EMPTY_SENSOR_NODE | {"bus": "main"}}
         return given | {"sensor_node": EMPTY_SENSOR_NODE | {"bus": buses[0]["name"]}}
 
@@ -124,14 +128,14 @@ class Hand(Section):
 
     @cached_property
     def is_pair(self) -> NDArray[np.bool_]:
-        """Return True for each spool pair: two antagonistic tendons on one spool, (N,)."""
+        """Return True for each tendon that is a spool pair: two antagonistic tendons on one spool, (N,)."""
         return np.array([tendon.pretension_N is not None for tendon in self.tendon])
 
     @cached_property
     def pretension(self) -> NDArray[np.float64]:
         """Return the pretension of each tendon, (N,) [N].
 
-        It is 0 for a tendon that is not a spool pair.
+        The pretension is 0 for a tendon that is not a spool pair.
         """
         return np.array([tendon.pretension_N or 0.0 for tendon in self.tendon])
 
@@ -189,7 +193,9 @@ class Hand(Section):
 
     @cached_property
     def moment_arms(self) -> NDArray[np.float64]:
-        """Return the moment arms R, (N, J) [m], read-only. Excursion is R q, joint torque R^T f.
+        """Return the moment arms R, (N, J) [m], read-only.
+
+        The excursion is R q, and tensions f exert the joint torque R^T f.
 
         If a moment arm depends on the joint angle, R has its mean over the range of the joint. The
         entry of a prismatic joint is the tendon's excursion per motion of the joint [m/m].
@@ -226,7 +232,11 @@ class Hand(Section):
 
     @cached_property
     def arm_polynomials(self) -> NDArray[np.float64]:
-        """Return the moment arms as polynomials of the joint angle, (N, J, quantities.COEFFICIENTS), read-only."""
+        """Return the moment arms as polynomials of the joint angle, read-only.
+
+        The array (N, J, quantities.POLYNOMIAL_COEFFICIENTS) contains the coefficients of each
+        tendon at each joint.
+        """
         rows = [
             [polynomial_of_arm(tendon.arms.get(joint, 0.0)) for joint in self.joints]
             for tendon in self.tendon
@@ -266,7 +276,7 @@ class Hand(Section):
 
     @cached_property
     def base_joints(self) -> dict[str, int]:
-        """Return the joint whose link carries each digit, as an index in ``joints``.
+        """Return for each digit the index in ``joints`` of the joint whose link carries the digit.
 
         The palm has the index -1.
         """
@@ -283,7 +293,7 @@ class Hand(Section):
     def carriers_of(self, digit: str) -> tuple[str, ...]:
         """Return the names of the digits that carry a digit, beginning with the one directly before it."""
         carrier = self.digit_named(digit).mount_on
-        # Digits may still carry each other in a circle here. Later checks refuse such a file.
+        # Digits may still carry each other in a circle here. Later checks refuse such a hand file.
         found: list[str] = []
         while carrier in self.digit_names and carrier not in found:
             found.append(carrier)
@@ -291,9 +301,11 @@ class Hand(Section):
         return tuple(found)
 
     def digit_of_tendon(self, tendon: Tendon) -> str | None:
-        """Return the name of the digit that a tendon moves. The other digits that the tendon crosses carry this digit.
+        """Return the name of the digit that a tendon moves.
 
-        If no crossed digit is carried by all others, return None.
+        All other digits that the tendon crosses carry it.
+
+        If there is no such digit, return None.
         """
         crossed = [
             digit.name for digit in self.digit if not tendon.arms.keys().isdisjoint(digit.joints)
@@ -347,8 +359,8 @@ class Hand(Section):
         content["mount"] = {
             key: value for key, value in content["mount"].items() if value is not None
         }
-        # The content of a sensor node has only the keys of its protocol. Thus a file from before
-        # sensor protocols existed keeps its identity.
+        # The content of a sensor node has only the keys of its protocol. Thus a hand file from
+        # before sensor protocols existed keeps its identity.
         for key in HANDCTL_NODE_KEYS if self.sensor_node.is_cia404 else ("protocol", *CIA404_KEYS):
             del content["sensor_node"][key]
         return content

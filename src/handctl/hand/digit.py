@@ -24,15 +24,18 @@ Array = NDArray[np.float64]
 JointValues = Sequence[float] | Array
 """A sequence with one number per joint. Calculations are fastest with lists and tuples."""
 SIDEWAYS_ANGLE_DEG = 45.0
-"""Angle between the axis of a joint and that of the last joint, above which the joint moves sideways [deg]."""
+"""Limit for the angle between the axes of a joint and of the last joint [deg].
+
+Above it, the joint moves sideways.
+"""
 NEWTON_STEPS = 20
 """Largest number of Newton steps from an excursion to joint angles. About five steps are usual."""
 NEWTON_TOLERANCE_RAD = 1e-10
 """Largest Newton step that ends the iteration [rad]."""
 SIDEWAYS_RANGE_RATIO = 0.5
-"""Opening range of a coordinate divided by its closing range.
+"""Limit for the opening range of a coordinate divided by its closing range.
 
-In a digit with parallel axes, a coordinate whose ratio exceeds this value moves the digit sideways.
+In a digit with parallel axes, a coordinate with a larger ratio moves the digit sideways.
 """
 
 
@@ -68,7 +71,8 @@ class DigitModel:
         mount_position: (3,) position of the first joint in the palm frame [m].
         gravity: (3,) gravitational acceleration in the palm frame [m/s2]. If another digit carries
             this digit, the frame of the carrying link takes the place of the palm frame.
-        table: (rigid_body.ROWS, n) frames and inertial properties of the links, for ``rigid_body``.
+        table: (rigid_body.TABLE_ROW_COUNT, n) frames and inertial properties of the links, for
+            ``rigid_body``.
         parent: (n,) column in ``table`` of the link before each link, -1 for the palm.
         moment_arms: R, (n_t, n) [m]. If an arm depends on the joint angle, R has its mean. ``at_angles``
             returns a digit with the arms at given angles.
@@ -81,8 +85,8 @@ class DigitModel:
         friction: (n_t,) friction coefficient of the pulleys of each tendon.
         wrap: (n_t,) wrap angle of each tendon before its first joint pulley [rad].
         motor_mass: (n_t,) rotor inertia as a mass that moves with the tendon, J_m / r_a^2 [kg].
-        arm_polynomials: (n_t, n, quantities.COEFFICIENTS) moment arms as polynomials of the joint
-            angle.
+        arm_polynomials: (n_t, n, quantities.POLYNOMIAL_COEFFICIENTS) moment arms as polynomials of
+            the joint angle.
         has_varying_arm: True if at least one moment arm depends on the joint angle.
         joint_units: units in which a user sees the positions of the joints, (n,).
         coordinate_units: units in which a user sees the reduced coordinates, (n_c,).
@@ -176,8 +180,8 @@ class DigitModel:
         links = range(len(digit.joints))
         arms = hand.moment_arms[:, joints][tendons]
         coupling = np.eye(len(digit.joints)) if digit.coupling is None else np.array(digit.coupling)
-        # The pseudo-inverse of R B turns an excursion into coordinates by least squares. Its
-        # transpose turns a torque into the tensions of least norm.
+        # The pseudo-inverse of R B turns an excursion into coordinates by least squares. The
+        # transpose of the pseudo-inverse turns a torque into the tensions of least norm.
         to_coordinates = np.linalg.pinv(arms @ coupling)
         return DigitModel(
             name=name,
@@ -266,8 +270,8 @@ class DigitModel:
     def coordinates_of(self, excursion: Array) -> Array:
         """Return the coordinates (n_c,) [rad] that give the tendons an excursion (n_t,) [m], by least squares.
 
-        If moment arms depend on the joint angle, Gauss-Newton steps begin in the middle of the
-        ranges of the joints.
+        If moment arms depend on the joint angle, Gauss-Newton steps approach the solution. They
+        begin in the middle of each joint's range.
         """
         if not self.has_varying_arm:
             return np.asarray(self.joints_to_coordinates @ self.excursion_to_joints @ excursion)
@@ -314,7 +318,7 @@ class DigitModel:
 def coordinate_range(coupling: Array, limits: Array) -> Array:
     """Return the range of each reduced coordinate, (2, n_c), in which all joints stay within their limits.
 
-    Each range holds while all other coordinates are zero. A joint that does not depend on a
+    Each range is valid while all other coordinates are zero. A joint that does not depend on a
     coordinate does not limit it.
 
     Args:
@@ -331,7 +335,7 @@ def coordinate_range(coupling: Array, limits: Array) -> Array:
 
 
 def link_table(digit: Digit) -> Array:
-    """Return the table of a digit's links for ``rigid_body``, (rigid_body.ROWS, n)."""
+    """Return the table of a digit's links for ``rigid_body``, (rigid_body.TABLE_ROW_COUNT, n)."""
     table = np.zeros((body.TABLE_ROW_COUNT, len(digit.joints)))
     table[body.PRISMATIC_ROW] = digit.is_prismatic
     armature = digit.joint_values("joint_armature_kg_m2")

@@ -57,7 +57,7 @@ def required_torque(
 ) -> JointTorques:
     """Return the joint torque that the tendons must make for a motion, (n,) [N m].
 
-    It is the sum of inverse dynamics, spring torque and damping torque.
+    The torque is the sum of inverse dynamics, spring torque and damping torque.
     """
     rigid = _rigid_body_torque(digit, digit.gravity, q, dq, ddq)
     passive = zip(digit.spring_stiffness, digit.spring_preload, digit.joint_damping, strict=True)

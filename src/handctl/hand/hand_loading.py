@@ -1,6 +1,6 @@
 """Loading of packaged hands and of hand files.
 
-Each section is validated. Then the sections are checked together.
+Each section of a hand file is validated. Then all sections are checked together.
 """
 
 import tomllib
@@ -196,8 +196,8 @@ def validate_content(content: Mapping[str, Any]) -> tuple[Hand | None, list[File
         digits = _valid_sections(resolved.content, "digit", Digit)
         found += check_sections(digits, _valid_sections(resolved.content, "tendon", Tendon))
     else:
-        # The whole hand is not checked if a template has mistakes, because they would cause further
-        # mistakes there.
+        # A mistake in a template would cause further mistakes in the whole hand. Therefore the
+        # whole hand is checked only if the templates have no mistakes.
         found = [] if mistakes else list(check_hand(hand))
     mistakes += with_paths_of_file(found, resolved.origins)
     return (None, mistakes) if mistakes else (hand, [])
@@ -223,8 +223,8 @@ def inspect_content(content: Mapping[str, Any]) -> InspectedHand:
     hand, mistakes = validate_content(content)
     origins = resolve_templates(content).origins if content.get("schema") == WRITTEN_SCHEMA else {}
     if hand is not None:
-        # This module imports numba, which takes long and is not needed to load a hand. Therefore it
-        # is imported only here.
+        # The module that is imported here loads numba. Loading numba takes long, and loading a hand
+        # does not need it.
         from handctl.hand.readiness import reasons_not_ready
 
         mistakes = with_paths_of_file(reasons_not_ready(hand), origins)

@@ -1,8 +1,8 @@
 """Model of the whole hand as one tree of links: poses, mass matrix and static torque of all joints together.
 
 A digit may be mounted on the last link of another digit, such as a finger on a wrist. The functions
-of ``dynamics`` and ``kinematics`` are for one digit on a base at rest. This model includes the
-motion of the digits that carry others.
+of ``dynamics`` and ``kinematics`` are for one digit on a base at rest. The tree of the whole hand
+includes the motion of the digits that carry other digits.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,8 @@ class HandTree:
 
     Attributes:
         digits: models of the digits, in file order.
-        table: (rigid_body.ROWS, J) frames and inertial properties of the links, for ``rigid_body``.
+        table: (rigid_body.TABLE_ROW_COUNT, J) frames and inertial properties of the links, for
+            ``rigid_body``.
         parent: (J,) index of the joint before each joint, -1 for the palm.
         gravity: (3,) gravitational acceleration in the palm frame [m/s2].
         stiffness: (J,) stiffness of the return spring of each joint [N m/rad].
@@ -43,8 +44,8 @@ class HandTree:
 
         Args:
             hand: description of the hand.
-            digits: models of the hand's digits, in file order. If there are none, they are built
-                here.
+            digits: models of the hand's digits, in file order. If no models are given, this
+                function builds them.
         """
         digits = tuple(digits) or DigitModel.all_from_hand(hand)
         parents = [
@@ -63,7 +64,7 @@ class HandTree:
         )
 
     def poses(self, q: JointValues) -> Array:
-        """Return the poses of all links, (J, rigid_body.POSE), at joint angles q (J,) [rad]."""
+        """Return the poses of all links, (J, rigid_body.POSE_COLUMN_COUNT), at joint angles q (J,) [rad]."""
         return rigid_body.link_poses(self.table, self.parent, np.asarray(q, dtype=np.float64))
 
     def points(self, q: JointValues) -> tuple[Array, ...]:

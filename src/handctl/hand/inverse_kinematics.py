@@ -10,17 +10,17 @@ from handctl.hand.digit import Array, DigitModel, JointValues, coordinate_range
 from handctl.hand.kinematics import joint_points, tip_jacobian
 
 SCAN_POINTS = 64
-"""Number of intervals in the scan for the point of a coupled digit's path that is closest to a target."""
+"""Number of intervals in a scan along a coupled digit's path for the point closest to a target."""
 REACH_TOLERANCE = 1e-12
-"""Tolerance for rounding errors in the comparison of a squared distance with the squared reach, relative."""
+"""Relative tolerance for rounding errors when a squared distance is compared with the squared reach."""
 MAX_STEPS = 60
 """Largest number of steps in the search for the closest tip position."""
 MIN_STEP_RAD = 1e-10
-"""Largest change of a coordinate in a step that ends the search [rad]."""
+"""The search ends after a step in which no coordinate changes by more than this value [rad]."""
 START_WEIGHT_M_PER_RAD = 1e-5
 """Weight of the distance from the start coordinates [m/rad].
 
-Of all postures with the same tip position, it selects the one nearest to the start.
+Of all postures with the same tip position, the weight selects the one nearest to the start.
 """
 DAMPING_RANGE = (1e-8, 1e8)
 """Smallest and largest damping of a Levenberg-Marquardt step, relative to the largest curvature."""
@@ -43,10 +43,10 @@ class ClosestTip(NamedTuple):
 def inverse_kinematics(
     digit: DigitModel, x: float, y: float, angle: float | None = None
 ) -> tuple[tuple[float, ...], ...]:
-    """Return joint angles of a digit of two or three independent joints that put its tip at a point.
+    """Return joint angles that put the tip of a digit with two or three independent joints at a point.
 
-    The hinges must be parallel. Then the tip moves in the plane of x and y of the digit's frame,
-    and the solution has a closed form. Joint limits are not applied.
+    The hinges must be parallel. With parallel hinges, the tip moves in the plane of x and y of the
+    digit's frame, and the solution has a closed form. Joint limits are not applied.
 
     Args:
         digit: model of the digit.
@@ -56,8 +56,8 @@ def inverse_kinematics(
 
     Returns:
         the solutions within one turn, first the one with positive flexion of the second joint.
-        There are none if the point is out of reach, or if two equal links fold onto the base, where
-        their direction is free.
+        There are no solutions if the point is out of reach, or if two equal links fold onto the
+        base, where their direction is free.
 
     Raises:
         ValueError: the digit has neither two nor three joints, its hinges are not parallel, or it
@@ -180,9 +180,9 @@ def closest_tip(
     """Return the coordinates within the joint limits that bring the tip of a digit closest to a point.
 
     The search makes Levenberg-Marquardt steps of the coordinates that are not at a limit (projected
-    Gauss-Newton). It finds a local minimum. Therefore a search that starts at the previous posture
-    of a motion does not jump. The hinges of the digit may have any number and direction, and may be
-    coupled or independent.
+    Gauss-Newton). The search finds a local minimum. Therefore a search that starts at the previous
+    posture of a motion does not jump. The hinges of the digit may have any number and direction,
+    and may be coupled or independent.
 
     Args:
         digit: model of a digit that is mounted on the palm.

@@ -20,7 +20,7 @@ class TipPose(NamedTuple):
 
 
 def link_poses(digit: DigitModel, q: JointValues) -> Array:
-    """Return the poses of all links of a digit, (n, rigid_body.POSE), at joint angles q (n,) [rad]."""
+    """Return the poses of a digit's links, (n, rigid_body.POSE_COLUMN_COUNT), at joint angles q (n,) [rad]."""
     return rigid_body.link_poses(digit.table, digit.parent, np.asarray(q, dtype=np.float64))
 
 

@@ -39,7 +39,7 @@ def link_inertia(digit: Digit, i: int) -> Array:
     values = digit.link_inertia_kg_m2[i]
     if isinstance(values, float):
         # Along the link, the inertia is that of a round bar about its axis. The triangle inequality
-        # limits it to twice the inertia across the link.
+        # limits this inertia to twice the inertia across the link.
         along = min(digit.link_mass_kg[i] * digit.link_radius_m**2 / 2, 2 * values)
         return np.diag([along, values, values])
     xx, yy, zz, xy, xz, yz = values if len(values) == 6 else (*values, 0.0, 0.0, 0.0)
@@ -49,7 +49,7 @@ def link_inertia(digit: Digit, i: int) -> Array:
 def link_placement(digit: Digit, i: int) -> tuple[Array, Array]:
     """Return position (3,) [m] and rotation (3, 3) of link i, at angle zero, in the frame of the link before.
 
-    For the first link, this is the frame of the palm, or of the link that carries the digit.
+    The frame before the first link is that of the palm, or of the link that carries the digit.
     """
     rotation = joint_rotations(digit)[i]
     if i > 0:

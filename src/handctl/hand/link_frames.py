@@ -38,7 +38,7 @@ def link_transforms(digit: DigitModel, q: JointValues) -> tuple[FrameTransform, 
 def quaternion_of_rotation(rotation: Array) -> tuple[float, float, float, float]:
     """Return the unit quaternion (x, y, z, w) of a rotation matrix (3, 3).
 
-    The largest component is calculated first. Thus no number is divided by a small one.
+    The largest component is calculated first. Thus no number is divided by a number near zero.
     Source: Shepperd (1978).
     """
     trace = float(np.trace(rotation))

@@ -23,7 +23,9 @@ TABLE_DEGREE = 3
 
 
 def polynomial_of_arm(arm: MomentArm) -> Array:
-    """Return the polynomial coefficients (COEFFICIENTS,) of a moment arm, constant term first, for angles in rad.
+    """Return the polynomial coefficients (POLYNOMIAL_COEFFICIENTS,) of a moment arm, for angles in rad.
+
+    The constant term comes first.
 
     Args:
         arm: valid moment arm of a hand file.
@@ -56,7 +58,7 @@ def table_of_arm(arm: MomentArm) -> tuple[Array, Array]:
 def arm_table_residual(arm: MomentArm) -> float:
     """Return the largest difference between a table of moment arms and its polynomial [m].
 
-    It is 0 for an arm without a table.
+    The difference is 0 for an arm without a table.
     """
     angle, values = table_of_arm(arm)
     fitted = np.polynomial.polynomial.polyval(angle, polynomial_of_arm(arm))
@@ -72,7 +74,7 @@ def arms_at(polynomials: Array, limits: Array, q: ArrayLike) -> Array:
     """Return the moment arms R at given joint angles, (..., n_t, n) [m].
 
     Args:
-        polynomials: (n_t, n, COEFFICIENTS) moment arms as polynomials.
+        polynomials: (n_t, n, POLYNOMIAL_COEFFICIENTS) moment arms as polynomials.
         limits: (2, n) smallest and largest joint angles [rad].
         q: (..., n) joint angles [rad].
     """
@@ -83,10 +85,10 @@ def arms_at(polynomials: Array, limits: Array, q: ArrayLike) -> Array:
 def excursions_at(polynomials: Array, limits: Array, q: ArrayLike) -> Array:
     """Return the excursion of each tendon at each joint, (..., n_t, n) [m].
 
-    It is the integral of the moment arm over the joint angle.
+    The excursion is the integral of the moment arm over the joint angle.
 
     Args:
-        polynomials: (n_t, n, COEFFICIENTS) moment arms as polynomials.
+        polynomials: (n_t, n, POLYNOMIAL_COEFFICIENTS) moment arms as polynomials.
         limits: (2, n) smallest and largest joint angles [rad].
         q: (..., n) joint angles [rad].
     """
@@ -115,7 +117,7 @@ def mean_arm(arm: MomentArm, low: float, high: float) -> float:
 
 
 def _evaluate_polynomials(polynomials: Array, q: Array) -> Array:
-    """Return the values of polynomials (n_t, n, COEFFICIENTS) at angles (..., 1, n), with Horner's method."""
+    """Return the values of polynomials (n_t, n, POLYNOMIAL_COEFFICIENTS) at angles (..., 1, n) (Horner's method)."""
     value = np.zeros(np.broadcast_shapes(polynomials.shape[:2], q.shape))
     for order in range(POLYNOMIAL_COEFFICIENTS - 1, -1, -1):
         value = value * q + polynomials[..., order]

@@ -1,7 +1,7 @@
-"""Checks that a hand must pass before it runs, in addition to the checks of a valid file.
+"""Checks that a hand must pass before it runs, in addition to the checks that every hand file must pass.
 
 Tools and logs can use any valid hand file. A run also needs bit rates that controllers can have,
-digits that open by themselves, and coordinates that flex.
+digits that open by themselves, and coordinates that flex their digits.
 """
 
 from collections.abc import Iterator
@@ -24,7 +24,7 @@ Source: ISO 11898-2.
 MAX_TORQUE_RESIDUAL = 1e-6
 """Largest torque that counts as 0, as a fraction of the torque of 1 N at the largest moment arm."""
 CHECKED_POSTURES = 11
-"""Number of postures at which a digit is checked whose moment arms depend on joint angles."""
+"""Number of postures at which a digit is checked, if its moment arms depend on joint angles."""
 SPRING_STIFFNESS = REVOLUTE_KEYS.index("spring_stiffness_N_m_per_rad")
 SPRING_PRELOAD = REVOLUTE_KEYS.index("spring_preload_rad")
 """Indices of the keys of return springs."""
@@ -56,7 +56,7 @@ def _check_rates(bus: Bus) -> Iterator[FileMistake]:
 
 
 def _check_direction(digit: Digit) -> Iterator[FileMistake]:
-    """Check the coordinates of a coupled digit: each must move within the joint limits, and flex if it is positive."""
+    """Check that each coordinate of a coupled digit can move within the joint limits, and that positive values flex."""
     if digit.coupling is None:
         return
     where = f"digit[{digit.name}].coupling"
@@ -76,7 +76,7 @@ def _check_direction(digit: Digit) -> Iterator[FileMistake]:
 def displayed_range(digit: Digit) -> tuple[Vector, Vector]:
     """Return the smallest and the largest value of each coordinate of a digit, (n_c,) each [deg or mm].
 
-    Between these values, each coordinate alone keeps its joints within their limits.
+    If only one coordinate moves between its two values, all joints stay within their limits.
     """
     limits = np.array(digit.displayed_limits)
     if digit.coupling is None:

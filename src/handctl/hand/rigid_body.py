@@ -26,40 +26,43 @@ IndexArray = NDArray[np.int64]
 FIXED_ROTATION_ROW = 0
 COSINE_ROTATION_ROW = 9
 SINE_ROTATION_ROW = 18
-"""First rows in the table of three matrices, which are stored row by row.
+"""First table rows with three matrices. Each matrix is stored row by row.
 
 The rotation from the frame of a link to that of its parent is F + C cos q + S sin q, with the matrices F,
 C and S in the order of these rows.
 """
 ORIGIN_ROW = 27
-"""First row in the table of the joint's position in the parent's frame [m]."""
+"""First table row with the joint's position in the parent's frame [m]."""
 AXIS_ROW = 30
-"""First row in the table of the joint's axis in the link's frame, a unit vector."""
+"""First table row with the joint's axis, a unit vector in the link's frame."""
 MASS_ROW = 33
-"""Row in the table of the link's mass [kg]."""
+"""Table row with the link's mass [kg]."""
 MOMENT_ROW = 34
-"""First row in the table of the link's first moment of mass, in the frame of the link [kg m]."""
+"""First table row with the link's first moment of mass, in the frame of the link [kg m]."""
 INERTIA_ROW = 37
-"""First row in the table of the link's inertia about its joint: xx, yy, zz, xy, xz, yz [kg m2]."""
+"""First table row with the link's inertia about its joint: xx, yy, zz, xy, xz, yz [kg m2]."""
 ARMATURE_ROW = 43
-"""Row in the table of the inertia of the joint itself, without its link [kg m2]."""
+"""Table row with the inertia of the joint itself, without its link [kg m2]."""
 LENGTH_ROW = 44
-"""Row in the table of the link's length [m]."""
+"""Table row with the link's length [m]."""
 PRISMATIC_ROW = 45
 """Row in the table that is 1 for a prismatic joint, and 0 for a hinge."""
 TABLE_ROW_COUNT = 46
 """Number of rows of a table."""
 
 ROTATION_COLUMN = 0
-"""First column in a pose of the rotation from the link's frame to the palm frame, which is stored row by row."""
+"""First column of a pose with the rotation from the link's frame to the palm frame.
+
+The rotation is stored row by row.
+"""
 POSITION_COLUMN = 9
-"""First column in a pose of the position of the link's joint in the palm frame [m]."""
+"""First column of a pose with the position of the link's joint in the palm frame [m]."""
 DIRECTION_COLUMN = 12
-"""First column in a pose of the joint's axis in the palm frame."""
+"""First column of a pose with the joint's axis in the palm frame."""
 CARRIED_MASS_COLUMN = 15
-"""Column in a pose of the mass of the link and of all links that it carries [kg]."""
+"""Column of a pose with the mass of the link and of all links that it carries [kg]."""
 CARRIED_MOMENT_COLUMN = 16
-"""First column in a pose of the first moment of this mass, in the palm frame [kg m]."""
+"""First column of a pose with the first moment of this mass, in the palm frame [kg m]."""
 PRISMATIC_COLUMN = 19
 """Column in a pose that is 1 for a prismatic joint, and 0 for a hinge."""
 POSE_COLUMN_COUNT = 20
@@ -163,7 +166,7 @@ def write_weight_torques(
         row: see ``write_link_poses``.
         parent: see ``write_link_poses``.
         gravity: (3,) gravity in the palm frame [m/s2].
-        pose: (n, POSE_COLUMN_COUNT) poses. Their carried masses are overwritten.
+        pose: (n, POSE_COLUMN_COUNT) poses. The carried masses in the poses are overwritten.
         torque: (n,) result.
     """
     write_carried_masses(table, row, parent, pose)
@@ -192,8 +195,8 @@ def write_weight_torques(
 def write_levers(pose: Array, first: int, touched: int, along: float, lever: Array) -> None:
     """Write the levers of a force on a link about the joints from ``first`` to the joint of the link [m].
 
-    The force acts at a point on the x axis of the link, along the link's y axis, which points to
-    the side of flexion.
+    The force acts at a point on the x axis of the link. Its direction is the link's y axis, which
+    points to the side of flexion.
 
     Args:
         pose: (n, POSE_COLUMN_COUNT) poses.
@@ -220,7 +223,7 @@ def _lever(
 ) -> float:
     """Return the lever about joint j of a force along a unit vector n at a point p [m].
 
-    It is axis . ((p - joint) x n), and axis . n for a prismatic joint.
+    The lever is axis . ((p - joint) x n), and axis . n for a prismatic joint.
     """
     if pose[j, PRISMATIC_COLUMN] != 0.0:
         return (
@@ -371,8 +374,8 @@ def _move_link(
 ) -> None:
     """Write the motion of link j in the frame of the link.
 
-    It consists of the rotation to the parent, rate, angular acceleration, and acceleration minus
-    gravity.
+    The motion consists of the rotation to the parent, rate, angular acceleration, and acceleration
+    minus gravity.
     """
     cosine = math.cos(q)
     sine = math.sin(q)
@@ -437,7 +440,7 @@ def _move_link(
 
 @kernel_helper
 def _load_link(table: Array, row: int, work: Array, j: int) -> None:
-    """Write the force and the torque about the joint that the motion of link j needs, in the link's frame."""
+    """Write the force and torque that the motion of link j needs at its joint, in the link's frame."""
     mass = table[row + MASS_ROW, j]
     hx, hy, hz = (
         table[row + MOMENT_ROW, j],

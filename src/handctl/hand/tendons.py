@@ -19,7 +19,8 @@ The factor avoids a jump when the motion reverses.
 class TendonElasticity:
     """Tension of a tendon as a function of its stretch.
 
-    It is linear up to a knee, and then changes smoothly to another stiffness.
+    The tension is linear up to a knee. Beyond the knee, the stiffness changes smoothly to another
+    value.
 
     phi = k dl up to f_k. Beyond this tension, with x = dl - f_k / k, phi = f_k + k2 x + (k - k2) w
     (1 - exp(-x / w)). The tendon is slack at dl <= 0.
@@ -57,7 +58,9 @@ class TendonElasticity:
         return self.knee + self._tension_above_knee(excess)
 
     def tension(self, stretch: float, stretch_rate: float) -> float:
-        """Return the tension with damping [N]. It is 0 when the tendon is slack, and never below 0.
+        """Return the tension with damping [N].
+
+        The tension is 0 when the tendon is slack, and never below 0.
 
         Args:
             stretch: stretch of the tendon [m].
@@ -70,7 +73,7 @@ class TendonElasticity:
     def tangent_stiffness(self, stretch: float) -> float:
         """Return the slope of the elastic tension over the stretch [N/m].
 
-        It is 0 when the tendon is slack.
+        The slope is 0 when the tendon is slack.
         """
         excess = stretch - self.knee / self.stiffness
         if stretch <= 0.0:
@@ -78,10 +81,13 @@ class TendonElasticity:
         return self.stiffness if excess <= 0.0 else self._slope(excess)
 
     def stretch(self, tension: float) -> float:
-        """Return the stretch [m] at a constant tension. This is the inverse of ``elastic_tension``.
+        """Return the stretch [m] at a constant tension.
 
-        Beyond the knee, Newton's method starts from the stretch of a linear tendon. Its steps
-        approach the solution from one side, because the curvature has the same sign everywhere.
+        The function is the inverse of ``elastic_tension``.
+
+        Beyond the knee, Newton's method starts from the stretch of a linear tendon. The steps of
+        the method approach the solution from one side, because the curvature has the same sign
+        everywhere.
 
         Raises:
             ValueError: the tension is negative or not finite.
@@ -123,7 +129,8 @@ def pulley_factors(digit: DigitModel, q: JointValues, speed: JointValues) -> Arr
 
     phi_i is the wrap angle before the first joint plus the angles of the crossed joints up to and
     including joint i. While the spool winds the tendon, friction reduces the tension towards the
-    tip, and factors are below 1. While it pays out, factors are above 1. At rest they are 1.
+    tip, and factors are below 1. While the spool pays out the tendon, the factors are above 1. At
+    rest they are 1.
     Source: capstan equation.
 
     Args:
@@ -152,7 +159,7 @@ def effective_moment_arms(digit: DigitModel, q: JointValues, speed: JointValues)
 def excursions(digit: DigitModel, q: JointValues) -> Array:
     """Return the excursion of each tendon at given joint angles, (n_t,) [m].
 
-    It is the integral of R.
+    The excursion is the integral of R over the joint angles.
     """
     return digit.excursion_at(q)
 

@@ -1,6 +1,6 @@
 """Mesh files of a hand, stored in a log as attachments.
 
-Any machine can show the meshes without the original files.
+With them, a machine without the original files can show the meshes.
 """
 
 from collections.abc import Mapping
@@ -21,13 +21,13 @@ from handctl.hand.formats.mesh_file import mesh_triangles
 MAX_MESH_BYTES = 4 << 20
 """Largest total size of the mesh files in a log [bytes].
 
-If the files of a hand exceed the limit, the log stores no mesh file.
+If the files of a hand are larger together, the log stores none of them.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class AttachedMesh:
-    """Mesh of a link, together with the content of the mesh file.
+    """Mesh of a link, with the content of its file.
 
     Attributes:
         mesh: position of the mesh on a link of the hand.
@@ -41,12 +41,12 @@ class AttachedMesh:
 
 
 def attachment_name(file: str) -> str:
-    """Return the name of the attachment that holds a mesh file."""
+    """Return the name of the attachment that contains a mesh file."""
     return f"mesh/{file}"
 
 
 def mesh_attachments(hand: Hand, folder: Path) -> tuple[dict[str, bytes], list[str]]:
-    """Return the mesh files of a hand as attachments by name, and a line about each mesh that is left out.
+    """Return the mesh files of a hand as attachments by name, and a line of text about each omitted mesh.
 
     Args:
         hand: description of the hand.

@@ -1,10 +1,10 @@
 """Writer and reader for CDR, the encoding of ROS 2 messages, and templates for messages of constant layout.
 
 A message begins with the encapsulation (4 bytes: 0x00, 0x01 for little-endian plain CDR, two option
-bytes). The fields follow in order. A number of n bytes is aligned to a multiple of n, counted from
-the byte after the encapsulation. A string is stored as the length (uint32, with the closing NUL
-counted), the bytes, and the NUL. A sequence is stored as the length (uint32) and the elements. An
-empty sequence is stored as the length alone.
+bytes). The fields follow in order. A number of n bytes starts at a multiple of n bytes after the
+encapsulation. A string consists of its length (uint32, including the closing NUL), its bytes, and
+the NUL. A sequence consists of its length (uint32) and its elements. An empty sequence consists of
+its length alone.
 
 Source: OMG CORBA 3.0, section 15.3, as implemented by the packages rosbags and mcap-ros2-support.
 """
@@ -20,10 +20,10 @@ _INT64_STRUCT = struct.Struct("<q")
 
 
 class CdrWriter:
-    """Writer of CDR values. Each value is aligned and appended to `data`."""
+    """Writer of CDR values. The writer aligns each value, and appends the value to `data`."""
 
     def __init__(self, start: int = 0) -> None:
-        """Start an empty message, or a part of one.
+        """Start an empty message, or an empty part of a message.
 
         Args:
             start: offset of the first byte in the message body. A part that follows other parts of
@@ -33,7 +33,7 @@ class CdrWriter:
         self._start = start
 
     def align(self, size: int) -> None:
-        """Append zeros until the length is a multiple of `size` bytes."""
+        """Append zeros until the length of the message is a multiple of `size` bytes."""
         # In Python -n % size is the distance from n up to the next multiple of size.
         self.data += bytes(-(self._start + len(self.data)) % size)
 
@@ -54,7 +54,7 @@ class CdrWriter:
     def put_string(self, value: str) -> None:
         """Append a string.
 
-        A lone surrogate is escaped, because other CDR readers cannot decode lone surrogates.
+        Lone surrogates in the string are escaped, because other CDR readers cannot decode them.
         """
         raw = value.encode("utf-8", "backslashreplace")
         self.put_length(len(raw) + 1)
@@ -67,19 +67,19 @@ class CdrWriter:
             self.put_string(value)
 
     def finished_message(self) -> bytes:
-        """Return the whole message with the encapsulation header."""
+        """Return the whole message, including its encapsulation header."""
         return ENCAPSULATION_HEADER + bytes(self.data)
 
 
 class CdrReader:
-    """Reader of the aligned values of a CDR message.
+    """Reader of the values of a CDR message, which also skips the padding between them.
 
     Raises:
         ValueError: the message ends before the end of the value. Every method can raise this error.
     """
 
     def __init__(self, message: bytes) -> None:
-        """Start reading a message after the encapsulation header.
+        """Start to read a message after its encapsulation header.
 
         Raises:
             ValueError: the message is not little-endian plain CDR.
@@ -99,7 +99,7 @@ class CdrReader:
         return part
 
     def align(self, size: int) -> None:
-        """Move to the next multiple of `size` bytes."""
+        """Skip padding up to the next multiple of `size` bytes."""
         self._at += -(self._at - 4) % size
 
     def read_length(self) -> int:
@@ -122,7 +122,7 @@ class CdrReader:
 
 @dataclass(frozen=True, slots=True)
 class MessageTemplate:
-    """Encoded message of constant layout in which only the listed fields change.
+    """Encoded message of constant layout. From message to message, only the listed fields change.
 
     Attributes:
         data: the message with zeros in all variable fields.

@@ -1,12 +1,10 @@
 """Compact table of the chunks in a log that is being written.
 
-A log of one day has about 350,000 chunks.
-
-An MCAP file must have an index of all chunks after the last chunk. With records of the mcap
-package, this index would need 2 KB of memory for each chunk, or 30 MB per hour. This table needs 64
-bytes for each chunk. Only few different arrangements of message indexes occur, and the table stores
-each of them once. Compression reduces full blocks of the table to a third of their size, because
-successive chunks have similar numbers.
+A log of one day has about 350,000 chunks. After the last chunk, an MCAP file must have an index of
+all chunks. As records of the mcap package, this index would need 2 KB of memory for each chunk, or
+30 MB for each hour of a run. This table needs 64 bytes for each chunk. Most chunks arrange their
+message indexes in the same way. The table stores each arrangement once. Compression reduces full
+blocks of the table to a third of their size, because successive chunks have similar numbers.
 """
 
 import struct
@@ -17,7 +15,7 @@ from typing import NamedTuple
 from mcap.records import ChunkIndex
 
 _CHUNK_ROW_STRUCT = struct.Struct("<QQQQQQQQ")
-"""Layout of a row: the fields of ChunkEntry, then the number of the arrangement of message indexes."""
+"""Layout of a row in the table: the fields of ChunkEntry, then the number of the arrangement of message indexes."""
 _CHANNEL_STRUCT = struct.Struct("<HQ")
 """Layout of one channel in an arrangement: channel id, distance from the chunk's end to the channel's message index."""
 CHUNKS_PER_BLOCK = 512
@@ -44,7 +42,7 @@ class ChunkEntry(NamedTuple):
 
 
 class ChunkTable:
-    """Table of all chunks written so far, in the order of the file."""
+    """Table of all chunks that have been written to a file so far, in the order of the file."""
 
     def __init__(self) -> None:
         """Start with an empty table."""
@@ -92,6 +90,6 @@ class ChunkTable:
             )
 
     def _stored_rows(self) -> Iterator[tuple[int, ...]]:
-        """Yield the stored row of numbers of each chunk."""
+        """Yield the numbers that the table stores for each chunk."""
         for block in (*map(zlib.decompress, self._packed), bytes(self._latest)):
             yield from _CHUNK_ROW_STRUCT.iter_unpack(block)

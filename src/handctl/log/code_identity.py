@@ -1,7 +1,7 @@
-"""Identity of the control code: a hash over all sources of this code.
+"""Identity of the control code: a hash over all its source files.
 
-A version number identifies only a release. The hash also identifies each state of the code between
-two releases.
+A version number identifies a release. The hash also identifies every state of the code between two
+releases.
 """
 
 import functools
@@ -11,7 +11,7 @@ from pathlib import Path
 CONTROL_PACKAGES = ("hand", "drives", "safety", "core", "programs", "controller")
 """Packages of handctl whose code runs when a log is re-executed."""
 UNKNOWN_IDENTITY = "?"
-"""Code identity reported for a log without a code identity."""
+"""Text that stands for the code identity of a log without one."""
 
 
 @functools.cache

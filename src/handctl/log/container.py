@@ -1,10 +1,8 @@
 """Writer of MCAP container files.
 
-The writer receives messages in blocks, because one Python call for each message would take too
-long.
-
-The mcap package encodes the records that occur rarely. This module encodes chunks and message
-indexes itself, because these take most of the time. Their layouts:
+The writer receives messages in blocks, because a Python call for each message would take too long.
+The mcap package encodes the rare records. This module encodes chunks and message indexes itself,
+because they take most of the time. The layouts of both are:
 
 Chunk: opcode u8, length u64, first time u64 [ns], last time u64 [ns], uncompressed size u64, CRC-32
 u32, compression as a text (u32 length), compressed size u64, compressed records. MessageIndex:
@@ -98,7 +96,7 @@ class _SummarySection:
 
 
 class McapContainer:
-    """MCAP file that is being written, without a buffer.
+    """MCAP file that is being written. The writer keeps no buffer.
 
     Attributes:
         complete_size: length of the file up to the end of the last complete record [bytes].
@@ -137,13 +135,16 @@ class McapContainer:
             self._at += written
             view = view[written:]
         self._crc = zlib.crc32(data, self._crc)
-        # The complete size grows only after the last byte is written. So `cut_incomplete_record` can remove an
-        # incomplete record.
+        # The complete size grows only after the last byte of a record. Therefore
+        # `cut_incomplete_record` can remove an incomplete record.
         self.complete_size = self._at
         return start
 
     def cut_incomplete_record(self) -> None:
-        """Cut the file after the last complete record, to remove the remains of a failed write."""
+        """Cut the file after the last complete record.
+
+        This removes the remains of a failed write.
+        """
         os.ftruncate(self._fd, self.complete_size)
         os.lseek(self._fd, self.complete_size, os.SEEK_SET)
         self._at = self.complete_size
@@ -177,9 +178,9 @@ class McapContainer:
         schemas: Sequence[Schema] = (),
         channels: Sequence[Channel] = (),
     ) -> None:
-        """Write a compressed chunk and the message indexes of the chunk.
+        """Write a compressed chunk, and then its message indexes.
 
-        The records of new schemas and channels are written at the start of the chunk.
+        The chunk begins with the records of new schemas and channels.
         """
         head = records_as_bytes([*schemas, *channels])
         content = b"".join([head, *(block.data for block in blocks)])
@@ -258,7 +259,7 @@ class McapContainer:
 
 
 def _message_indexes(blocks: Sequence[MessageBlock], base: int) -> tuple[bytes, dict[int, int]]:
-    """Return the message indexes to write after a chunk, and the offset of each channel's index by channel id.
+    """Return the message indexes that follow a chunk, and the offset of each channel's index by channel id.
 
     Args:
         blocks: the messages of the chunk.

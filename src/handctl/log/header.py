@@ -1,4 +1,4 @@
-"""Header of a run: all data of the run known before the first tick."""
+"""Header of a run: all data of the run that are known before the first tick."""
 
 import json
 import tomllib
@@ -11,9 +11,9 @@ from handctl.hand.file.quantities import NAME_PATTERN
 from handctl.printing import escape_surrogates
 
 TRUTH_OFFSET_KEY = "truth_offset_ns"
-"""Metadata key for the simulator's time at t = 0 of a lockstep run [ns].
+"""Metadata key of the simulator's time at t = 0 of a lockstep run [ns].
 
-Commissioning before the run advances the simulator's time.
+This time is not 0 if the hand was commissioned before the run.
 """
 PERIOD_RANGE_NS = (10_000, 10_000_000_000)
 """Shortest and longest accepted tick period in a log [ns]."""
@@ -23,7 +23,7 @@ MAX_LOG_TIME_NS = 1 << 62
 The sum of two accepted times fits into 64 bits. As a UNIX time, the limit lies in the year 2116.
 """
 NAME_LIST_KEYS = ("joints", "tendons", "motors", "digits", "buses")
-"""Keys of the header values that are lists of names."""
+"""Keys of those header values that are lists of names."""
 MAX_NAMES = 1000
 """Largest number of names in one list of a header."""
 
@@ -32,15 +32,16 @@ MAX_NAMES = 1000
 class RunHeader:
     """Header of a run.
 
-    The header is the first part of a log file. Every log has a header, no matter how the run ends.
+    The header is the first part of a log file. Therefore every log has a header, even if the run
+    ends with a crash.
 
     Attributes:
         hand_toml: the resolved description of the hand.
         joints, tendons, motors, digits, buses: names of these parts in the order of the hand file.
         period_ns: period of the tick [ns].
-        offset_ns: UNIX time at t = 0 of the run [ns]. A deterministic run has 0.
+        offset_ns: UNIX time at t = 0 of the run [ns], or 0 for a deterministic run.
         metadata: content of the metadata record `handctl`: version, bus, seed, operator's note, and
-            others.
+            more.
         gains: gains at the start of the run, by name. The metadata record `handctl.gains` and the
             first parameter event contain them.
         attachments: content of the files attached to the log, by file name, such as hand.urdf,
@@ -48,7 +49,7 @@ class RunHeader:
         wall: data about the machine and the wall clock. The metadata record `handctl.wall` contains
             them.
         deterministic: True for a lockstep run. The recorder then drops no tick and reads no clock.
-            Equal runs write equal logs.
+            Therefore equal runs write equal logs.
     """
 
     hand_toml: str
@@ -72,7 +73,7 @@ class RunHeader:
         Args:
             hand_toml: the resolved description of the hand.
             period_ns: period of the control loop, the time from tick to tick [ns].
-            more: values of the other attributes of the header.
+            more: values of the other attributes of the header, by name.
         """
         hand = tomllib.loads(hand_toml)
         joints = tuple(
@@ -100,10 +101,12 @@ class RunHeader:
         metadata: Mapping[str, dict[str, str]],
         attachments: dict[str, bytes],
     ) -> Self:
-        """Return a header from the records of a log, after a check of every value with which the program calculates.
+        """Return a header from the records of a log.
+
+        Every value that enters a calculation is checked.
 
         Args:
-            record: metadata record `handctl.run`, with a JSON text for each name.
+            record: metadata record `handctl.run`. The values of this record are JSON texts.
             metadata: all metadata records of the log.
             attachments: all attachments of the log.
 
@@ -127,7 +130,7 @@ class RunHeader:
 
     @property
     def truth_offset_ns(self) -> int:
-        """Return the simulator's time at t = 0 of the run [ns]. The time is 0 for a run outside lockstep.
+        """Return the simulator's time at t = 0 of the run [ns], or 0 for a run that was not in lockstep.
 
         Raises:
             LogError: the value in the log is not a time.
@@ -153,7 +156,7 @@ class RunHeader:
         }[name]
 
     def dump(self) -> bytes:
-        """Encode the header for the pipe to the recorder: one line of JSON, then the attachments in order."""
+        """Encode the header for the pipe to the recorder, as a line of JSON and then the attachments in order."""
         sizes = {name: len(data) for name, data in self.attachments.items()}
         fields = asdict(self) | {"attachments": sizes}
         for table in ("metadata", "gains", "wall"):
@@ -178,19 +181,19 @@ class RunHeader:
 
 
 def _checked_integer(key: str, value: Any, low: int, high: int) -> int:
-    """Return an integer from a log's header, after a check of type and range.
+    """Return an integer from a log's header, if its type and range are valid.
 
     Raises:
         ValueError: the value is not a whole number from `low` to `high`.
     """
-    # `isinstance(value, int)` would accept True, which JSON distinguishes from 1.
+    # `isinstance(value, int)` would accept True. JSON distinguishes true from 1.
     if type(value) is not int or not low <= value <= high:
         raise ValueError(f"{key} is {_brief_text(value)}, not a whole number from {low} to {high}")
     return value
 
 
 def _checked_names(key: str, value: Any) -> tuple[str, ...]:
-    """Return a list of names from a log's header, after a check of each name.
+    """Return a list of names from a log's header, if each name is valid.
 
     Raises:
         ValueError: the value is not a list of valid names.

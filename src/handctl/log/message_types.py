@@ -17,12 +17,12 @@ PHASE_NUMBERS = {
         "silent", "inventory", "ready", "arming", "relax", "disarm", "cut", "done",
     ))
 }  # fmt: skip
-"""Number of each grasp phase. A phase of a task with any other name is logged as OTHER_PHASE."""
+"""Number of each grasp phase in the log. A phase with another name is logged as OTHER_PHASE."""
 OTHER_PHASE_NUMBER = 255
 
 
 def _constant_lines(values: dict[str, int]) -> str:
-    """Return the definitions of a message type's constants, with a line for each constant."""
+    """Return the definitions of a message type's constants, one line for each constant."""
     return "".join(f"uint8 {name.upper()}={value}\n" for name, value in values.items())
 
 
@@ -114,7 +114,7 @@ def _collect_dependencies(name: str, types: dict[str, None]) -> None:
 
     Args:
         name: name of the message type.
-        types: the types collected so far, in order. The function adds further types.
+        types: the types collected so far, in order. This function adds types to them.
     """
     for line in MESSAGE_DEFINITIONS[name].splitlines():
         # In a line such as "uint8[<=64] data", the type stands before the bracket, and the field
@@ -126,7 +126,7 @@ def _collect_dependencies(name: str, types: dict[str, None]) -> None:
 
 
 def schema_text(name: str) -> str:
-    """Return the definitions of a message type and of all types used in it, in MCAP's ros2msg encoding.
+    """Return the definitions of a message type and of all types that it uses, in MCAP's ros2msg encoding.
 
     Args:
         name: message type, for example "sensor_msgs/JointState".

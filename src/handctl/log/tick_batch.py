@@ -1,4 +1,4 @@
-"""Batches of ticks. A batch holds the records of many ticks as arrays."""
+"""Batches of ticks. A batch contains the records of many ticks as arrays."""
 
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -36,14 +36,15 @@ FIXED_DTYPE = np.dtype(
         "itemsize": TICK_HEAD_STRUCT.size,
     }
 )
-"""Layout of the first part of a Tick message, which has a constant length.
+"""Layout of the first part of a Tick message.
 
-The hash of the controller state is stored as raw bytes (V8).
+This part has a constant length. The hash of the controller's state is stored as raw bytes (V8).
 """
 _MAX_CACHED_TAILS = 256
-"""Largest number of message ends in the cache. The end of a Tick message has phase, io events, requests and events.
+"""Largest number of cached message ends.
 
-In a log without events, all ticks of one phase have the same message end.
+The end of a Tick message contains phase, io events, requests and events. Without events and
+requests, all ticks of a phase have the same message end.
 """
 
 
@@ -72,7 +73,7 @@ class TickBatch(NamedTuple):
         mode, action: (n,) uint8.
         phases: grasp phase of each tick.
         numbers: (n, columns) telemetry in the order of Telemetry.packed.
-        received, sent: the CAN frames received and sent.
+        received, sent: CAN frames that the controller has received and sent.
         ticks_with_events: decoded record of each tick with events, requests or io events, by index
             of the tick.
     """
@@ -91,9 +92,9 @@ class TickBatch(NamedTuple):
 
 
 def row_fields(header: RunHeader, width: int) -> tuple[str, ...]:
-    """Return the telemetry fields that a row of `width` columns holds.
+    """Return the telemetry fields that a row of `width` columns contains.
 
-    Logs that earlier versions of handctl recorded lack the last fields.
+    Logs of earlier versions of handctl lack the last fields.
 
     Args:
         header: header of the run.
@@ -104,7 +105,7 @@ def row_fields(header: RunHeader, width: int) -> tuple[str, ...]:
 
 
 def column_count(header: RunHeader, fields: tuple[str, ...]) -> int:
-    """Return the number of columns that the given telemetry fields need."""
+    """Return the number of columns that the given telemetry fields occupy."""
     return sum(len(header.axis_names(TELEMETRY_AXES[name])) for name in fields)
 
 
@@ -149,7 +150,7 @@ class _FrameCollector:
 
 
 class TickBatcher:
-    """Collector for tick records. Method `take_batch` returns the collected ticks as a batch.
+    """Collector for tick records. The method `take_batch` returns the collected ticks as a batch.
 
     Attributes:
         misshapen_ticks: number of ticks whose telemetry does not have the shape described in the header.
@@ -186,7 +187,7 @@ class TickBatcher:
     def add_tick(self, body: bytes) -> int:
         """Add one tick, and return the time of the tick since the start of the run [ns].
 
-        Telemetry of a wrong shape becomes NaN, and `misshapen_ticks` counts the tick.
+        If the telemetry has a wrong shape, it becomes NaN, and `misshapen_ticks` counts the tick.
 
         Args:
             body: body of a tick record, see `handctl.log.tick_record`.
@@ -204,7 +205,7 @@ class TickBatcher:
         return int(TICK_HEAD_STRUCT.unpack_from(message, 4)[1])
 
     def _add_frames(self, message: bytes) -> None:
-        """Append the received and the sent frames of a Tick message, and process the rest of the message."""
+        """Append the received and sent frames of a Tick message, then process the rest of the message."""
         parts = message_layout(message)
         for direction, part in ((self._received, parts.received), (self._sent, parts.sent)):
             direction.parts.append(message[part])
@@ -216,7 +217,7 @@ class TickBatcher:
     def _add_long(self, data: bytes) -> None:
         """Divide the payload bytes after the eighth between the received and the sent frames of the tick."""
         lengths = np.frombuffer(self._received.parts[-1], FRAME_DTYPE)["length"].astype(int)
-        # The message has the bytes of all received frames first, then the bytes of all sent frames.
+        # In the message, the bytes of all received frames precede the bytes of all sent frames.
         split = int(np.maximum(lengths - 8, 0).sum())
         self._received.long_parts.append(data[:split])
         self._sent.long_parts.append(data[split:])
@@ -224,14 +225,15 @@ class TickBatcher:
     def _add_tail(self, message: bytes, at: int) -> None:
         """Append the grasp phase in a Tick message.
 
-        If the tick has events, requests or io events, keep its decoded record as well.
+        For a tick with events, requests or io events, also store its decoded record.
 
         Args:
             message: the Tick message.
             at: start of the phase in the message [bytes].
         """
-        # Nearly all ticks have no event. Their tails consist of the phase and empty lists, so ticks
-        # of one phase have equal tails. The cache avoids decoding the CDR text of each tail.
+        # Nearly all ticks have no events. The messages of such ticks end with the phase and empty
+        # lists. This end is the same in all ticks of one phase. The cache avoids the decoding of
+        # each end.
         tail = message[at:]
         phase = self._phase_of_tail.get(tail)
         if phase is None:
@@ -244,7 +246,7 @@ class TickBatcher:
         self._phases.append(phase)
 
     def take_batch(self) -> TickBatch:
-        """Return the batch of all ticks added since the last call, and begin another batch."""
+        """Return all ticks added since the last call as a batch, and begin another batch."""
         # Four bytes of CDR encapsulation precede the part of constant length in each message.
         fixed = np.frombuffer(
             b"".join([message[4 : 4 + TICK_HEAD_STRUCT.size] for message in self._messages]),

@@ -1,7 +1,7 @@
 """Records that the controller writes into the pipe to the recorder.
 
-The record of a tick contains a `handctl_msgs/Tick` message, encoded as in the log, and the
-telemetry of the tick.
+The record of a tick contains its telemetry and a `handctl_msgs/Tick` message. The message is
+encoded as in the log.
 
 All numbers are little-endian.
 
@@ -54,15 +54,19 @@ from handctl.safety.action import SafetyAction
 
 RECORD_FRAMING_STRUCT = struct.Struct("<II")
 HEADER_RECORD_KIND = 1
-"""Kind of the record with the header of a run, from `RunHeader.dump`."""
+"""Kind of the record that contains the header of a run, as `RunHeader.dump` encodes it."""
 TICK_RECORD_KIND = 2
 """Kind of the record of one tick."""
 END_RECORD_KIND = 3
-"""Kind of the record with the reason for the end of the run, as JSON."""
+"""Kind of the record that contains the reason for the end of the run, as JSON."""
 SNAPSHOT_RECORD_KIND = 4
-"""Kind of the record with the controller's state after a tick."""
+"""Kind of the record that contains the controller's state after a tick."""
 FILE_RECORD_KIND = 5
-"""Kind of the first record, as JSON: path of the log, and free disk space at which the log ends early [bytes]."""
+"""Kind of the first record.
+
+This record gives the path of the log, and the free disk space [bytes] at which the log ends early,
+as JSON.
+"""
 SNAPSHOT_HEAD_STRUCT = struct.Struct("<qq")
 """Layout of the start of a snapshot record: number and time [ns] of the tick.
 
@@ -74,7 +78,10 @@ TICK_SIZES_STRUCT = struct.Struct("<IHHHH")
 TICK_HEAD_STRUCT = struct.Struct("<qqq8sBB2xI")
 """Layout of a Tick message's first part: k, t_ns, late_ns, state hash, mode, action, number of received frames."""
 FRAME_RECORD_BYTES = SHORT_RECORD_BYTES
-"""Size of a CAN frame in a Tick message [bytes]: the first part of a record, with eight data bytes."""
+"""Size of a CAN frame in a Tick message [bytes].
+
+The size is that of the first part of a frame's record, with eight data bytes.
+"""
 _SHORT_FRAME_DTYPE = np.dtype(f"V{SHORT_RECORD_BYTES}")
 """numpy type of a frame in a Tick message, as raw bytes."""
 _LENGTH_OFFSET = 15
@@ -99,20 +106,23 @@ _TickHead = tuple[int, int, int, bytes, int, int, int]
 """Values of the first part of a Tick message."""
 _MODE_BY_VALUE = {mode.value: mode for mode in HandMode}
 _ACTION_BY_VALUE = {action.value: action for action in SafetyAction}
-"""Members of the enumerations Mode and Action by value.
+"""Members of the enumerations of modes and of safety actions, by value.
 
 A dictionary finds a member four times as fast as a call of the enumeration.
 """
 new_tuple = tuple.__new__
-"""Function that creates a named tuple faster than the constructor of the tuple."""
+"""Function that creates a named tuple.
+
+This function is faster than the constructor of the named tuple.
+"""
 _COUNT_STRUCT = struct.Struct("<I")
 _NO_LONG_DATA = _COUNT_STRUCT.pack(0)
 _FIELD_OF_EACH_AXIS = "q", "tension", "motor_torque", "contact"
-"""A telemetry field of each axis, in the order joint, tendon, motor, digit."""
+"""One telemetry field for each axis, in the order joint, tendon, motor, digit."""
 
 
 class TickRecord(NamedTuple):
-    """Tick of a log, without telemetry.
+    """Tick that a log contains, without its telemetry.
 
     Attributes:
         tick_in: all inputs of the tick.
@@ -135,9 +145,9 @@ def record_bytes(kind: int, body: bytes) -> bytes:
 
 
 def _long_mask(records: RecordArray) -> NDArray[np.bool_]:
-    """Return a mask (n, 56) of the bytes after the eighth in n frames.
+    """Return a mask (n, 56) for the bytes after the eighth in n frames.
 
-    True marks a byte of the payload.
+    The mask is True for bytes that belong to the payload.
     """
     return np.asarray(records["length"][:, np.newaxis] > _LONG_DATA_INDEXES)
 
@@ -151,7 +161,7 @@ def _long_data(records: RecordArray) -> bytes:
 def _tail_without_events(phase: str) -> bytes:
     """Return the end of a Tick message without events: the phase and three empty sequences.
 
-    At every offset divisible by four the bytes are the same. Therefore the result is cached.
+    The bytes are the same at every offset divisible by four. Therefore they can be cached.
     """
     out = CdrWriter()
     out.put_string(phase)
@@ -164,7 +174,8 @@ def _message_end(start: int, phase: str, tick_in: TickIn, events: tuple[TickEven
     """Return the end of a Tick message, which has phase, io events, requests and events.
 
     Args:
-        start: offset of the end in the message body, for alignment [bytes].
+        start: offset in the message body at which this end begins [bytes]. The alignment depends on
+            it.
         phase: grasp phase in the tick.
         tick_in: inputs of the tick.
         events: events of the tick.
@@ -233,7 +244,10 @@ def pack_tick(tick_in: TickIn, out: TickOut) -> bytes:
 
 
 def pack_tick_record(tick_in: TickIn, out: TickOut) -> bytes:
-    """Encode a tick as a record for the pipe. The errors are those of `pack_tick`."""
+    """Encode a tick as a record for the pipe.
+
+    This function raises the same errors as `pack_tick`.
+    """
     message = pack_tick(tick_in, out)
     values = out.telemetry.packed()
     sizes = TICK_SIZES_STRUCT.pack(len(message), *_axis_lengths(out.telemetry))
@@ -255,7 +269,7 @@ def pack_snapshot(tick_in: TickIn, data: bytes) -> bytes:
 
 
 def _axis_lengths(numbers: Telemetry | PackedTelemetry) -> list[int]:
-    """Return the numbers of joints, tendons, motors and digits in the telemetry."""
+    """Return how many joints, tendons, motors and digits the telemetry has."""
     if isinstance(numbers, PackedTelemetry):
         return [
             columns.stop - columns.start
@@ -268,7 +282,7 @@ class MessageLayout(NamedTuple):
     """Positions of the parts in a Tick message.
 
     Attributes:
-        received, sent: slice of the received and of the sent frames.
+        received, sent: slices of the received frames and of the sent frames.
         long_data: slice of the payload bytes after the eighth of all frames.
         tail_offset: offset of the phase [bytes]. The lists of events and requests follow the phase.
     """
@@ -301,11 +315,12 @@ def message_layout(message: bytes) -> MessageLayout:
 
 
 def _decode_frames(beginnings: bytes, long_data: bytes) -> tuple[Frames, bytes]:
-    """Return the decoded frames, and the rest of the long bytes, which belong to later frames.
+    """Return the decoded frames, and the long payload bytes that belong to later frames.
 
     Args:
         beginnings: first parts of the frames, FRAME_RECORD_BYTES bytes each.
-        long_data: payload bytes after the eighth, of these frames and of later frames.
+        long_data: payload bytes after the eighth of these frames, followed by those of later
+            frames.
 
     Raises:
         ValueError: a payload is too long, or some of its bytes are missing.
@@ -334,14 +349,20 @@ def _decode_frames(beginnings: bytes, long_data: bytes) -> tuple[Frames, bytes]:
 
 
 def _zero_unused_bytes(records: RecordArray) -> None:
-    """Set the unused data bytes of short payloads to zero, because a bad file may have any values there."""
+    """Set the unused data bytes of short payloads to zero.
+
+    In a bad file they may have any value.
+    """
     words = records.getfield(_DATA_WORD_DTYPE, _DATA_OFFSET)
     words &= _DATA_MASKS[np.minimum(records["length"], _SHORT_DATA_BYTES)]
 
 
 @functools.lru_cache(maxsize=256)
 def _phase_without_events(tail: bytes) -> str | None:
-    """Return the phase if the end of a Tick message has no events. Otherwise return None."""
+    """Return the phase if the end of a Tick message has no events.
+
+    If it has events, return None.
+    """
     phase = CdrReader(ENCAPSULATION_HEADER + tail).read_string()
     return phase if _tail_without_events(phase) == tail else None
 
@@ -374,7 +395,7 @@ def unpack_tick(message: bytes) -> TickRecord:
 def _build_tick(
     fixed: _TickHead, received: Frames, sent: Frames, message: bytes, tail: int
 ) -> TickRecord:
-    """Build a tick from the parts of a Tick message, and return the tick.
+    """Return a tick, built from the parts of a Tick message.
 
     Args:
         fixed: values of the first part of the message.
@@ -432,8 +453,8 @@ def _unpack_short(messages: list[bytes]) -> list[TickRecord] | None:
     """Decode Tick messages in which no payload is longer than eight bytes.
 
     Returns:
-        the ticks, or None if a message has a longer payload or ends early. After None, the caller
-        decodes each message with `unpack_tick`.
+        the ticks, or None if a message has a longer payload or ends early. In the second case, the
+        caller decodes each message with `unpack_tick`.
     """
     parts = list[bytes]()
     ends = [0]
@@ -453,8 +474,8 @@ def _unpack_short(messages: list[bytes]) -> list[TickRecord] | None:
         long_count = start + FRAME_RECORD_BYTES * sent
         if message[long_count : long_count + 4] != _NO_LONG_DATA:
             return None
-        # The frames of all messages are joined and decoded in one call. Then the frames are divided
-        # again at `ends`.
+        # The frames of all messages are joined, decoded in one call, and then divided again at
+        # `ends`.
         parts += message[_FRAMES_OFFSET:sent_count], message[start:long_count]
         ends += end + constant_part[6], end + constant_part[6] + sent
         end = ends[-1]
@@ -469,7 +490,7 @@ def _unpack_short(messages: list[bytes]) -> list[TickRecord] | None:
 
 
 def unpack_tick_record(record: bytes) -> tuple[TickIn, TickOut]:
-    """Decode a record of the pipe that `pack_tick_record` has encoded.
+    """Decode a record that `pack_tick_record` has encoded for the pipe.
 
     Raises:
         ValueError: the bytes are not the record of a tick.

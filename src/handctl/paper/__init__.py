@@ -1,1 +1,4 @@
-"""Reproduction of the paper that describes the hand `jamia`: its equations, numbers and figures, with their errors."""
+"""Reproduction of the paper about the hand `jamia`.
+
+The package repeats the equations, numbers and figures of the paper, and lists its errors.
+"""

@@ -1,22 +1,25 @@
-"""Items of the errata. Each item compares a printed statement of the paper with the correct one."""
+"""Items of the errata.
+
+Each item compares a printed statement of the paper with the correct statement.
+"""
 
 from dataclasses import dataclass
 from enum import StrEnum
 
 
 class ErrataVerdict(StrEnum):
-    """Result of the comparison of a printed statement with the correct one."""
+    """Result of the comparison of a printed statement with the correct statement."""
 
     EQUAL = "equal"
     """The printed value is exact, or the printed statement is true."""
     ROUNDED = "rounded"
-    """The printed value is the exact value, correctly rounded to its digits, or was calculated from such a value."""
+    """The printed value is the exact value correctly rounded, or was calculated from a correctly rounded value."""
     TRUNCATED = "truncated"
-    """The printed value is the exact value with further digits cut off, or was calculated from such a value."""
+    """The printed value is the exact value with its last digits cut off, or was calculated from such a value."""
     BOUND = "bound"
     """The printed value is a lower bound, and the measured value is larger."""
     WRONG = "wrong"
-    """The printed value is not exact, rounded, truncated or a bound, or the printed statement is false."""
+    """The printed statement is false, or the printed value is neither exact nor rounded, truncated or a bound."""
     UNDECIDABLE = "undecidable"
     """The paper contradicts itself or is ambiguous, and nothing in it shows which meaning is right."""
 
@@ -26,17 +29,17 @@ class ErrataItem:
     """Row of the errata.
 
     Attributes:
-        id: unique identifier of words that are joined by dots, e.g. `eq10.gravity`.
+        id: unique identifier. The words of an identifier are joined by dots, e.g. `eq10.gravity`.
         where: equation or section of the paper with the statement.
         printed: the statement, as it is printed in the paper.
-        computed: exact value in full precision, or the corrected expression. It is None if nothing
-            can be calculated.
+        computed: exact value in full precision, corrected expression, or None if there is no value
+            to calculate.
         unit: unit of the exact value, empty for expressions and counts.
         verdict: verdict on the statement, derived from the printed and the exact value.
         why: explanation of the verdict for a reader of the paper.
         evidence: kinds of evidence for the verdict, e.g. `arithmetic`, `Lagrange`, `dimensions`.
-        deviation: largest relative difference between printed and correct expression at random
-            states, None for numbers.
+        deviation: largest relative difference between the printed and the correct expression at
+            random states, or None for numbers.
     """
 
     id: str

@@ -1,4 +1,4 @@
-"""Page about the paper, as Markdown, as an HTML file that contains its figures, and as plain values for JSON."""
+"""Page about the paper, in three forms: Markdown, an HTML file that contains the figures, and plain values for JSON."""
 
 import base64
 import html
@@ -28,7 +28,7 @@ REGENERATE_COMMAND = (
 MEASURED_MARK = (
     "<!-- measured in the simulator: differs in its last digits from machine to machine -->"
 )
-"""Comment in the page before sections whose content differs from machine to machine."""
+"""Comment that the page contains before sections whose content differs from machine to machine."""
 FIGURE_CAPTIONS = {
     "fig1-hand": "Fig. 1: the hand from its description, half closed.",
     "fig2-model": "Fig. 2: kinematic model of a finger, with relative angles q and absolute angles θ.",
@@ -96,9 +96,9 @@ def page_as_markdown(parts: Sequence[PageSection]) -> str:
 
 
 def _markdown_table(table: Sequence[Sequence[str]]) -> list[str]:
-    """Return the lines of a table of numbers as Markdown, first the titles.
+    """Return the lines of a table of numbers as Markdown.
 
-    An empty table has no lines.
+    The first line has the titles. An empty table has no lines.
     """
     if not table:
         return []
@@ -117,7 +117,7 @@ def _summary_text(rows: list[ErrataItem]) -> str:
 
 
 def _item_cells(item: ErrataItem) -> tuple[str, ...]:
-    """Return the cells of an item in its row of the table."""
+    """Return the cells of the table row that describes an item."""
     off = (
         f" (deviation {item.deviation:.2g})"
         if item.deviation is not None and item.verdict != "equal"
@@ -134,7 +134,10 @@ def _item_cells(item: ErrataItem) -> tuple[str, ...]:
 
 
 def _escape_cell(text: str) -> str:
-    """Return a cell in which the special characters of Markdown are escaped, unless the cell is bold."""
+    """Return a cell of a table with the special characters of Markdown escaped.
+
+    A bold cell is returned unchanged.
+    """
     return text.replace("|", "\\|").replace("*", "\\*") if not text.startswith("**") else text
 
 
@@ -189,7 +192,7 @@ def _html_badge(verdict: str) -> str:
 
 
 def _html_paragraph(paragraph: str) -> str:
-    """Return a paragraph as HTML, in which code is marked."""
+    """Return a paragraph as HTML, with its code marked."""
     # Between the backquotes, text and code alternate.
     pieces = html.escape(paragraph).split("`")
     return "".join(f"<code>{piece}</code>" if i % 2 else piece for i, piece in enumerate(pieces))
@@ -204,8 +207,8 @@ def _html_figure(name: str, path: Path) -> str:
 
 
 def _html_numbers(table: Sequence[Sequence[str]]) -> str:
-    """Return a table of numbers as HTML, first the titles."""
-    # The first row contains the titles. Its cells become header cells below.
+    """Return a table of numbers as HTML. The first row has the titles of the columns."""
+    # The first row contains the titles. The code below makes header cells of them.
     titles, *rows = ("".join(f"<td>{html.escape(cell)}</td>" for cell in row) for row in table)
     head = titles.replace("td>", "th>")
     body = "".join(f"<tr>{row}</tr>" for row in rows)

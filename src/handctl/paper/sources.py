@@ -1,4 +1,4 @@
-"""Numbers of the paper from which all its other numbers follow, as exact fractions, and the hand of the paper."""
+"""The hand of the paper, and the numbers from which all other numbers of the paper follow, as exact fractions."""
 
 import math
 from fractions import Fraction
@@ -25,14 +25,14 @@ GRAVITY_M_PER_S2 = Fraction(981, 100)
 ALLOWABLE_STRESS_MPA = Fraction(190)
 """Allowable stress of the wire [MPa]. Source: section 5."""
 KNEE_TENSIONS_N = (Fraction(200), Fraction(250))
-"""Knees of the force-displacement curve in section 5 and in the abstract [N]."""
+"""Tensions at the knee of the force-displacement curve: one that section 5 states, one from the abstract [N]."""
 PAYLOAD_KG = "0.915"
 """Payload, as it is printed in the paper [kg]."""
 
 
 @cache
 def paper_hand() -> Hand:
-    """Return the packaged hand that has the lengths and radii of the paper."""
+    """Return the packaged hand whose lengths and radii are those of the paper."""
     return load_hand("jamia")
 
 
@@ -55,21 +55,21 @@ def exact_millimetres(lengths_m: tuple[float, ...]) -> tuple[Fraction, ...]:
 
 
 def levers_mm(digit: Digit) -> tuple[Fraction, ...]:
-    """Return the distance of the tip from each joint of the straight digit [mm].
+    """Return the distance of the tip from each joint of a straight digit [mm].
 
-    It equals the moment per newton of force at the tip.
+    This distance equals the joint's moment [N mm] for a force of 1 N at the tip.
     """
     lengths = exact_millimetres(digit.link_length_m)
     return tuple(sum(lengths[i:], Fraction(0)) for i in range(len(lengths)))
 
 
 def tension_per_newton(digit: Digit) -> Fraction:
-    """Return the tension that balances joint 1 of the straight digit, per newton of force at the tip [N/N]."""
+    """Return the tension that balances joint 1 of a straight digit, for each newton of force at the tip [N/N]."""
     return levers_mm(digit)[0] / PULLEY_RADIUS_MM
 
 
 def tension_of_payload_kg(mass: int) -> Fraction:
-    """Return the tension of each finger's tendon at which the friction of three fingers holds a mass [kg] [N]."""
+    """Return the tension [N] in the tendon of each finger at which the friction of three fingers holds a mass [kg]."""
     return (
         mass
         * GRAVITY_M_PER_S2
@@ -79,15 +79,15 @@ def tension_of_payload_kg(mass: int) -> Fraction:
 
 
 def wire_diameter_mm(tension_n: Fraction | float) -> float:
-    """Return the smallest diameter at which a wire with a tension has the allowable stress [mm]."""
+    """Return the diameter at which a wire has the allowable stress, for a given tension [mm]."""
     return math.sqrt(4.0 * float(tension_n) / (math.pi * float(ALLOWABLE_STRESS_MPA)))
 
 
 def wire_stress_mpa(tension_n: Fraction | float, diameter_mm: float) -> float:
-    """Return the stress in a wire with a tension and a diameter [MPa]."""
+    """Return the stress in a wire, for a given tension and diameter [MPa]."""
     return 4.0 * float(tension_n) / (math.pi * diameter_mm**2)
 
 
 def payload_kg(normal_n: Fraction) -> Fraction:
-    """Return the mass that the friction of a contact with a normal force holds [kg]."""
+    """Return the mass that the friction of a contact holds, for a given normal force [kg]."""
     return FRICTION_COEFFICIENT * normal_n / GRAVITY_M_PER_S2

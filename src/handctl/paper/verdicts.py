@@ -40,8 +40,8 @@ def verdict_of_derived_number(
         printed: decimal number as printed.
         exact: exact value.
         carried: value that follows from the number printed earlier.
-        source: verdict on the number printed earlier. It is returned if the printed number is
-            wrong, but equals `carried`.
+        source: verdict on the number printed earlier. If the printed number is wrong but equals
+            `carried`, this verdict is returned.
     """
     verdict = verdict_of_number(printed, exact)
     explained = verdict_of_number(printed, carried) == ErrataVerdict.EQUAL
@@ -56,8 +56,8 @@ def verdict_of_statement(holds: bool) -> ErrataVerdict:
 def verdict_of_lower_bound(printed: str, value: float) -> ErrataVerdict:
     """Return the verdict on a printed lower bound, given the value that was reached.
 
-    If the bound is not right as a number, the verdict is ``bound`` for a value above the bound, and
-    ``wrong`` for a value below.
+    The verdict is that of a printed number if this is not ``wrong``. Otherwise, it is ``bound`` if
+    the value is above the printed bound, and ``wrong`` if it is below.
     """
     verdict = verdict_of_number(printed, value)
     return (
@@ -68,7 +68,10 @@ def verdict_of_lower_bound(printed: str, value: float) -> ErrataVerdict:
 
 
 def verdict_of_readings(right: Sequence[bool]) -> ErrataVerdict:
-    """Return the verdict on an ambiguous statement: true in all readings, false in all readings, or undecidable."""
+    """Return the verdict on an ambiguous statement.
+
+    If its readings are partly true and partly false, the verdict is undecidable.
+    """
     return verdict_of_statement(all(right)) if len(set(right)) == 1 else ErrataVerdict.UNDECIDABLE
 
 
@@ -82,7 +85,7 @@ def verdict_of_contradiction(
     if exact is None:
         return verdict_of_readings([value == printed[0] for value in printed])
     verdicts = [verdict_of_number(value, exact) for value in printed]
-    # The verdicts of the enumeration are in the order of severity.
+    # The enumeration lists its verdicts in the order of severity.
     return max(verdicts, key=list(ErrataVerdict).index)
 
 
@@ -92,6 +95,6 @@ def last_digit_value(printed: str) -> Fraction:
 
 
 def rounding_interval(printed: str) -> tuple[Fraction, Fraction]:
-    """Return the ends of the interval of values that are rounded to a printed number."""
+    """Return the lower and the upper end of the interval of values that round to a printed number."""
     half = last_digit_value(printed) / 2
     return Fraction(printed) - half, Fraction(printed) + half

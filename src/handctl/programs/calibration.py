@@ -91,7 +91,7 @@ def calibration_from(content: Mapping[str, Any], hand: Hand, source: str) -> Cal
         source: name of the file, for messages.
 
     Raises:
-        ConfigError: As `load_calibration`.
+        ConfigError: The same errors as from `load_calibration`.
     """
     calibration = validate_content(content, Calibration, source)
     if calibration.identity != hand.identity:

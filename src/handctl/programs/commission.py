@@ -8,12 +8,12 @@ A tendon without load cell has no tare. The force at its motor shows when the te
 
 In a digit without springs, a single tendon would move the digit. Therefore all tendons of such a
 digit first pull together, and press the digit on its lower joint limits. Then one tendon after the
-other is pulled more. The known excursion at these limits, or the excursion by the joint encoders,
-is subtracted from the motor zeros.
+other is pulled more. The known excursion at these limits, or the excursion that joint encoders
+measure, is subtracted from the motor zeros.
 
 Load cells drift while many tendons are pulled one by one. Therefore no motor makes torque for a
 moment before each pull. The readings without torque are the reference for the responses of all load
-cells. They also renew the tare of the tendon that is pulled next.
+cells. The same readings renew the tare of the tendon that is pulled next.
 """
 
 from dataclasses import dataclass, replace
@@ -33,7 +33,10 @@ from handctl.programs.program import TARE_PHASE, ProgramProgress, ProgressAndEve
 PULL_TENSION_N = 3.0
 """Tension of a pull [N]."""
 PULL_FORCE_LIMIT_N = 12.0
-"""Largest motor force of a pull, for a load cell that does not respond: the pull, friction and a margin [N]."""
+"""Largest motor force of a pull: the sum of pull, friction and a margin [N].
+
+This limit matters if a load cell does not respond.
+"""
 TARE_DURATION_S = 0.5
 """Averaging time of the first tare [s]."""
 REST_SETTLING_S = 0.3
@@ -52,8 +55,8 @@ HOLD_TIMEOUT_S = 10.0
 HOLD_SETTLING_TIMEOUT_S = 3.0
 """Time from the moment at which all tendons of a digit without springs are taut until their measurement [s].
 
-In this time, the digit moves to its lower limits. It stays there for the pulls of all its tendons,
-so only the first pull waits this long.
+In this time, the digit moves to its lower limits. The digit stays there for the pulls of all its
+tendons, so only the first pull waits this long.
 """
 PRESS_FACTOR = 1.5
 """Torque that presses a digit without springs on its lower limits, as a multiple of the torque of a pull."""
@@ -82,7 +85,8 @@ The constants above are the indices of its columns.
 BEFORE_PULL = -1
 """Value of `ProgramProgress.touching[0]` before a pull.
 
-The value is 0 until the tendon is taut, then 1 more than the number of readings.
+During a pull, the value is 0 until the tendon is taut. After that, the value is 1 more than the
+number of readings.
 """
 
 
@@ -141,7 +145,7 @@ class CommissionProgram:
         )
 
     def _check_tare(self, model: HandModel, progress: ProgramProgress) -> ProgressAndEvents | None:
-        """Return a failed progress if a tare is near an end of its cell's range, or None if all tares are usable."""
+        """Return a failed progress if a tare is near an end of the load cell's range, or None if all are usable."""
         tare = _tares_of(_table_of(progress))
         worst = int(np.maximum(tare - TARE_MAX_N, TARE_MIN_N - tare).argmax())
         if TARE_MIN_N <= tare[worst] <= TARE_MAX_N:
@@ -158,8 +162,8 @@ class CommissionProgram:
         """Read all load cells without torque, renew the tare of the present tendon, then pull this tendon.
 
         Only tares of tendons that were never taut are renewed, because friction may hold tension in
-        a tendon that was pulled before. These are the tare of the present tendon, or all tares of a
-        digit without springs.
+        a tendon that was pulled before. The tare of the present tendon is renewed, or all tares of
+        a digit without springs.
         """
         tension = _known_tensions(model, measured)
         if t - progress.since < REST_SETTLING_S or np.isnan(tension).any():
@@ -421,7 +425,7 @@ def _known_tensions(
 
 
 def _hold_phase(model: HandModel, i: int) -> str:
-    """Return the phase in which all tendons of tendon i's digit pull together."""
+    """Return the name of the phase in which tendon i and all other tendons of its digit pull together."""
     return f"hold {model.hand.digit_names[model.digit_of[i]]}"
 
 
@@ -437,8 +441,8 @@ def _hold_goals(model: HandModel, i: int, extra_tension: Vector) -> tuple[DigitG
     digit = model.digits[held]
     tendons = model.digit_tendons[held]
     arms = digit.at_angles(digit.joint_min).reduced_moment_arms
-    # A further pull must not lift the digit off its limits. The torque of a pull is at most that
-    # with the largest closing moment arm.
+    # A further pull must not lift the digit off its limits. The torque of a pull is at most the
+    # pull times the largest closing moment arm.
     press = PRESS_FACTOR * PULL_TENSION_N * np.maximum(arms, 0.0).max(axis=0)
     torque = digit.coupling.T @ np.asarray(static_torque(digit, digit.joint_min)) - press
     tension = tensions_for_torque(arms, torque, model.floor[tendons], model.ceiling[tendons])[0]
@@ -484,8 +488,8 @@ def _with_results(model: HandModel, table: Vector, i: int, samples: int) -> Vect
         )
     table[i, ANSWER_COLUMN] = rise[i]
     tendons = np.arange(model.tendon_count)
-    # Friction holds tension in a tendon that was pulled before. This tension falls by itself, so
-    # only a rise counts as crosstalk.
+    # Friction holds tension in a tendon that was pulled before. The tension that friction holds
+    # falls by itself, so only a rise counts as crosstalk.
     held = np.where(model.redundancy.sprung & (tendons < i), np.maximum(rest, 0.0), 0.0)
     others = model.hand.has_cell & (tendons != i)
     table[i, CROSSTALK_COLUMN] = np.maximum(rise, -rise - held)[others].max(initial=0.0)

@@ -21,7 +21,7 @@ from handctl.programs.task import Task
 CLOSED_FRACTION = 0.85
 """Angle of a closed coordinate divided by its largest angle.
 
-So a digit that touches no object stops before its joints reach their limits.
+A digit that touches no object therefore stops before its joints reach their limits.
 """
 CLOSING_SPEED = 50.0
 SLIDING_SPEED = 20.0
@@ -33,9 +33,9 @@ HOLD_FRACTION = 0.3
 MAX_HOLD_FRACTION = 0.7
 """Largest tension of a hold divided by ``tension_max_N``."""
 MIN_BALANCE_FACTOR = 0.1
-"""Smallest tension factor of a digit with which the forces on an object are balanced.
+"""Smallest factor on the tension of a digit that may be used to balance the forces on an object.
 
-If a balance requires a smaller factor, the forces of the hand are not balanced.
+If the balance requires a smaller factor, the tensions do not balance the forces.
 """
 PRESSING_FORCE_N = 1.0
 """Smallest force with which a hold presses at the tip of a half-closed digit, against its springs [N]."""
@@ -55,7 +55,7 @@ CYLINDER_SCENE = "cylinder"
 SPHERE_SCENE = "sphere"
 """Scene for digits that flex in other planes."""
 MAX_AXIAL_COMPONENT = 0.1
-"""Largest component along the cylinder of a direction of flexion that counts as normal to the cylinder."""
+"""Largest axial component of a direction of flexion that still counts as normal to the cylinder."""
 PALM_GAP_M = 0.002
 """Gap between the palm and the object of the scene [m].
 
@@ -133,13 +133,14 @@ def _closed_angles_deg(hand: Hand, name: str) -> np.ndarray:
 def _tension_factors(hand: Hand) -> dict[str, float]:
     """Return the factor of each digit's tension in a hold, 1 on average.
 
-    With these factors the forces on an object are in balance. Otherwise, for example, two fingers
-    would push a thumb open.
+    With these factors, the forces on an object are in balance. With equal factors, for example, two
+    fingers would push a thumb open.
     """
     balance = _balance_factors(hand)
     if balance is not None:
         return balance
-    # The palm or friction balances the forces. Both sides press with equal force.
+    # The palm or friction balances the forces. Opposed digits press with the same total force as
+    # the other digits.
     opposed = _are_digits_opposed(hand)
     count = len(opposed)
     behind = sum(opposed.values())
@@ -152,7 +153,7 @@ def _tension_factors(hand: Hand) -> dict[str, float]:
 
 
 def _balance_factors(hand: Hand) -> dict[str, float] | None:
-    """Return the factors nearest to 1, with mean 1, for which the digits' directions sum to zero, or None."""
+    """Return the factors nearest to 1, with mean 1, that make the forces of the digits cancel, or None if none do."""
     directions = _flexion_directions(hand)
     rows = np.array(list(directions.values()))
     factors = 1.0 - rows @ np.linalg.pinv(rows.T @ rows) @ rows.sum(axis=0)
@@ -164,7 +165,7 @@ def _balance_factors(hand: Hand) -> dict[str, float] | None:
 def _flexion_directions(hand: Hand) -> dict[str, Array]:
     """Return the direction in which the tip of each closing digit flexes, (3,) in the palm frame.
 
-    It is the y axis of the last link at joint angles of 0.
+    This direction is the y axis of the last link at joint angles of 0.
     """
     tree = HandTree.from_hand(hand)
     turned = link_rotations(tree.poses(np.zeros(len(hand.joints))))

@@ -1,4 +1,8 @@
-"""Program for the comparison of gains by their errors, which executes the same moves and tensions with all gains."""
+"""Program for the comparison of gains.
+
+The program executes the same moves and tensions with each set of gains. The errors in these moves
+and tensions are then compared.
+"""
 
 import math
 from dataclasses import dataclass, replace
@@ -19,7 +23,7 @@ from handctl.programs.program import (
 REST_DURATION_S = 0.15
 """Time at the end of every move, in which the digit may still oscillate [s]."""
 HOME_ANGLE_RAD = math.radians(5.0)
-"""Angle between the open stop and the first position of a move [rad].
+"""Angle between the stop of the open digit and the first position of a move [rad].
 
 On the stop, the position error of a digit would be too small for the comparison.
 """
@@ -27,7 +31,7 @@ GENTLE_CLOSE_TENSION_N = 7.0
 """Net tension with which spool pairs close their digits [N].
 
 From 8 N on, a freely closing digit of spool pairs without load cells looks like a torn tendon
-(fault T01). Its spool winds fast, and its estimated tension is small.
+(fault T01). The spool of such a digit winds fast, and its estimated tension is small.
 """
 GENTLE_CLOSE_DURATION_S = 2.0
 """Time in which spool pairs close their digits [s]."""
@@ -77,7 +81,7 @@ def exercise_stages(amplitude: float = 1.0, fastest_s: float = 0.25) -> tuple[Ex
 
 @dataclass(frozen=True, slots=True)
 class ExerciseProgram:
-    """Program that tightens, then runs the exercise once for each amplitude.
+    """Program that takes up the slack, then runs the exercise once for each amplitude.
 
     Attributes:
         amplitudes: fractions of the full angles and tensions, in the order of execution.

@@ -1,7 +1,7 @@
 """Grip of a hold: its stiffness, and the detection of slip. After slip, the tension is raised.
 
 If an object slips, it pushes a digit open. The tension stays constant, but the tendon pays out. The
-tendon's excursion, travel less stretch, is known to a few micrometres, so a fraction of a
+excursion of the tendon, travel minus stretch, is known to a few micrometres, so a fraction of a
 millimetre at the object is visible. A force along the hinges moves no joint (J^T F = 0). Therefore
 neither tendons nor joint encoders show when a bar of constant thickness slides along the hinges.
 """
@@ -20,11 +20,14 @@ from handctl.core.tick_types import TickEvent, Vector
 SLIP_EXCURSION_M = 20e-6
 """Excursion difference that counts as slip [m].
 
-It is six standard deviations of the excursion in a quiet hold (3.5 um). It corresponds to a speed
-of about 0.1 mm/s along the tendon, and of 0.3 to 1 mm/s at the object.
+The difference is six standard deviations of the excursion in a quiet hold (3.5 um). The difference
+corresponds to a slip of about 0.1 mm/s along the tendon, and of 0.3 to 1 mm/s at the object.
 """
 NO_DETECTION_S = 0.4
-"""Time without slip detection after the tension of the grip has changed [s], in which the fingers conform."""
+"""Time after a change of the grip's tension in which slip is not detected [s].
+
+In this time, the fingers adapt to the object.
+"""
 RAISE_PAUSE_S = 0.1
 """Shortest time between two rises of the tension [s]."""
 RAISE_FACTOR = 1.2
@@ -87,7 +90,7 @@ class GripPlan:
 
 
 def grip_excursions(model: HandModel, estimate: HandEstimate) -> Vector:
-    """Return the excursions (N,) up to a constant [m]: the length wound on the spool less the stretch of the tendon."""
+    """Return the excursions (N,) up to a constant [m]: the wound length minus the stretch of each tendon."""
     return np.asarray(estimate.travel - estimate.tension / model.space.stiffness)
 
 

@@ -86,7 +86,7 @@ class LiveProgram:
 LONGEST_HOLD_S = 3600.0
 """Duration of a task's hold that waits for ``release`` [s].
 
-It is the longest hold that a task allows.
+No task allows a longer hold.
 """
 
 
@@ -100,7 +100,7 @@ def _carry_out_task(
 ) -> ProgressAndEvents:
     """Advance the task of a live session.
 
-    After its end, or its failure, the session waits for requests again.
+    After the end or the failure of the task, the session waits for requests again.
     """
     progress, events = TaskProgram(task).advance(model, progress, estimate, measured, t)
     return (end_task(progress) if progress.finished else progress), events
@@ -117,10 +117,9 @@ def end_task(progress: ProgramProgress) -> ProgramProgress:
 def begin_task(
     model: HandModel, progress: ProgramProgress, task: Task, estimate: HandEstimate, t: float
 ) -> ProgressAndEvents:
-    """Begin a task up to its first hold, which lasts until ``release_task``, at most an hour.
+    """Begin a task. The first hold of the task lasts until ``release_task``, at most an hour.
 
-    A task that does not suit the hand, or that begins with a move that is too fast, changes
-    nothing.
+    A task that does not suit the hand, or whose first move is too fast, changes nothing.
     """
     try:
         check_task_for_hand(task, model.hand, "task", model.digits)

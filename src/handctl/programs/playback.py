@@ -51,7 +51,7 @@ class RecordedGoals:
         """Read the text of a recording.
 
         Raises:
-            ValueError: The text is not a table of this width.
+            ValueError: The text is not a table with the width for these joints and tendons.
         """
         table = np.frombuffer(base64.b64decode(text, validate=True), "<f8").reshape(
             -1, 3 * joints + tendons
@@ -62,7 +62,7 @@ class RecordedGoals:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaybackProgram:
-    """Program that tightens, moves slowly to the first pose, then follows the recording.
+    """Program that takes up the slack, moves slowly to the first pose, then follows the recording.
 
     Attributes:
         recording: recording to follow.

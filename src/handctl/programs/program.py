@@ -18,7 +18,9 @@ from handctl.programs.task import Task
 
 @dataclass(frozen=True, slots=True)
 class ProgramProgress:
-    """State of a program, with the same fields for all programs. The hash of the controller's state includes it.
+    """State of a program, with the same fields for all programs.
+
+    The hash of the controller's state includes the state of the program.
 
     Attributes:
         step: index of the present step.
@@ -96,10 +98,10 @@ class Program(Protocol):
 TARE_PHASE = "tare"
 """Phase of commissioning that measures the tares.
 
-Before its end, the zeros of the load cells are unknown.
+Before the end of this phase, the zeros of the load cells are unknown.
 """
 TIGHTEN_MARGIN_N = 1.5
-"""Tension above the floor to which slack is taken up [N].
+"""Margin above the floor of the tension with which slack is taken up [N].
 
 The margin is too small to move a finger against the springs.
 """
@@ -118,7 +120,7 @@ def tightening_goals(model: HandModel) -> tuple[DigitGoal, ...]:
 
 
 def _tightening_tension(model: HandModel, tendons: slice) -> Vector:
-    """Return tensions (n_t,) of a digit that take up slack [N].
+    """Return the tensions (n_t,) with which the tendons of a digit take up their slack [N].
 
     Tensions of surplus tendons make no torque.
     """
@@ -134,8 +136,8 @@ def pull_tensions(
     """Return tensions (n_t,) of digit d under tension control [N].
 
     If one tension is given, the tendons that close the digit get this tension, and their
-    antagonists their balance tension. A digit of spool pairs then presses with its tip, and the
-    given tension is its largest net tension. If a tension is given for each tendon, each tendon
+    antagonists get their balance tensions. A digit of spool pairs then presses with its tip, and
+    the given tension is its largest net tension. If a tension is given for each tendon, each tendon
     gets its tension.
     """
     if isinstance(tension, tuple):
@@ -175,7 +177,7 @@ def released_tensions(model: HandModel, d: int, tension: float) -> Vector:
 
 
 HOLD_STILL_DURATION_S = 1.0
-"""Duration of the trajectory that holds sideways joints where they are [s].
+"""Duration of the trajectory that keeps the sideways joints of a digit at their angles [s].
 
 Any duration is possible, because these joints do not move.
 """
@@ -198,7 +200,7 @@ def coordinates_by_excursion(digit: DigitModel, estimate: HandEstimate) -> Vecto
 def motion_to(
     digit: DigitModel, estimate: HandEstimate, angle: float | Vector, duration: float, t: float
 ) -> DigitGoal:
-    """Return a goal that moves all coordinates of a digit to one angle, or each to its angle [rad], in a time [s]."""
+    """Return a goal that moves all coordinates of a digit to one angle, or each to its own [rad], in a time [s]."""
     start = coordinates_by_excursion(digit, estimate)
     return DigitGoal(
         GoalKind.MOTION, MinimumJerk(start, np.full_like(start, angle), duration), since=t

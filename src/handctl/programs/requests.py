@@ -15,7 +15,7 @@ from handctl.programs.task import SHORTEST_MOVE_S, AngleDeg, Task, TensionN
 MAX_TARGET_VALUES = 64
 """Largest number of values of a streamed target."""
 SHORTEST_LEASE_S, LONGEST_LEASE_S = 0.2, 3600.0
-"""Limits of the silence after which a client counts as lost [s]."""
+"""Limits of a lease, the silence after which a client counts as lost [s]."""
 
 
 class RequestBase(Document):
@@ -214,7 +214,8 @@ class StreamTarget(NamedTuple):
         stream: name of the stream.
         number: number of the target, which rises from one target to the next.
         sent_ns: time at which the client sent the target [ns of the run].
-        values: one value per name of the stream, in the unit of the stream. They are not checked.
+        values: one value per name of the stream, in the unit of the stream. The values are not
+            checked.
     """
 
     stream: str
@@ -253,7 +254,7 @@ def alive_request_text(client: str) -> str:
 
 
 def is_routine_request(text: str) -> bool:
-    """Return True if clients send a request many times in a run: a target, or a sign of life."""
+    """Return True for a request that clients send many times in a run: a target, or a sign of life."""
     return is_stream_target(text) or text.startswith(_ALIVE_START)
 
 

@@ -26,16 +26,19 @@ If the next target is late by less than this time, the motion does not stop.
 STOP_DURATION_S = 0.15
 """Duration of the motion with which a streamed digit comes to rest [s]."""
 MIN_HOLD_PERIODS = 2
-"""Smallest number of stream periods without a target before the hand holds, so that one target may be lost."""
+"""Smallest number of stream periods without a target after which the hand holds.
+
+A single lost target therefore causes no hold.
+"""
 MAX_TARGET_VALUES_BY_SPACE = {"joint": 720.0, "digit": 720.0, "tension": 5000.0, "tip_force": 500.0}
-"""Largest value that a target may have, by space of the stream [deg, N].
+"""Largest value of a target [deg, N], for each meaning of targets (the ``space`` of the stream).
 
 A larger value is a mistake of the client, and is refused.
 """
 TARGET_UNIT_BY_SPACE = {"joint": "deg", "digit": "deg", "tension": "N", "tip_force": "N"}
-"""Unit of the values of a target, by space of the stream."""
+"""Unit of the values of a target, for each meaning of targets (the ``space`` of the stream)."""
 MIN_STIFFNESS_FRACTION = 0.05
-"""Smallest fraction of the gains' stiffness.
+"""Smallest stiffness of a streamed digit, as a fraction of the stiffness that the gains give it.
 
 With less stiffness, friction would determine a digit's position.
 """
@@ -114,7 +117,8 @@ class TargetMapping(NamedTuple):
         matrix: (C, V) coordinates [rad] per value [deg], or [m] per value [mm].
         driven: (C,) True where the stream sets the coordinate.
         digits: indices of the digits with a coordinate that the stream sets.
-        held: indices of those digits whose tendons cannot hold every posture, see ``nearest_holdable_posture``.
+        held: indices of the streamed digits whose tendons cannot hold every posture, see
+            ``nearest_holdable_posture``.
     """
 
     matrix: Vector
@@ -224,7 +228,10 @@ def nearest_holdable_posture(digit: DigitModel, coordinates: Vector, floor: Vect
 
 
 def _is_held_by_each_tendon(digit: DigitModel) -> bool:
-    """Return True for a digit with several coordinates and as many tendons, whose posture determines all tensions."""
+    """Return True for a digit with several coordinates and as many tendons.
+
+    The posture of such a digit determines all its tensions.
+    """
     tendons, count = digit.reduced_moment_arms.shape
     return bool(tendons == count and count > 1)
 
@@ -242,9 +249,9 @@ def streamed_digits(model: HandModel, stream: StreamPlan) -> tuple[int, ...]:
 def loop_fractions(model: HandModel, stream: StreamPlan) -> tuple[Vector, Vector]:
     """Return the fractions (N,) of the motion loop's stiffness and damping for a stream.
 
-    The stiffness of a tendon's loop [N/m] times its moment arm squared is the stiffness of the
-    joints. A damping that falls with the root of the stiffness keeps the damping ratio. Neither
-    exceeds the value of the gains, with which the loop is stable.
+    The stiffness of the joints is the stiffness of a tendon's loop [N/m] times the squared moment
+    arm of the tendon. A damping that falls with the root of the stiffness keeps the damping ratio.
+    Stiffness and damping never exceed the values of the gains, with which the loop is stable.
     """
     stiffness = np.ones(model.tendon_count)
     damping = np.ones(model.tendon_count)
@@ -283,7 +290,7 @@ def target_tensions(
     for name, force in zip(stream.names, values.tolist(), strict=True):
         digit = model.digits[hand.digit_names.index(name)]
         angles, tendons = q[digit.joints], digit.tendons
-        # This is the torque of springs and gravity, plus the tip force times its lever, in the
+        # The torque consists of springs, gravity, and the tip force times its lever, in the
         # coordinates of the digit.
         torque = digit.coupling.T @ np.asarray(static_torque(digit, angles))
         torque += max(force, 0.0) * reduced_tip_lever(digit, angles)
@@ -319,7 +326,7 @@ def streamed_goals(
 STREAMED_RATE = 0.0
 """Rate of the goal of a digit with streamed tensions [N/s].
 
-It has no effect, because the targets contain the setpoints.
+The rate has no effect, because the targets contain the setpoints.
 """
 
 
@@ -367,11 +374,11 @@ _CHECKED_FRACTIONS = np.linspace(0.0, 1.0, 33)[1:]
 def continued_move(
     reference: Vector, end: Vector, duration: float, reach: tuple[Vector, Vector]
 ) -> MinimumJerk:
-    """Return a move that begins with the position, rate and acceleration of a reference, at rest at the end.
+    """Return a move that begins with the position, rate and acceleration of a reference, and ends at rest.
 
-    If a long move continued a fast motion until its end, it would run far beyond both its ends.
-    Therefore the earlier motion fades in a shorter time. This time is halved until the joints stay
-    within their range.
+    If an earlier fast motion faded over the whole of a long move, the move would run far beyond its
+    start and end. Therefore the earlier motion fades in a shorter time. This time is halved until
+    the joints stay within their range.
 
     Args:
         reference: (3, n) position, rate and acceleration [rad, s].
@@ -395,6 +402,6 @@ def continued_move(
 
 
 def is_plausible(stream: StreamPlan, values: tuple[float, ...]) -> bool:
-    """Return True if a target has the right number of finite values within a plausible range."""
+    """Return True if a target has the right number of values, and all values are finite and plausible."""
     outlier = MAX_TARGET_VALUES_BY_SPACE[stream.space]
     return len(values) == len(stream.names) and all(abs(value) <= outlier for value in values)

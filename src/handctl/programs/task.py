@@ -45,7 +45,8 @@ A shorter move would be a step, and the square of its duration may underflow.
 RESERVED_NAMES = ("start", "tare")
 """Phase names that a task must not use.
 
-The controller itself uses them, for the start of a program and for load cells without a tare.
+The controller itself uses these names, for the start of a program and for load cells without a
+tare.
 """
 
 
@@ -223,7 +224,7 @@ def trajectory_from(content: Mapping[str, Any], source: str) -> Task:
     """Make a task from the content of a trajectory file.
 
     Raises:
-        ConfigError: As `load_trajectory`. The message names the source.
+        ConfigError: The same errors as from `load_trajectory`. The message names the source.
     """
     file = validate_content(content, TrajectoryFile, source)
     first = {digit: angles[0] for digit, angles in file.angle_deg.items() if angles}
@@ -249,7 +250,8 @@ class DigitShape(NamedTuple):
 
     Attributes:
         coordinates: number of reduced coordinates, each with an angle.
-        tendons: number of tendons, each with a tension. A finger of n joints may have n + 1.
+        tendons: number of tendons, each with a tension. A finger of n joints may have n + 1
+            tendons.
         joints: names of the joints.
     """
 

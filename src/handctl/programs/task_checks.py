@@ -166,7 +166,9 @@ ROUNDING_DEG = 1e-6
 
 
 def check_joint_range(task: Task, hand: Hand, where: str, digits: Sequence[DigitModel]) -> None:
-    """Check that the angles of a task are within the range of each digit. Beyond it, a joint would press on its stop.
+    """Check that the angles of a task are within the range of each digit.
+
+    Beyond its range, a joint would press on its stop.
 
     Args:
         task: task that suits the hand in all other respects.
@@ -239,8 +241,8 @@ def check_tip_force(task: Task, hand: Hand, where: str) -> None:
     """Check that a task requires no tip force of an underactuated digit.
 
     The tensions of a digit with fewer tendons than joints do not determine the force at the tip.
-    They determine only combinations of joint torques. When 4 N were requested, fingers of the hand
-    `jamia` curled up on a wall, and pressed with 23 to 56 N.
+    The tensions of such a digit determine only combinations of joint torques. When 4 N were
+    requested, fingers of the hand `jamia` curled up on a wall, and pressed with 23 to 56 N.
 
     Args:
         task: task that suits the hand in all other respects.

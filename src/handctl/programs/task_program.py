@@ -47,14 +47,14 @@ FOLLOW_START_DEG = 4.0
 SETTLE_AFTER_CLOSE_S = 0.3
 """Time in which a digit without contact comes to rest before the next phase [s]."""
 RELEASED_WITHIN_N = 2.0
-"""Tension above that of a release at which a tendon still counts as released [N]."""
+"""Distance above the tension of a release within which a tendon counts as released [N]."""
 RELEASE_TIMEOUT_S = 10.0
 """Longest time that a release may take [s]."""
 REFERENCE_JOINTS = 2
 """Number of joints of the digit to which the contact threshold refers.
 
-Each further joint adds its friction to the estimated tip force. This force is 0.33 N on fingers of
-three joints that touch no object. Such fingers still detect a contact long before 1 N.
+Each further joint adds its friction to the estimated tip force. On fingers of three joints that
+touch no object, the estimated force is 0.33 N. Such fingers still detect a contact long before 1 N.
 """
 ARRIVAL_DURATION_S = 0.15
 """Time after the end of a trajectory at which a digit counts as arrived [s]."""
@@ -242,7 +242,7 @@ class TaskProgram:
         if force is None:
             return None
         q = estimate.q[digit.joints]
-        # This is the torque of springs and gravity, plus the tip force times its lever, in the
+        # The torque consists of springs, gravity, and the tip force times its lever, in the
         # coordinates of the digit.
         torque = digit.coupling.T @ model.tree.static_torque(estimate.q)[
             digit.joints
@@ -451,13 +451,13 @@ def _curve_of_digit(
 
 @functools.lru_cache(maxsize=64)
 def blind_tip_force(model: HandModel, d: int) -> float:
-    """Return the margin on digit d's contact threshold for tensions without load cell [N], 0 with load cells."""
+    """Return the margin that tendons without load cell add to digit d's contact threshold [N], 0 with load cells."""
     digit = model.digits[d]
     margin = float(model.blind_margin[digit.tendons].mean())
     if margin == 0.0:
         return 0.0
-    # The response is the tensions per tip force of the open digit. The estimated tip force is a
-    # least-squares fit to these tensions.
+    # The response consists of the tensions per tip force, for the open digit. The estimated tip
+    # force is a least-squares fit to these tensions.
     response = digit.torque_to_tension @ joint_lever(digit, digit.joint_min)
     return margin / float(np.linalg.norm(response))
 

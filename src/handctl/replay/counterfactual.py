@@ -1,7 +1,7 @@
 """Commands that the controller would have given in a recorded run with other gains, as numbers and as a figure.
 
 The controller runs on the measurements in the log. So the figure shows the command in each tick,
-but not the further motion of the hand.
+but not the motion that the hand would have made.
 """
 
 from pathlib import Path
@@ -51,7 +51,7 @@ class CommandCollector:
 def command_change(
     log: RunLog, commands: CommandCollector
 ) -> dict[str, dict[str, dict[str, float]]]:
-    """Return RMS and peak of the change against the logged command, for each motor [N m] and each tendon [N]."""
+    """Return RMS and peak of the new minus the logged command, for each motor [N m] and tendon [N]."""
     torque = commands.motor_torques - log.field("motor_torque_goal")
     tension = commands.tendon_tensions - log.field("tension_goal")
     return {

@@ -1,6 +1,6 @@
 """Episode of a LeRobot dataset as a program for a hand.
 
-The joint angles of the actions are checked like a trajectory file.
+The joint angles in the episode's actions must pass the same checks as a trajectory file.
 
 The dataset has the layout of codebase version 3.0. An action has an element such as
 `index_j1.pos_rad` for every joint of the hand. The plug-in `lerobot_robot_handctl` and the command
@@ -30,16 +30,18 @@ Array = NDArray[np.float64]
 VERSION_PREFIX = "v3."
 """Beginning of the codebase version that a dataset must have."""
 POSITION_SUFFIX = ".pos_rad"
-"""End of the name of an action's element with a joint angle."""
+"""End of the name of each element of an action that contains a joint angle."""
 MAX_CLIPPED_DEG = 3.0
-"""Largest distance of an angle from the joint's range at which the angle is clipped, not refused [deg].
+"""Largest distance of an angle from its joint's range at which the angle is moved to the nearer limit [deg].
+
+An angle farther outside is refused.
 
 The estimated angle of a joint at a stop may lie a little outside the range.
 """
 FRAME_RATE_RANGE_HZ = (1.0, 1000.0)
 """Lowest and highest accepted frame rate of a dataset [Hz]."""
 MAX_EPISODE_S = 3600.0
-"""Longest accepted episode [s]. A trajectory file has the same limit."""
+"""Longest accepted episode [s]. A trajectory file has the same limit of its duration."""
 MAX_INFO_BYTES = 1 << 24
 """Largest accepted size of `info.json` [bytes]."""
 
@@ -54,8 +56,8 @@ def find_episode(
         episode: number of the episode, from 0.
         hand: hand that will follow the episode.
         period: control period of the hand [s].
-        speed_deg_s: limit to which the speed of each joint from frame to frame is reduced [deg/s].
-            If None is given, an episode with too fast a joint is refused.
+        speed_deg_s: limit of each joint's speed from frame to frame [deg/s]. Higher speeds are
+            reduced to it. If it is None, an episode in which a joint is too fast is refused.
 
     Raises:
         ConfigError: the dataset or the episode does not exist, the episode lacks joints of the
@@ -207,7 +209,7 @@ def _joint_angles(actions: Array, info: Mapping[str, Any], hand: Hand, dataset: 
 
 
 def _clip_to_range(angles: Array, hand: Hand, where: str) -> Array:
-    """Return the angles (frames, J), where angles slightly outside the range of a joint are clipped to the range.
+    """Return the angles (frames, J), after clipping those that are slightly outside of their joint's range.
 
     Raises:
         ConfigError: an angle is not finite or lies far outside the joint's range.

@@ -29,12 +29,14 @@ class LogExecution:
         differing_ticks: number of ticks in which at least one byte of the output differs.
         different_decisions: number of ticks in which a decision differs: mode, phase, action or
             events.
-        first_difference: the first difference, or None if there is none.
-        first_state_difference: first field that differs between the controller's state and the first differing
-            snapshot, or None.
+        first_difference: the first difference from the logged output, or None if there is no
+            difference.
+        first_state_difference: first field of the controller's state that differs from its snapshot
+            in the log, or None if all snapshots are equal.
         largest_difference: the largest difference of a number, measured by `relative_error`, or None.
         wall_s: time that the re-execution took, without the design of the gains [s].
-        cpu_s: processor time of all processes together [s]. One idle core would need this time.
+        cpu_s: processor time of all processes together [s]. A single core that does nothing else
+            would need this time.
         logged_s: duration of the recorded run [s].
     """
 
@@ -77,8 +79,8 @@ def execute_log(
         gains: gains to use instead of those of the run.
         observer: function called with the input and the output of every tick.
         progress: function called at intervals with the number of ticks executed so far.
-        workers: number of processes. Other gains or an observer allow only one process. The result
-            does not depend on the number.
+        workers: number of processes. With other gains or with an observer, only one process is
+            used. The result does not depend on the number of processes.
 
     Raises:
         LogError: the controller cannot be rebuilt from the log, or the log is damaged.
@@ -126,7 +128,7 @@ def _cpu_seconds() -> float:
 
 @contextmanager
 def gc_disabled() -> Iterator[None]:
-    """Disable garbage collection, as the control loop does, and warnings about overflow from numbers in a bad log.
+    """Disable garbage collection, as the control loop does, and the warnings of numpy about wrong numbers in a log.
 
     Ticks create no reference cycles, so no garbage accumulates.
     """

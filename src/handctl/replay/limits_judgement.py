@@ -1,6 +1,6 @@
 """Judgement of a recorded run by other safety limits.
 
-The result lists the ticks in which the other limits would have stopped the hand, each with the
+The result lists the ticks in which the new limits would have stopped the hand, each with the
 reading that causes the stop.
 """
 
@@ -68,7 +68,7 @@ class LimitStop(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class LimitsJudgement:
-    """Effect of other limits on a recorded run.
+    """Effect of new limits on a recorded run.
 
     Attributes:
         ticks: number of judged ticks.
@@ -87,7 +87,7 @@ class LimitsJudgement:
 
 
 def load_limits(path: Path, controller: Controller) -> SafetyLimits:
-    """Return the limits of a controller, with the values of a limits file put in.
+    """Return the limits of a controller, in which the values of a limits file replace the former values.
 
     Raises:
         ConfigError: the file cannot be read or names a tendon that the hand does not have.
@@ -149,7 +149,7 @@ def _judge_ticks(
     limits: SafetyLimits,
     progress: Callable[[int], None] | None,
 ) -> LimitsJudgement:
-    """Judge each tick from the state that the run had, with the debounce counters and latches of the other limits."""
+    """Judge each tick from the state that the run had, with the debounce counters and latches of the new limits."""
     other = replace(controller, other_limits=limits)
     state = controller.initial_state()
     shadow = other.initial_state()
@@ -158,7 +158,7 @@ def _judge_ticks(
     for logged in log.ticks():
         entry = logged.tick_in
         # Every tick starts from the state that the run had. Only the debounce counters and latches
-        # of the other limits carry over from tick to tick.
+        # of the new limits carry over from tick to tick.
         judged = state.copy()
         judged.view("fault_ticks")[...] = shadow.view("fault_ticks")
         judged.decide(latched=shadow.latched, reported_faults=shadow.decisions.reported_faults)

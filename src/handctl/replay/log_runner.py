@@ -78,7 +78,7 @@ class DifferenceTally:
 
         Args:
             tick_differences: the differences between the logged and the computed tick.
-            same_decisions: True if the decisions of both are equal.
+            same_decisions: True if both ticks have the same decisions.
         """
         self.differing_ticks += 1
         self.different_decisions += not same_decisions
@@ -98,7 +98,7 @@ class DifferenceTally:
 
 @dataclass(frozen=True, slots=True)
 class LogRunner:
-    """Log, and the controller to be executed on the inputs in the log.
+    """A log, and the controller that is executed on the inputs in the log.
 
     Attributes:
         log: log of the run.
@@ -118,8 +118,8 @@ class LogRunner:
 
         The errors are those of `rebuild_controller`.
         """
-        # With other gains, the states differ from the snapshots in the log, which are therefore not
-        # used.
+        # With other gains, the states differ from the snapshots in the log. Therefore the snapshots
+        # are not used.
         snapshots: Mapping[int, bytes] = {} if gains else log.snapshots
         return LogRunner(
             log, rebuild_controller(log, gains), TelemetryColumns.from_header(log.header), snapshots

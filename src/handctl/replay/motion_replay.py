@@ -73,8 +73,8 @@ def count_missing_ticks(log: RunLog) -> int:
 def recorded_targets(log: RunLog, period: float) -> RecordedGoals:
     """Return the targets of a recorded run, resampled to another control period.
 
-    If a neighbouring tick has no joint targets for a digit, because the digit held a tension, these
-    targets are NaN.
+    A digit that held a tension had no joint targets. If this is so in a neighbouring tick, the
+    digit's joint targets are NaN.
 
     Args:
         log: log of the run.
@@ -86,8 +86,8 @@ def recorded_targets(log: RunLog, period: float) -> RecordedGoals:
     count_missing_ticks(log)
     start, end = active_interval(log)
     steps = np.rint(np.arange(round((end - start) / period) + 1) * (period * 1e9))
-    # The times equal those of `log.times` to the bit. So no interpolation is needed if both control
-    # periods are equal.
+    # The bits of these times equal those of `log.times`. So no interpolation is needed if both
+    # control periods are equal.
     times = np.asarray((round(start * 1e9) + steps.astype(np.int64)) * 1e-9, np.float64)
     q, dq, tension = (
         _interpolate_field(log, name, times) for name in ("q_goal", "dq_goal", "tension_goal")

@@ -1,9 +1,9 @@
 """Re-execution of a log in several processes. Each process starts from a snapshot in the log.
 
 Each process executes a part of the log, from a snapshot whose hash is in the log. If the previous
-part ends in a state with the same hash, a serial execution would reach the same state. Then the
-results of the two parts can be added. If the hashes differ, one process executes the rest of the
-log serially. The result is therefore always equal to the result of a serial execution.
+part ends in a state with the same hash, a serial execution would reach the same state. In this
+case, the results of the two parts can be added. If the hashes differ, one process executes the rest
+of the log serially. The result is therefore always equal to the result of a serial execution.
 """
 
 import json
@@ -103,7 +103,7 @@ def run_parallel(
         )
         for worker in running:
             # If the hashes are equal, the worker's part started from the state that a serial
-            # execution has here.
+            # execution has at the same tick.
             result = (
                 _wait_for_result(runner, worker, counts)
                 if state.digest() == worker.part.state.digest()

@@ -83,7 +83,7 @@ def compare_signals(
 def rms_and_peak(change: Array) -> dict[str, float]:
     """Return RMS and peak of a difference. NaN values are left out.
 
-    Both are NaN if every value is NaN.
+    RMS and peak are NaN if every value is NaN.
     """
     finite = change[~np.isnan(change)]
     if not finite.size:
@@ -120,8 +120,8 @@ def signal_delay(before: Array, after: Array, period: float) -> float:
     ):
         return float("nan")
     earlier, lowest, later = residual[best - 1 : best + 2]
-    # The bend is the second difference of the variance. If it is not positive, the minimum is flat,
-    # and the shift is not refined.
+    # The bend is the second difference of the variance. If the bend is not positive, the minimum is
+    # flat, and the shift is not refined.
     bend = earlier - 2.0 * lowest + later
     return float((best - reach + (0.5 * (earlier - later) / bend if bend > 0 else 0.0)) * period)
 

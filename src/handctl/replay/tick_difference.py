@@ -67,7 +67,7 @@ def distance_in_ulps(a: float, b: float) -> int:
 def _float_ordinal(value: float) -> int:
     """Return the position of a number in the ordered sequence of all float64.
 
-    The position of both zeros is 0.
+    The position of 0.0 and of -0.0 is 0.
     """
     bits = int(np.float64(value).view(np.int64))
     # Read as integers, the bits of positive floats are in the order of the floats. The bits of
@@ -122,7 +122,7 @@ def state_difference(
 
     Args:
         header: header of the log.
-        logged: logged tick after which the controller had these states.
+        logged: logged tick after which the controller had the two states.
         was: state of the snapshot in the log.
         now: computed state.
     """

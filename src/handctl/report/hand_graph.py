@@ -24,7 +24,7 @@ LOAD_CELL_COLOUR = "#d9822b"
 ENCODER_COLOUR = "#3c9d5d"
 """Colour of the joint encoders.
 
-The colours above are for flexors, extensors, links and load cells.
+The constants above are the colours of flexors, extensors, links and load cells.
 """
 MOTOR_COLUMN_X = 0.0
 LOAD_CELL_COLUMN_X = 1.5
@@ -33,8 +33,8 @@ JOINT_STEP = 1.7
 BUS_STEP = 0.35
 """Horizontal distance of two buses.
 
-The values above are the columns of motor, load cell and first joint, and the distance of two
-joints.
+The constants above are the columns of the motor, the load cell and the first joint, and the
+distance between two joints.
 """
 ROW_HEIGHT_IN = 0.42
 """Height of a row of the picture [inch]."""
@@ -145,7 +145,7 @@ def _tendon_label(tendon: Tendon) -> str:
 
 
 def _joint_xs(digit: Digit) -> Iterator[tuple[str, float]]:
-    """Yield name and column in the picture of each joint of a digit."""
+    """Yield the name of each joint of a digit, and its column in the picture."""
     for i, joint in enumerate(digit.joints):
         yield joint, FIRST_JOINT_COLUMN_X + JOINT_STEP * i
 

@@ -17,7 +17,7 @@ TABLE_SUNK_COLUMN = "support"
 Only the truth files of scenes with a sinking table have this column.
 """
 MAX_SLIP_MM = 10.0
-"""Largest motion in the hand of an object that counts as held [mm].
+"""Largest motion of an object in the hand at which the object counts as held [mm].
 
 Objects that the hand holds in the demo move by 3 mm at most.
 """
@@ -30,14 +30,14 @@ def judge_lift(
 
     Args:
         log: log of the run.
-        truth: truth of the simulator, or None on hardware.
-        offset_ns: time of the simulator at t = 0 of the run [ns].
+        truth: true values from the simulator, or None on hardware.
+        offset_ns: time on the simulator's clock when the time of the run is 0 [ns].
         hold_phases: names of the task's hold phases.
 
     Returns:
         `table_sunk_mm`: how far the table has sunk at the end of the last hold. `object_slid_mm`:
-        how far the object moved from the first sinking to this time. Both are NaN without a sinking
-        table or without a hold.
+        how far the object moved between the start of the sinking and this time. Both distances are
+        NaN without a sinking table or without a hold.
     """
     unknown = dict.fromkeys(("table_sunk_mm", "object_slid_mm"), float("nan"))
     t_ns = _hold_times(log, hold_phases) + offset_ns

@@ -98,7 +98,7 @@ def _project_points(points_m: Array) -> Array:
 
 
 def _picture_limits(tree: HandTree, palm: Array) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the limits of a picture of the whole palm, given by (n, 3) corners, and of all digits at rest."""
+    """Return the limits of a picture with all digits at rest and the whole palm, given by (n, 3) corners."""
     digits = _project_points(np.concatenate(tree.points(np.zeros(len(tree.parent)))))
     corners = np.concatenate((digits - 20.0, digits + 10.0, _project_points(palm)))
     low = corners.min(axis=0)
@@ -116,7 +116,7 @@ def _draw_palm(axes: Any, hand: Hand) -> None:
 
 
 def _draw_mesh(axes: Any, triangles: Array, colour: str) -> None:
-    """Draw a mesh, the far triangles first. Triangles that lie square to the light are brighter.
+    """Draw a mesh, the far triangles first. Triangles perpendicular to the light are brighter.
 
     Args:
         axes: axes of the picture.
@@ -164,7 +164,8 @@ def _draw_digit(
             solid_joinstyle="round",
         )
     axes.plot(*path[:-1].T, "o", color="white", markersize=3)
-    # An unknown force or angle is NaN, for which this negated comparison is true. It gets no arrow.
+    # An unknown force or angle is NaN, for which this negated comparison is true. Then no arrow is
+    # drawn.
     if not np.linalg.norm(push) >= MIN_ARROW_N:
         return
     start, end = _project_points(np.array([joints[-1], joints[-1] + ARROW_M_PER_N * push]))
@@ -215,7 +216,7 @@ def _phase_middles(log: RunLog) -> list[tuple[str, int]]:
 def draw_lateness(log: RunLog) -> str:
     """Draw a histogram of the lateness of the ticks, with a line at a quarter of the control period.
 
-    A tick beyond this line counts as late.
+    A tick beyond the line at a quarter of the control period counts as late.
     """
     late = log.late_ns / 1e3
     if not late.any():

@@ -24,7 +24,7 @@ PHASE_MARK_COLOUR = "#999999"
 FAULT_COLOUR = "#d01c1c"
 """Colour of fault marks.
 
-The colours above are for commands, the simulated plant and phase marks.
+The constants above are the colours of commands, of the simulated plant and of phase marks.
 """
 TENDON_OPACITIES = (1.0, 0.65, 0.4)
 """Opacity of the first, second and third tendon of a digit."""
@@ -37,7 +37,10 @@ Array = NDArray[np.float64]
 
 
 def digit_colours(hand: Hand) -> list[str]:
-    """Return the colour of each digit. A digit of one name has the same colour on every hand."""
+    """Return the colour of each digit.
+
+    Digits with the same name have the same colour on every hand.
+    """
     return [
         DIGIT_COLOURS[number % len(DIGIT_COLOURS)] for number in colour_numbers(hand.digit_names)
     ]
@@ -52,8 +55,8 @@ def draw_run(
         path: path of the file to write.
         log: log of the run.
         hand: hand of the run.
-        truth: truth of the simulator, or None on hardware.
-        offset_ns: time of the simulator at t = 0 of the run [ns].
+        truth: true values from the simulator, or None on hardware.
+        offset_ns: time on the simulator's clock when the time of the run is 0 [ns].
         title: title of the figure.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg

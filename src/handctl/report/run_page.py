@@ -1,4 +1,4 @@
-"""HTML page about a run in a single file, which can be attached to a paper or a bug report."""
+"""HTML page about a run. It is a single file that can be attached to a paper or a bug report."""
 
 import base64
 import html
@@ -49,8 +49,8 @@ def write_page(
         path: path of the file to write.
         log: log of the run.
         hand: hand of the run.
-        truth: truth of the simulator, or None on hardware.
-        offset_ns: time of the simulator at t = 0 of the run [ns].
+        truth: true values from the simulator, or None on hardware.
+        offset_ns: time on the simulator's clock when the time of the run is 0 [ns].
         name: name of the log for the page.
 
     Returns:

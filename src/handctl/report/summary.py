@@ -36,10 +36,10 @@ def summarise_run(
     Args:
         log: log of the run.
         hand: hand of the run.
-        truth: truth of the simulator. On hardware the truth is None, and all numbers that need a
-            truth are NaN. A truth file whose times do not match the log, as from an earlier
-            simulator, counts as None.
-        offset_ns: time of the simulator at t = 0 of the run [ns].
+        truth: true values from the simulator. On hardware this argument is None, and all numbers
+            that need a truth are NaN. A truth file counts as None if its times do not match the
+            log, for example if an earlier simulator wrote it.
+        offset_ns: time on the simulator's clock when the time of the run is 0 [ns].
 
     Returns:
         the numbers and texts by name.
@@ -105,7 +105,7 @@ def hold_windows(log: RunLog) -> list[NDArray[np.bool_]]:
 def _settled_mask(
     moving: NDArray[np.bool_], inside: NDArray[np.bool_], log: RunLog
 ) -> NDArray[np.bool_]:
-    """Return a mask (ticks,), True from the time on at which the targets of a hold have been constant for SETTLED_S."""
+    """Return a mask (ticks,), True where the targets of a hold have been constant for SETTLING_TIME_S."""
     last = np.flatnonzero(moving)
     settled: NDArray[np.bool_] = (
         log.times >= log.times[last[-1] if len(last) else np.argmax(inside)] + SETTLING_TIME_S
@@ -139,8 +139,8 @@ def judge_tracking(
     Args:
         log: log of the run.
         hand: hand of the run.
-        truth: truth of the simulator, or None on hardware.
-        offset_ns: time of the simulator at t = 0 of the run [ns].
+        truth: true values from the simulator, or None on hardware.
+        offset_ns: time on the simulator's clock when the time of the run is 0 [ns].
         active: mask (ticks,), True where the hand is active.
     """
     goal = mean_angles(hand, log.field("q_goal"))
@@ -199,8 +199,8 @@ def judge_tension(
     Args:
         log: log of the run.
         hand: hand of the run.
-        truth: truth of the simulator, or None.
-        offset_ns: time of the simulator at t = 0 of the run [ns].
+        truth: true values from the simulator, or None if there are none.
+        offset_ns: time on the simulator's clock when the time of the run is 0 [ns].
         active: mask (ticks,), True where the hand is active.
         holds: mask (ticks,) for each hold, True where the hold is settled.
     """
@@ -261,8 +261,8 @@ def judge_grasp(
     Args:
         log: log of the run.
         hand: hand of the run.
-        truth: truth of the simulator, or None.
-        offset_ns: time of the simulator at t = 0 of the run [ns].
+        truth: true values from the simulator, or None if there are none.
+        offset_ns: time on the simulator's clock when the time of the run is 0 [ns].
         holds: mask (ticks,) for each hold, True where the hold is settled.
     """
     settled = np.any(holds, axis=0) if holds else np.zeros(len(log), dtype=bool)
@@ -317,16 +317,16 @@ def judge_angles(
     Args:
         log: log of the run.
         hand: hand of the run.
-        truth: truth of the simulator, or None.
-        offset_ns: time of the simulator at t = 0 of the run [ns].
+        truth: true values from the simulator, or None if there are none.
+        offset_ns: time on the simulator's clock when the time of the run is 0 [ns].
         active: mask (ticks,), True where the hand is active.
         holds: mask (ticks,) for each hold, True where the hold is settled.
 
     Returns:
         For each digit by name: `source` (see `angle_source`), `sigma_deg` (root mean square of the
         estimated standard deviations), `error_deg` (root mean square of the errors) and `inside`
-        (fraction of the errors within two standard deviations). Without a truth, the last two are
-        NaN.
+        (fraction of the errors within two standard deviations). Without a truth, `error_deg` and
+        `inside` are NaN.
     """
     inside = np.any(holds, axis=0) if holds and np.any(holds) else active
     q = log.field("q")[inside]

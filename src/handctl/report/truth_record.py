@@ -96,9 +96,9 @@ def read_truth(path: Path) -> TruthRecord:
 
 
 def _complete_rows(data: bytes, columns: int) -> bytes:
-    """Return the data of the rows without an incomplete last row.
+    """Return the data up to the last complete row.
 
-    A simulator that is killed may leave such a row.
+    A simulator that is killed may leave an incomplete last row.
     """
     size = 8 * (columns + 1)
     return data[: len(data) // size * size]

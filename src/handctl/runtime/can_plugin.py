@@ -1,4 +1,6 @@
-"""The local bus of a simulator as a python-can interface, for programs that use python-can.
+"""The local bus of a simulator as an interface of python-can.
+
+Programs that use python-can can open it.
 
 Examples: ``can.Bus(interface="local", channel="NAME")``, ``can.viewer -i local``.
 """
@@ -19,7 +21,7 @@ from handctl.runtime.buses.pythoncan import frame_of_message, message_of_frame
 from handctl.runtime.paths import run_dir
 
 SEND_RETRY_PERIOD_S = 1e-3
-"""Pause before a frame is sent again that a full queue has refused [s]."""
+"""Pause after a full queue has refused a frame, before the frame is sent again [s]."""
 
 
 class LocalCanBus(can.BusABC):
@@ -39,8 +41,9 @@ class LocalCanBus(can.BusABC):
             channel: name of the bus, as in ``local:NAME``.
             can_filters: filters in the format of python-can.
             receive_own_messages: True if this client also receives the messages that it sends.
-            fd: True to send and receive CAN FD frames besides classical frames.
-            **kwargs: options of other interfaces, such as the bit rate. They are ignored.
+            fd: True to send and receive CAN FD frames in addition to classical frames.
+            **kwargs: options of other interfaces, such as the bit rate. This interface ignores
+                them.
 
         Raises:
             can.CanInitializationError: no hub of this name is running.
@@ -49,8 +52,8 @@ class LocalCanBus(can.BusABC):
             time.time_ns() - time.monotonic_ns()
         )  # python-can stamps messages with wall-clock time
         try:
-            # Each read takes one record, because a program that waits on ``fileno`` takes one
-            # message and waits again.
+            # Each read takes one record. A program that waits on ``fileno`` takes one message and
+            # then waits again.
             self._link = LocalBus(channel, 0, lambda t_ns: t_ns + offset, max_records=1)
         except BusError as error:
             raise can.CanInitializationError(str(error)) from None
@@ -62,7 +65,10 @@ class LocalCanBus(can.BusABC):
         super().__init__(channel=channel, can_filters=can_filters, **kwargs)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        """Return the next message, or None after the timeout [s], and False: python-can has to apply the filters."""
+        """Return the next message, or None after the timeout [s].
+
+        Also return False, so that python-can applies its filters.
+        """
         if not self._waiting:
             if not self._link.early_frames:
                 select.select([self._link], [], [], timeout)
@@ -87,7 +93,8 @@ class LocalCanBus(can.BusABC):
 
         Args:
             msg: message to send.
-            timeout: longest wait for free space in the queue [s]. With None, the wait has no limit.
+            timeout: longest wait for free space in the queue [s]. If it is None, the wait has no
+                limit.
 
         Raises:
             can.CanOperationError: the queue stayed full, the hub has ended, or a CAN FD message was
@@ -118,7 +125,7 @@ class LocalCanBus(can.BusABC):
     @staticmethod
     def _detect_available_configs() -> list[Any]:
         """List the local buses of this user that have a socket on this machine."""
-        with suppress(BusError):  # no buses are listed if the folder of the sockets is not safe
+        with suppress(BusError):  # if the folder of the sockets is not safe, no buses are listed
             return [
                 {"interface": "local", "channel": path.stem}
                 for path in sorted(run_dir().glob("*.bus"))

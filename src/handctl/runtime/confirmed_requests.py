@@ -1,9 +1,8 @@
 """Requests to a running controller. The controller confirms each request.
 
-That a datagram was sent does not prove that the controller received it. The controller may be
-paused, its mailbox may be full, or a killed process may have left the socket. Every request
-therefore carries a unique name. The controller confirms the request with a status line that repeats
-this name.
+A sent datagram may never be received. The controller may be paused, its mailbox may be full, or the
+socket may be left from a killed process. Therefore every request contains a unique name. The
+controller confirms the request with a status line that repeats this name.
 """
 
 import itertools
@@ -19,24 +18,27 @@ from handctl.programs.requests import events_for_request
 from handctl.runtime.mailbox import SEND_RETRY_PERIOD_S, WATCH_REQUEST, StatusWatcher
 
 CONFIRMATION_TIMEOUT_S = 2.0
-"""Longest wait for a confirmation, and longest silence of a controller that relaxes its hand after a stop [s]."""
-REQUEST_REPEAT_S = 0.25
-"""Interval between repetitions of a request [s].
+"""Longest wait for a confirmation [s].
 
-Only requests that have no other effect if they arrive twice are repeated.
+A controller that relaxes its hand after a stop may also be silent for this time.
+"""
+REQUEST_REPEAT_S = 0.25
+"""Time after which a request is sent again [s].
+
+A request is repeated only if it may arrive twice without another effect.
 """
 OFF_TIMEOUT_S = 10.0
-"""Longest time from a stop until the last drive confirms that it is off, in the run's time [s]."""
+"""Longest time from a stop until all drives have confirmed that they are off, in the run's time [s]."""
 CONTROLLER_SILENT_TEXT = "the controller is silent"
 MAILBOX_FULL_TEXT = "its mailbox is full"
 _request_numbers = itertools.count(1)
-"""Numbers of the requests of this process. They make the request names unique."""
+"""Numbers of this process's requests. These numbers make the names of requests unique."""
 
 StatusLine = dict[str, Any]
 
 
 def open_watcher(bus: str, word: str) -> StatusWatcher:
-    """Return an open watcher of a bus's controller, for one request.
+    """Return an open watcher of the controller of a bus, for a single request.
 
     Raises:
         UnconfirmedError: the folder of the sockets cannot be trusted.
@@ -55,12 +57,12 @@ def send_with_confirmation(
     Args:
         watcher: watcher of the controller.
         request: content of the request, without its name ``by``.
-        repeat: True to send the request repeatedly, also while no controller answers yet. Use it
-            only for requests that have no other effect if they arrive twice.
+        repeat: True to repeat the request, even while no controller answers yet. Use it only if the
+            request may arrive twice without another effect.
 
     Returns:
-        the status line of the tick in which the controller took the request, and the texts of the
-        events about the request in this tick. A text may be a refusal.
+        the status line of the tick in which the controller took the request, and the texts of this
+        tick's events about the request. A text may be a refusal.
 
     Raises:
         UnconfirmedError: the controller has not confirmed the request.
@@ -90,8 +92,8 @@ def _try_send(watcher: StatusWatcher, data: bytes, timeout_s: float) -> tuple[bo
     """Send a request once.
 
     Returns:
-        True if the request was sent, and the reason to report to the user if no confirmation
-        follows.
+        True if the request was sent, and a text. The text is the reason to report to the user if no
+        confirmation follows.
     """
     try:
         watcher.send(data, timeout_s)

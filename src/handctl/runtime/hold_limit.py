@@ -1,8 +1,8 @@
 """Limit of the time for which a fault may hold the hand in a run that no operator watches.
 
-The time of a motion program stands still while a fault holds the hand. A hand whose gains make it
-oscillate reports a noisy encoder (fault N07). It is then held as long as it oscillates, which may
-be forever.
+While a fault holds the hand, the time of the motion program stands still. If the gains of a hand
+make it oscillate, the fault of a noisy encoder (N07) holds the hand as long as it oscillates.
+Without a limit, such a run may never end.
 """
 
 from dataclasses import dataclass, field
@@ -13,15 +13,16 @@ from handctl.runtime.mailbox import STOP_REQUEST
 from handctl.safety.action import SafetyAction
 
 MAX_HOLD_S = 5.0
-"""Longest time for which a fault may hold the hand in such a run [s]."""
+"""Longest time for which a fault may hold the hand in a run that no operator watches [s]."""
 
 
 @dataclass
 class HoldLimit:
-    """Run observer that stops the run if a fault holds the hand for too long.
+    """Observer of a run. It stops the run if a fault holds the hand for too long.
 
     Attributes:
-        stop_reason: fault for which the run was stopped, empty if the run was not stopped.
+        stop_reason: fault that made this observer stop the run. The text is empty if the run was
+            not stopped.
     """
 
     stop_reason: str = ""

@@ -1,11 +1,12 @@
-"""The fixed-rate control loop: wait, receive frames, begin the tick, read requests, send, conclude the tick, record.
+"""The control loop with a fixed rate.
 
-The same loop runs in real time and in lockstep.
+In each tick, the loop waits, receives frames, begins the tick, reads requests, sends commands,
+concludes the tick, and records it. The same loop runs in real time and in lockstep.
 
-The loop never executes missed ticks later. After missed deadlines it skips their tick numbers, and
-the tick decides if the gap is a fault. This module has the only broad ``except`` of the project:
-after any error inside a tick the loop disables the drives, and polls them until they report off.
-Then it raises the error again.
+The loop never executes a missed tick later. After missed deadlines, it skips their tick numbers.
+The next tick decides whether the gap is a fault. This module has the only broad ``except`` of the
+project. After any error inside a tick, the loop disables the drives, and polls them until they
+report that they are off. Then it raises the error again.
 """
 
 import gc
@@ -43,18 +44,21 @@ class TickInProgress(Protocol[T]):
 
 
 CUT_SEND_TRIES = 20
-"""Number of attempts to send the cut after an error, on an interface that refuses frames."""
+"""Number of attempts to send the torque cut after an error, if an interface refuses its frames."""
 CUT_RETRY_PAUSE_S = 1e-3
-"""Pause between two of these attempts [s]. A frame takes 0.1 ms on the wire."""
+"""Pause between two attempts to send the torque cut [s]. A frame takes 0.1 ms on the wire."""
 
 CUT_CONFIRMATION_NS = 500_000_000
 """Longest time for which the drives are polled after an error [ns].
 
-Their heartbeats may arrive only every 100 ms.
+The heartbeat of a drive may come as rarely as every 100 ms.
 """
 
 LATENESS_RING_TICKS = 1 << 18
-"""Number of ticks whose lateness stays in memory. This takes 2 MiB, and memory may be locked."""
+"""Number of ticks whose lateness stays in memory.
+
+The number is limited, because these 2 MiB of memory may be locked.
+"""
 
 
 class LoopBus(Protocol):
@@ -80,8 +84,8 @@ class LoopStats:
     Attributes:
         ticks: number of executed ticks.
         missed_ticks: number of skipped deadlines.
-        tick_lateness_ns: lateness of the last ``LATENESS_RING_TICKS`` ticks [ns]. The values are in order only if
-            the run had no more ticks. The log has the lateness of all ticks.
+        tick_lateness_ns: lateness of the last ``LATENESS_RING_TICKS`` ticks [ns]. In a run with
+            more ticks, the values are not in order. The log contains the lateness of all ticks.
         frames_tx: number of sent frames.
         frames_rx: number of received frames.
         refused_frames: number of frames refused by the bus.
@@ -100,7 +104,7 @@ class LoopStats:
 class StopSignals:
     """Signals that end a program (SIGINT, SIGTERM, SIGHUP), converted to requests to the controller.
 
-    The first signal relaxes and stops the hand. Every further signal cuts the torque.
+    The first signal relaxes and stops the hand. Each later signal cuts the torque.
 
     SIGHUP is included, because a closed terminal would otherwise leave the hand armed. Under
     ``nohup``, SIGHUP stays ignored.
@@ -122,7 +126,7 @@ class StopSignals:
     def take_request(self) -> tuple[str, ...]:
         """Return the request for the next unread signal, if there is one.
 
-        Each tick gets at most one.
+        Each tick gets at most one such request.
         """
         if self.converted_count == self.received_count:
             return ()
@@ -140,11 +144,11 @@ class StopSignals:
 
 
 def _no_snapshot(entry: TickIn, state: object) -> None:
-    """Do nothing, as a stand-in for a recorder of snapshots."""
+    """Do nothing. This function stands for a recorder of snapshots if there is none."""
 
 
 def _no_observer(entry: TickIn, out: TickOut, state: object, sent_ns: int) -> None:
-    """Do nothing, as a stand-in for programs that observe the hand."""
+    """Do nothing. This function stands for the programs that observe the hand if there are none."""
 
 
 @dataclass
@@ -154,24 +158,27 @@ class ControlLoop(Generic[S]):
     Attributes:
         clock: clock in real time or in lockstep.
         period_ns: control period [ns].
-        buses: buses in the order of the hand file. A list with one object may serve all buses.
-        begin_tick: function that begins a tick, from the last state of the controller and the received
-            frames. The loop reads requests after it, so that a streamed target waits as briefly as
-            possible.
+        buses: buses in the order of the hand file. A single object may serve all buses of a hand.
+        begin_tick: function that begins a tick, from the last state of the controller and the
+            received frames. The loop reads requests after this call, so that a streamed target
+            waits as briefly as possible.
         cut_frames: frames that remove the torque, built before the run.
-        take_requests: function returning the requests of operators and programs since the last call.
-        take_host_events: function returning the events of the recorder and the host since the last call.
+        take_requests: function that returns the requests of operators and programs since its last
+            call.
+        take_host_events: function that returns the events of the recorder and the host since its
+            last call.
         record_tick: function that passes each tick to the recorder.
-        keep_snapshot: function that passes the state after a tick to the recorder. Most ticks are skipped.
-        show_tick: function that shows a tick to the operator and to watching programs. Most ticks are
-            skipped.
+        keep_snapshot: function that passes the state after a tick to the recorder. This function
+            skips most ticks.
+        show_tick: function that shows a tick to the operator and to watching programs. This
+            function skips most ticks.
         publish_tick: function that passes the state after a tick to programs that observe the run, with
             the time at which the commands were sent [ns of CLOCK_MONOTONIC].
-        disable_drives: function that disables all drives. Its arguments are the last state, the time [ns],
-            and the frames received since then. It returns the next state, the frames to send, and
-            the names of the drives that have not reported off.
-        tick_priority: function returning a context manager for the ticks alone, such as real-time
-            priority.
+        disable_drives: function that disables all drives. The arguments are the last state, the
+            time [ns], and the frames received since then. The function returns the next state, the
+            frames to send, and the names of the drives that have not reported that they are off.
+        tick_priority: function that returns a context manager, such as real-time priority. The
+            context contains the ticks alone.
         stats: statistics of the run.
     """
 
@@ -199,7 +206,7 @@ class ControlLoop(Generic[S]):
         Returns the final state of the controller.
         """
         self._warm_up(state)
-        gc.collect()  # a garbage collection inside a tick would make the tick late
+        gc.collect()  # otherwise a garbage collection could make a tick late
         gc.freeze()
         gc.disable()
         cpu_s = time.process_time()
@@ -218,8 +225,8 @@ class ControlLoop(Generic[S]):
         """Run the ticks. After any error, disable the drives and raise the error again.
 
         Raises:
-            PowerError: after an error, a drive has not reported off. The first error is the cause
-                of this one.
+            PowerError: after an error, a drive has not reported that it is off. The first error is
+                the cause of this one.
         """
         last = [state]
         try:
@@ -237,9 +244,10 @@ class ControlLoop(Generic[S]):
             raise
 
     def _poll_until_off(self, state: S) -> tuple[str, ...]:
-        """Disable the drives after an error, and poll them until all report off or CUT_CONFIRMATION_NS has passed.
+        """Disable the drives after an error.
 
-        Returns the names of the drives that have not reported off.
+        Poll them until all report that they are off, but no longer than CUT_CONFIRMATION_NS.
+        Returns the names of the drives that have not reported that they are off.
         """
         if self.disable_drives is None:
             return ()
@@ -254,9 +262,9 @@ class ControlLoop(Generic[S]):
         return left
 
     def _send_cut(self) -> None:
-        """Send the cut frames on every bus.
+        """Send the frames of the torque cut on every bus.
 
-        Frames refused by a queue full of commands are sent again.
+        If a queue full of commands refuses some of them, they are sent again.
         """
         alone = len(self.buses) == 1
         left = [
@@ -272,7 +280,7 @@ class ControlLoop(Generic[S]):
     def _send_cut_once(self, left: list[tuple[LoopBus, list[Frame]]]) -> None:
         """Send the frames in ``left`` on their buses, and remove the accepted frames from ``left``.
 
-        An exception from one bus does not prevent the cut on the other buses.
+        If one bus raises an exception, the cut is still sent on the other buses.
         """
         if not left:
             return
@@ -286,7 +294,8 @@ class ControlLoop(Generic[S]):
     def _warm_up(self, state: S) -> None:
         """Run a tick before the run, and discard its result.
 
-        Imports and objects that the first use creates then do not delay the first tick of the run.
+        This tick makes all imports and objects of a first use, which would otherwise delay the
+        first tick of the run.
         """
         tick = self.begin_tick(state, TickIn(0, 0))
         tick.command(())
@@ -295,7 +304,7 @@ class ControlLoop(Generic[S]):
     def _run(self, last: list[S]) -> S:
         """Run ticks from the state in ``last`` to the end of the run.
 
-        The only entry of ``last`` is always the state after the last complete tick.
+        ``last`` has a single entry. This entry is always the state after the last complete tick.
         """
         k = 0
         mode = HandMode.SILENT

@@ -1,10 +1,11 @@
-"""The mailbox of a running controller: a Unix datagram socket that receives requests and is read without blocking.
+"""The mailbox of a running controller: a Unix datagram socket that receives requests.
 
-The socket has the name of the bus. A program that sends ``{"do": "watch"}`` from its own socket
-subscribes to status lines. This request is handled here and has no effect on the tick. A program
-that sends any other request from its own socket gets the status line of the tick that took the
-request. That status line is the controller's confirmation. On Linux the kernel reports the user who
-sends a datagram. Controller and program accept only datagrams from their own user and from root.
+The controller reads the socket without blocking. The socket has the name of the bus. A program that
+sends ``{"do": "watch"}`` from its own socket subscribes to status lines. This request is handled
+here, and has no effect on the tick. After any other request, the program gets the status line of
+the tick that took the request. This status line is the controller's confirmation. On Linux the
+kernel reports the user who sends a datagram. Controller and program accept only datagrams from
+their own user and from root.
 """
 
 import fcntl
@@ -22,7 +23,10 @@ from handctl.runtime.paths import is_socket_served, mailbox_path, watcher_path
 from handctl.runtime.socket_peers import receive_datagram, request_sender_credentials
 
 MAX_REQUEST_BYTES = 4096
-"""Longest request [bytes]. A longer request is truncated, and then refused as invalid JSON."""
+"""Largest size of a request [bytes].
+
+A larger request is truncated, and then refused as invalid JSON.
+"""
 STOP_REQUEST, CUT_REQUEST, CLEAR_REQUEST = (
     f'{{"do": "{word}"}}' for word in ("stop", "cut", "clear")
 )
@@ -31,14 +35,14 @@ WATCH_REQUEST = b'{"do": "watch"}'
 MAX_WATCHERS = 16
 """Largest number of programs that may subscribe to status lines.
 
-Any further program gets one status line for each ``watch`` that it sends.
+Each further program gets a single status line for each ``watch`` that it sends.
 """
 MAX_STATUS_BYTES = 65536
 """Longest status line [bytes]."""
 SEND_RETRY_PERIOD_S = 0.05
-"""Pause before a request is sent again, to a controller that has not started yet or has a full mailbox [s]."""
+"""Pause before a request is sent again [s], because the controller has not started yet or its mailbox is full."""
 MAX_REQUESTS_PER_TICK = 16
-"""Largest number of requests read by the controller per tick.
+"""Largest number of requests that the controller reads in a tick.
 
 The limit keeps a flood of requests from delaying a tick.
 """
@@ -52,7 +56,8 @@ class Mailbox:
         path: path of the socket.
         socket: Unix datagram socket.
         watchers: socket paths of the programs that subscribe to status lines.
-        askers: socket paths of the programs whose requests the last ``read_requests`` returned.
+        askers: socket paths of the programs that get the next status line, because the last
+            ``read_requests`` took their requests.
     """
 
     def __init__(self, name: str) -> None:
@@ -91,7 +96,7 @@ class Mailbox:
                     continue
                 if len(self.watchers) < MAX_WATCHERS:
                     self.watchers.append(sender)
-                else:  # all subscriptions are taken, so the program gets one status line
+                else:  # all subscriptions are taken, and the program gets a single status line
                     self.askers.append(sender)
                 continue
             texts.append(data.decode("utf-8", "replace"))
@@ -102,13 +107,13 @@ class Mailbox:
     def publish_status(self, status: dict[str, Any]) -> None:
         """Send a status line to all watchers and askers.
 
-        A watcher whose socket has been removed is removed too.
+        A watcher without a socket is removed from ``watchers``.
         """
         line = json.dumps(status).encode()
         for listener in {*self.watchers, *self.askers}:
             try:
                 self.socket.sendto(line, socket.MSG_DONTWAIT, listener)
-            except BlockingIOError:  # a watcher that reads too slowly misses this line
+            except BlockingIOError:  # a watcher that reads too slowly misses this status line
                 continue
             except OSError:
                 self.watchers = [watcher for watcher in self.watchers if watcher != listener]
@@ -122,7 +127,7 @@ class Mailbox:
 
 @contextmanager
 def bus_lock(name: str) -> Iterator[None]:
-    """Lock another bus of the same hand against other controllers. Such a bus has no mailbox.
+    """Lock one of the hand's further buses against other controllers. These buses have no mailbox.
 
     Raises:
         BusError: another controller uses the bus, or the lock cannot be created.
@@ -154,7 +159,7 @@ def _lock_bus(name: str) -> int:
     The kernel releases the lock when this process ends.
 
     Raises:
-        BlockingIOError: another process holds the lock.
+        BlockingIOError: another process has locked the bus.
     """
     path = mailbox_path(name).with_suffix(".lock")
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
@@ -167,15 +172,15 @@ def _lock_bus(name: str) -> int:
 
 
 def is_running(name: str) -> bool:
-    """Return True if a controller is running that takes requests for a bus.
+    """Return True if a running controller takes requests for a bus.
 
-    A socket left from a killed controller does not count.
+    The socket that a killed controller has left does not count.
     """
     return is_socket_served(mailbox_path(name))
 
 
 class RequestSender:
-    """Sender of requests to a controller, for requests that need no reply."""
+    """Sender of requests that need no reply of the controller."""
 
     def __init__(self, name: str) -> None:
         """Open a socket for the controller of bus ``name``. The controller may start later."""
@@ -231,9 +236,9 @@ class StatusWatcher:
             ) from None
 
     def request_line(self, timeout_s: float) -> dict[str, Any] | None:
-        """Request a new status line and return it.
+        """Request a new status line, and return it.
 
-        Return None if none arrives within the timeout [s].
+        If it does not arrive within the timeout [s], return None.
         """
         self.discard_lines()
         try:
@@ -244,7 +249,9 @@ class StatusWatcher:
         return self.next_line(timeout_s)
 
     def send(self, data: bytes, timeout_s: float) -> None:
-        """Send a datagram to the controller from this socket, so that the controller can answer.
+        """Send a datagram to the controller.
+
+        The datagram comes from this socket, so that the controller can answer.
 
         Args:
             data: content of the datagram.
@@ -261,7 +268,7 @@ class StatusWatcher:
         self.socket.settimeout(timeout_s)
         try:
             data, _, ours = receive_datagram(self.socket, MAX_STATUS_BYTES)
-        except (TimeoutError, BlockingIOError):  # with a timeout of 0, the error is BlockingIOError
+        except (TimeoutError, BlockingIOError):  # if the timeout is 0, the error is BlockingIOError
             return None
         if not ours:
             return None

@@ -1,13 +1,13 @@
-"""Observations of a running hand in shared memory: one numpy record per tick, for any number of reading programs.
+"""Observations of a running hand in shared memory: one numpy record for each tick, for any number of readers.
 
 The controller writes the records into a ring. The ring is part of a file in the folder of the
-sockets. A reader maps the file and copies records, without a lock and without system calls. Each
-record has a counter that is odd while the record is written (a seqlock). If the counter has changed
-during a copy, the reader copies again.
+sockets. A reader maps the file and copies records, without locks or system calls. Each record has a
+counter that is odd while the controller writes the record (a seqlock). If the counter has changed
+during a copy, the reader copies the record again.
 
 The file begins with a magic text of 8 bytes and five u64 numbers: length of the description, size
 of a record, number of records in the ring, number of records written so far, and end mark. The
-description as JSON and the ring follow.
+description follows as JSON, and then the ring.
 """
 
 import contextlib
@@ -36,16 +36,19 @@ from handctl.runtime.paths import observations_path
 
 OBSERVATION_FILE_MAGIC = b"HCOBS001"
 HEADER_STRUCT = struct.Struct("<8sQQQQQ")
-"""Start of the file, see the module: magic text, and five numbers that describe the ring."""
+"""Layout at the start of the file: magic text, and the five numbers that the module's docstring explains."""
 WRITTEN_COUNT_OFFSET = 32
 END_MARK_OFFSET = 40
-"""Offsets in the file [bytes]: of the number of records written so far, and of the end mark."""
+"""Two offsets in the file [bytes]: that of the number of records written so far, and that of the end mark."""
 RING_RECORDS = 512
-"""Number of records in the ring, about one second of a run at 500 Hz."""
+"""Number of records in the ring.
+
+A ring of this size lasts for about one second of a run at 500 Hz.
+"""
 PAGE_BYTES = 4096
 """Alignment of the ring in the file [bytes]."""
 COPY_ATTEMPTS = 100
-"""Number of attempts to copy a record, if the controller overwrites it meanwhile."""
+"""Number of attempts to copy a record that the controller is overwriting."""
 PUBLISHED_NAMES = {
     "q": "q_rad", "dq": "dq_rad_s", "q_goal": "q_goal_rad", "dq_goal": "dq_goal_rad_s",
     "joint_torque": "joint_torque_N_m", "joint_encoder": "joint_encoder_rad", "excursion": "excursion_m",
@@ -57,7 +60,7 @@ PUBLISHED_NAMES = {
     "motor_temperature": "motor_temperature_degC", "motor_age": "motor_age_s", "drive_phase": "drive_phase",
     "tip_force": "tip_force_N", "contact": "contact", "q_sigma": "q_sigma_rad", "tip_force_sigma": "tip_force_sigma_N",
 }  # fmt: skip
-"""Name that each telemetry field has in a record. The name ends with the unit."""
+"""Name of each telemetry field in a record. The name ends with the unit."""
 COUNTER_DTYPE = "<u8"
 LEADING_FIELDS: tuple[tuple[str, str], ...] = (
     ("k", "<i8"), ("t_ns", "<i8"), ("late_ns", "<i8"), ("published_ns", "<i8"), ("mode", "<i4"), ("action", "<i4"),
@@ -89,7 +92,7 @@ class ObservationWriter:
         """Create the shared-memory file for the observations of a bus.
 
         Args:
-            bus: bus of the controller. The controller holds the lock of this bus.
+            bus: bus of the controller. The controller has locked this bus.
             axes: see ``observation_dtype``.
             description: names and constants of the hand, for the readers of the file.
 
@@ -116,8 +119,8 @@ class ObservationWriter:
             self._map = mmap.mmap(descriptor, 0)
         finally:
             os.close(descriptor)
-        # All telemetry fields consist of 8-byte numbers without gaps. They are written as one
-        # vector at the end of a record.
+        # All telemetry fields consist of 8-byte numbers without gaps. Together they are written as
+        # one vector, at the end of a record.
         count = sum(axes[TELEMETRY_AXES[name]] for name in TELEMETRY_FIELDS)
         assert kind.itemsize == _LEADING_STRUCT.size + 8 * count
         starts = [self._ring_at + self._size * slot for slot in range(RING_RECORDS)]
@@ -140,7 +143,7 @@ class ObservationWriter:
             entry: inputs of the tick.
             out: output of the tick.
             stream: status of the stream of targets from a client.
-            sent_ns: CLOCK_MONOTONIC when the commands of the tick had been sent [ns].
+            sent_ns: reading of CLOCK_MONOTONIC after the tick had sent its commands [ns].
         """
         numbers = out.telemetry
         assert isinstance(numbers, PackedTelemetry)
@@ -158,7 +161,10 @@ class ObservationWriter:
         self._total[0] = written + 1
 
     def close(self) -> None:
-        """Write the end mark, by which readers know that the run has ended, and remove the file."""
+        """Write the end mark, and remove the file.
+
+        The mark tells readers that the run has ended.
+        """
         self._ended[0] = 1
         self.path.unlink(missing_ok=True)
         del self._counters, self._numbers, self._total, self._ended
@@ -222,14 +228,14 @@ class ObservationReader:
         return None
 
     def next_record(self) -> NDArray[np.void] | None:
-        """Return the record that follows the last returned record, or None if it has not been written yet.
+        """Return the record after the last returned record, or None if it has not been written yet.
 
-        If that record has already been overwritten, the oldest usable record in the ring is
-        returned.
+        If it has already been overwritten, return the oldest usable record in the ring.
         """
         for _ in range(COPY_ATTEMPTS):
             written = self.written_count
-            # The controller overwrites the oldest record next, so the reader does not use it.
+            # The controller will overwrite the oldest record next. Therefore the reader does not
+            # use it.
             at = max(self.last_read_number, written - self._records + 2)
             if at >= written:
                 return None

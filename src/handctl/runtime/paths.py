@@ -1,11 +1,11 @@
 """Paths of this user's sockets and shared files of runs, protected against other users.
 
-A user who can write in the folder of the sockets could replace the socket of a controller, and
-receive its stop request instead. The folder is therefore used only if no other user can change the
-folder or any folder above it. The check walks from the root folder downwards, and opens each folder
-relative to the folder just checked. A folder can be replaced only by its owner, by root, and by
-users who can write in its parent. The check makes sure that these are only this user and root. A
-checked folder can therefore not be replaced later.
+A user who can write in the folder of the sockets could replace the socket of a controller. That
+user would then receive the stop requests. Therefore the folder is used only if no other user can
+change it or any folder above it. The check walks from the root folder downwards. Each folder is
+opened relative to the parent that was just checked. A folder can be replaced by its owner, by root,
+and by users who can write in its parent. The check makes sure that these are only root and this
+user. Therefore no other user can replace a folder after its check.
 """
 
 import os
@@ -19,7 +19,7 @@ from pathlib import Path
 from handctl.errors import BusError
 
 WRITABLE_BY_OTHERS_MODE = stat.S_IWGRP | stat.S_IWOTH
-"""Permission bits that let the group or other users write."""
+"""Permission bits that allow the group or other users to write."""
 GROUP_AND_OTHERS_MODE = stat.S_IRWXG | stat.S_IRWXO
 """All permission bits of the group and of other users."""
 PRIVATE_MODE = 0o700
@@ -27,25 +27,26 @@ PRIVATE_MODE = 0o700
 FOLDER_OPEN_FLAGS = getattr(os, "O_PATH", os.O_RDONLY) | os.O_DIRECTORY | os.O_CLOEXEC
 """Flags to open a parent folder.
 
-With O_PATH, the user need not have permission to read the folder.
+With O_PATH, a folder can be opened without permission to read it.
 """
 MAX_SYMBOLIC_LINKS = 8
-"""Largest number of symbolic links to follow on the way to a folder."""
+"""Largest number of symbolic links that are followed on the way to a folder."""
 PRIVATE_FOLDER_TEXT = "a folder that only you can access (mode 0700); HANDCTL_RUN_DIR names another"
 
 
 def run_dir() -> Path:
-    """Return the folder for the sockets, after a check that no other user can change the folder.
+    """Return the folder for the sockets. Before, check that no other user can change the folder.
 
     A missing folder is created.
 
-    The folder is HANDCTL_RUN_DIR if this variable is set. Otherwise it is XDG_RUNTIME_DIR/handctl
-    if that variable is set. Otherwise it is handctl-UID/handctl in the folder for temporary files.
+    If the environment variable HANDCTL_RUN_DIR is set, it names the folder. Otherwise the folder is
+    XDG_RUNTIME_DIR/handctl if XDG_RUNTIME_DIR is set. If neither is set, the folder is
+    handctl-UID/handctl in the folder for temporary files.
 
     Raises:
         BusError: the folder cannot be created, or the folder or a parent belongs to another user,
-            is writable by others, or is a symbolic link. Links of root in parent folders are
-            followed.
+            is writable by others, or is a symbolic link. Symbolic links that root has made in
+            parent folders are allowed and followed.
     """
     if override := os.environ.get("HANDCTL_RUN_DIR"):
         return _private_folder(Path(override), 1)
@@ -74,7 +75,7 @@ def _private_folder(path: Path, private_parts: int, links: int = 0) -> Path:
             private = number >= len(parts) - private_parts
             state = _stat_or_make_folder(part, at)
             if stat.S_ISLNK(state.st_mode):
-                # Only links of root are followed, such as /tmp on macOS.
+                # Only symbolic links that root has made are followed, such as /tmp on macOS.
                 if private or state.st_uid != 0 or links == MAX_SYMBOLIC_LINKS:
                     raise BusError("is a link", str(here), PRIVATE_FOLDER_TEXT)
                 target = here.parent / os.readlink(part, dir_fd=at)
@@ -82,7 +83,8 @@ def _private_folder(path: Path, private_parts: int, links: int = 0) -> Path:
                     target.joinpath(*parts[number + 1 :]), private_parts, links + 1
                 )
             flags = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC if private else FOLDER_OPEN_FLAGS
-            # The path is relative to the checked parent, so that renaming a parent has no effect.
+            # The path is relative to the parent that was checked. Therefore a new name of the
+            # parent has no effect.
             below = os.open(part, flags | os.O_NOFOLLOW, dir_fd=at)
             os.close(at)
             at = below
@@ -103,7 +105,8 @@ def _stat_or_make_folder(part: str, at: int) -> os.stat_result:
     """
     with suppress(FileNotFoundError):
         return os.stat(part, dir_fd=at, follow_symlinks=False)
-    # Another process may make the folder at the same time. It is then checked like any other.
+    # Another process may create the folder at the same time. Then it is checked as any other
+    # folder.
     with suppress(FileExistsError):
         os.mkdir(part, PRIVATE_MODE, dir_fd=at)
     return os.stat(part, dir_fd=at, follow_symlinks=False)
@@ -130,8 +133,8 @@ def _refuse_shared_folder(here: Path, at: int) -> None:
 def _refuse_unsafe_folder(here: Path, at: int) -> None:
     """Raise an error if another user could replace handctl's folder in this parent folder.
 
-    A parent folder with the sticky bit, such as /tmp, is safe. Only the owner of an entry can
-    replace the entry there.
+    A parent folder with the sticky bit, such as /tmp, is safe. An entry in such a folder can be
+    replaced only by its owner.
     """
     state = os.fstat(at)
     if state.st_uid not in (0, os.geteuid()):
@@ -145,14 +148,14 @@ def _refuse_unsafe_folder(here: Path, at: int) -> None:
 
 
 def _user_name(number: int) -> str:
-    """Return the name of a user, or the number of a user without a name on this machine."""
+    """Return the name of a user. If this machine has no name for the user, return the number."""
     with suppress(KeyError):
         return f"user {pwd.getpwuid(number).pw_name}"
     return f"user {number}"
 
 
 def _file_name(spec: str) -> str:
-    """Return the beginning of the file names for a bus specification."""
+    """Return the text with which all file names for a bus specification begin."""
     return spec.replace(":", "_").replace("/", "_")
 
 
@@ -172,7 +175,7 @@ def targets_path(spec: str) -> Path:
 
 
 def observations_path(spec: str) -> Path:
-    """Return the path of the shared-memory file with the observations of the controller of a bus."""
+    """Return the path of the shared-memory file that contains the observations of a bus's controller."""
     return run_dir() / f"{_file_name(spec)}.observations"
 
 
@@ -199,7 +202,7 @@ def clock_path(spec: str) -> Path:
 def is_socket_served(path: Path) -> bool:
     """Return True if a process receives datagrams at the path of a socket.
 
-    A socket left from a killed process does not count.
+    The socket that a killed process has left does not count.
     """
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
         try:

@@ -17,7 +17,9 @@ MAX_ANSWER_BYTES = 1 << 18
 
 
 def find_simulator(bus: str | None) -> Path:
-    """Return the path of the socket that takes requests to the simulator on a bus, or to the only running simulator.
+    """Return the path of a simulator's request socket.
+
+    Without ``bus``, it is that of the only running simulator.
 
     Raises:
         BusError: ``bus`` is None, and no simulator or more than one is running.

@@ -22,22 +22,22 @@ SO_PASSCRED, SCM_CREDENTIALS, SO_PEERCRED = (getattr(socket, name, 0) for name i
 def request_sender_credentials(link: socket.socket) -> None:
     """Make the kernel add the user of the sender to every datagram that a socket receives.
 
-    Call this before the socket is bound.
+    Call this function before the socket is bound.
     """
     if IS_LINUX:
         link.setsockopt(socket.SOL_SOCKET, SO_PASSCRED, 1)
 
 
 def receive_datagram(link: socket.socket, max_bytes: int) -> tuple[bytes, str, bool]:
-    """Receive one datagram from a socket prepared by ``request_sender_credentials``.
+    """Receive one datagram from a socket that ``request_sender_credentials`` has prepared.
 
     Args:
         link: socket to read from.
         max_bytes: size of the buffer [bytes]. A longer datagram is truncated.
 
     Returns:
-        the data, the path of the sender's socket (empty for an unbound socket), and True if the
-        sender is trusted.
+        the data, the path of the sender's socket (empty for a socket without a path), and True if
+        the sender is trusted.
     """
     if not IS_LINUX:
         data, sender = link.recvfrom(max_bytes)

@@ -6,7 +6,7 @@ from handctl.core.tick_types import TickIn, TickOut
 
 
 def status_of_tick(entry: TickIn, out: TickOut) -> dict[str, Any]:
-    """Return the content of the status line of a tick as plain values, with None for NaN.
+    """Return the content of a tick's status line as plain values. A NaN becomes None.
 
     Args:
         entry: inputs of the tick.
@@ -33,5 +33,5 @@ def status_of_tick(entry: TickIn, out: TickOut) -> dict[str, Any]:
 
 
 def _json_values(values: list[float]) -> list[float | None]:
-    """Return the values rounded to four digits, with None instead of NaN, because JSON has no NaN."""
+    """Return the values rounded to four digits. A NaN becomes None, because JSON has no NaN."""
     return [round(value, 4) if value == value else None for value in values]

@@ -1,7 +1,7 @@
 """The target socket of a running controller. Clients stream targets to it as binary datagrams.
 
-The controller reads the socket without blocking. Requests have another socket. A client that sends
-targets too fast therefore cannot delay the stop request of another client.
+The controller reads the socket without blocking. Requests arrive at another socket. Therefore a
+client that sends targets too fast cannot delay the stop request of another client.
 
 A datagram is little-endian: magic 4 bytes, process number of the client u32, number of the stream
 u32, number of values u32, number of the target i64, CLOCK_MONOTONIC when the client sent the target
@@ -22,19 +22,20 @@ from handctl.runtime.paths import targets_path
 from handctl.runtime.socket_peers import receive_datagram, request_sender_credentials
 
 TARGET_MAGIC = b"HCT1"
-"""First bytes of every target datagram. They include the version of the format."""
+"""First bytes of every datagram with a target. These bytes include the version of the format."""
 HEADER_STRUCT = struct.Struct("<4sIIIqq")
 MAX_DATAGRAM_BYTES = HEADER_STRUCT.size + 8 * MAX_TARGET_VALUES
-"""Longest datagram of a target [bytes]."""
+"""Largest size of a datagram with a target [bytes]."""
 MAX_DATAGRAMS_PER_TICK = 64
-"""Largest number of datagrams read per tick.
+"""Largest number of datagrams that are read in a tick.
 
-Even a client that sends ten targets per tick stays below this.
+Even a client that sends ten targets in each tick stays below this limit.
 """
 MAX_TARGETS_PER_TICK = 4
-"""Largest number of targets for a tick.
+"""Largest number of targets that a tick gets.
 
-These are the newest targets. The numbers of the targets show if targets are missing.
+If more are waiting, the tick gets the newest. The numbers of the targets show that targets are
+missing.
 """
 
 
@@ -52,11 +53,13 @@ class TargetBox:
     """
 
     def __init__(self, name: str, run_time: Callable[[int], int]) -> None:
-        """Bind the target socket of the controller of bus ``name``. The controller must hold the lock of the bus.
+        """Bind the target socket of the controller of bus ``name``.
+
+        The controller must have locked the bus.
 
         Args:
             name: bus of the controller.
-            run_time: function from a CLOCK_MONOTONIC time [ns] to the run's time [ns].
+            run_time: function that converts a CLOCK_MONOTONIC time [ns] to the run's time [ns].
 
         Raises:
             BusError: the socket cannot be created.
@@ -91,7 +94,10 @@ class TargetBox:
         return tuple(texts[-MAX_TARGETS_PER_TICK:])
 
     def _decode(self, data: bytes) -> str:
-        """Return the text of the request in a datagram, empty if the datagram is malformed."""
+        """Return the text of the request in a datagram.
+
+        The text is empty if the datagram is malformed.
+        """
         if len(data) < HEADER_STRUCT.size:
             return ""
         magic, process, number, count, index, sent_ns = HEADER_STRUCT.unpack_from(data)
@@ -129,11 +135,13 @@ class TargetSender:
         self._socket.setblocking(False)
 
     def send(self, index: int, sent_ns: int, values: NDArray[np.float64]) -> bool:
-        """Send a target. Returns False if the socket is full of targets that the controller has not read.
+        """Send a target.
+
+        Returns False if the socket is full of targets that the controller has not read yet.
 
         Args:
             index: number of the target in the stream.
-            sent_ns: CLOCK_MONOTONIC when the target is sent [ns].
+            sent_ns: reading of CLOCK_MONOTONIC at which the target is sent [ns].
             values: (V,) values of the target.
 
         Raises:

@@ -1,1 +1,1 @@
-"""Declarations of faults, reactions, thresholds, and the choice of a reaction to the present faults."""
+"""Declarations of faults, reactions and thresholds, and the choice of the reaction to present faults."""

@@ -18,7 +18,10 @@ class SafetyAction(enum.IntEnum):
     RELAX = 3
     """Lower every tension to the floor, disable the drives, and stay silent until an operator clears the fault."""
     CUT = 4
-    """Remove the torque at once, for faults after which commands possibly do not reach the drives."""
+    """Remove the torque at once.
+
+    This reaction belongs to faults after which commands may no longer reach the drives.
+    """
 
 
 class RelaxMethod(enum.Enum):

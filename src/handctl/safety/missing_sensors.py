@@ -7,8 +7,8 @@ NEED_LOAD_CELL = ("N02", "N14b", "T03b", "T04a", "T04b", "T05", "T05b", "T06", "
 """Faults that are not detected for a tendon without load cell.
 
 These faults compare a load cell with the motor, or concern the load cell itself. Without a load
-cell, the faults T01, T02, T03, T08 and N06 use the estimated tension. Their limits are then
-stricter by two standard deviations of the estimate. The fault N16 then uses the torque that the
+cell, the faults T01, T02, T03, T08 and N06 use the estimated tension. The limits of these five
+faults are then stricter by two standard deviations of the estimate. The fault N16 then uses the torque that the
 drive reports.
 """
 NEED_ENCODERS = ("N06a", "N06b", "T08")

@@ -10,13 +10,13 @@ SILENT_S = 0.030
 STALLED_S = 0.025
 """Longest silence of a node, and longest stall of the host, without a fault [s].
 
-Both are below the drives' watchdog time of 50 ms.
+Both times are below the drives' watchdog time of 50 ms.
 """
 MIN_SILENT_TICKS = 4
 MIN_STALLED_TICKS = 3
-"""Smallest number of ticks to which ``SILENT_S`` and ``STALLED_S`` are converted.
+"""Smallest number of ticks for the times ``SILENT_S`` and ``STALLED_S``.
 
-It applies at slow control rates.
+At slow control rates, this number applies.
 """
 MIN_FRAMES_LIMIT = 64
 """Smallest threshold for a flooded bus [frames per tick]. A small hand sends fewer frames."""

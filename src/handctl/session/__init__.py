@@ -1,4 +1,5 @@
-"""Runs of a hand: from the check of its files, through the run, to the log and the verdict.
+"""Runs of a hand.
 
-All commands and studies that run a hand share this code.
+This package checks the files, executes the run, and writes the log and the verdict. All commands
+and studies that run a hand share this code.
 """

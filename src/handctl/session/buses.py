@@ -1,4 +1,4 @@
-"""Bus specifications from the command line, for commands that need no hand file."""
+"""Bus specifications on the command line, read without a hand file."""
 
 from collections.abc import Sequence
 
@@ -9,7 +9,7 @@ from handctl.session.defaults import DEFAULT_HAND
 
 
 def named_buses(arguments: Sequence[str]) -> dict[str, str]:
-    """Return the specification of each bus by name, from the words after ``--bus``, without a hand file.
+    """Return the specification of each bus by name, from the words after ``--bus``.
 
     A word is NAME=SPEC, or SPEC alone. Buses without a name are named by position: main, bus1,
     bus2.
@@ -34,9 +34,10 @@ def named_buses(arguments: Sequence[str]) -> dict[str, str]:
 
 
 def refuse_default_hand(specs: Sequence[str], where: str) -> None:
-    """Raise an error if a bus may have real motors. For such a bus, the operator must name the hand.
+    """Raise an error if a bus may have real motors.
 
-    The limits of the default hand are made for other motors and tendons.
+    For such a bus, the operator must name the hand, because the limits of the default hand belong
+    to other motors and tendons.
 
     Args:
         specs: specifications of the buses.

@@ -1,6 +1,6 @@
 """Calibration of a hand for a run.
 
-It is read from a file, or measured before the run (commissioning).
+The calibration is read from a file, or measured before the run (commissioning).
 """
 
 import datetime
@@ -23,11 +23,11 @@ from handctl.session.time_scale_advice import pace_advice
 MAX_UNANNOUNCED_CALIBRATION_AGE_S = 24 * 3600.0
 """Largest age of a calibration with which a hand may be armed [s].
 
-Load cells drift, and tendons creep.
+Older calibrations are wrong, because load cells drift and tendons creep.
 """
 LOCKSTEP_CALIBRATION_DATE = datetime.datetime.fromtimestamp(0, datetime.UTC)
 IdentifiedByTendon = dict[str, IdentifiedParameters]
-"""Identified parameters of each tendon, by its name."""
+"""Identified parameters of each tendon, by name of the tendon."""
 
 
 def find_calibration(path: Path, hand: Hand, named: bool) -> tuple[Calibration | None, str]:
@@ -39,7 +39,7 @@ def find_calibration(path: Path, hand: Hand, named: bool) -> tuple[Calibration |
         named: True if the operator named the file. An invalid file is then an error.
 
     Returns:
-        The calibration and an empty text, or None and the reason why no calibration is valid.
+        The calibration and an empty text. If no calibration is valid, None and the reason.
 
     Raises:
         ConfigError: the named file exists and cannot be used.
@@ -87,7 +87,7 @@ def run_commissioning(
 
 
 def write_calibration(path: Path, calibration: Calibration) -> None:
-    """Write a calibration to a TOML file, with one table per tendon."""
+    """Write a calibration to a TOML file that has one table for each tendon."""
     rows = calibration.model_dump(by_alias=True)
     tables = {f"tendon.{name}": row for name, row in rows.pop("tendon").items()}
     tables |= {f"identified.{name}": row for name, row in rows.pop("identified").items()}
@@ -104,8 +104,8 @@ def previous_identified(
 ) -> IdentifiedByTendon:
     """Return the identified parameters of the previous calibration, by tendon.
 
-    They stay valid when the load cells are tared again. The result is empty if the file is missing
-    or cannot be used, or if other drives were installed since.
+    These parameters stay valid when the load cells are tared again. The result is empty if the file
+    is missing or unusable, or if the hand has other drives now.
 
     Args:
         path: file of the previous calibration.
@@ -133,11 +133,13 @@ def identified_in_file(path: Path | None, hand: Hand) -> IdentifiedByTendon:
 
     If no file is given, the result is empty.
 
-    For simulated runs, only these parameters of the file are used. Tares and zeros of a simulated
-    hand are valid for one seed and one start, but identified parameters for all.
+    A simulated run uses no other values of the file. The tares and zeros of a simulated hand are
+    valid for one seed and one start. The identified parameters of a simulated hand are valid for
+    all seeds and starts.
 
     Raises:
-        ConfigError: the file cannot be read, is for another hand, or holds no identified parameters.
+        ConfigError: the file cannot be read, is for another hand, or contains no identified
+            parameters.
     """
     if path is None:
         return {}
@@ -150,7 +152,7 @@ def identified_in_file(path: Path | None, hand: Hand) -> IdentifiedByTendon:
 
 
 def homed_calibration(hand: Hand, identified: IdentifiedByTendon) -> Calibration:
-    """Return the calibration of a simulated hand that starts with taut tendons and its encoders at zero."""
+    """Return the calibration of a simulated hand that starts with taut tendons and with all encoders at zero."""
     zero = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=0.0, crosstalk_N=0.0)
     rows = dict.fromkeys(hand.tendon_names, zero)
     made = LOCKSTEP_CALIBRATION_DATE.isoformat(timespec="seconds")
@@ -168,10 +170,10 @@ def ensure_calibration(
 
     Args:
         plan: plan of the run that follows.
-        path: calibration file to write. Its identified parameters are kept.
+        path: calibration file to write. The identified parameters in this file are kept.
         reason: reason why there is no valid calibration, for the notice.
         runner: function that executes the run, live or in lockstep.
-        log: log file of the commissioning, which is written.
+        log: log file to write about the commissioning.
 
     Raises:
         DriveError: see ``run_commissioning``.

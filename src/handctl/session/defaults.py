@@ -1,10 +1,10 @@
 """Defaults of the command line.
 
-The module imports nothing. Therefore every command can import it quickly.
+This module has no imports. Therefore every command can import it quickly.
 """
 
 DEFAULT_HAND = "jamia"
-"""Name of the default hand, for simulated buses.
+"""Name of the default hand.
 
-For a real bus, the operator must name the hand.
+The default applies to simulated buses, because the operator must name the hand on a real bus.
 """

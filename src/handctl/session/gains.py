@@ -1,7 +1,7 @@
 """Gains of a run, and the origin of each value.
 
 A gains file replaces the packaged gains of the hand. The command line overrides single values of
-the file or of the packaged gains.
+both.
 """
 
 from collections.abc import Sequence
@@ -32,7 +32,7 @@ class LayeredGains:
         gains: gains that the run uses.
         file: gains file, or None for the packaged gains.
         provenance: provenance of the gains, as recorded in the file.
-        origins: origin of each value by key: "packaged", the file, or "command line".
+        origins: origin of each value, by key: "packaged", the file, or "command line".
     """
 
     gains: Gains
@@ -44,11 +44,11 @@ class LayeredGains:
 def layered_gains(
     hand: Hand, file: Path | None, words: Sequence[str], tell: NoticeCallback = ignore_notice
 ) -> LayeredGains:
-    """Return the gains that a run uses, with the origin of each value.
+    """Return the gains that a run uses, and the origin of each value.
 
     Args:
         hand: description of the hand.
-        file: gains file, or None for ``HAND.gains.toml`` if that file exists.
+        file: gains file. If it is None, ``HAND.gains.toml`` is used if it exists.
         words: KEY=VALUE words of the command line, which override every file.
         tell: function that shows a notice to the operator.
 
@@ -70,8 +70,7 @@ def layered_gains(
 def read_gains_for_hand(hand: Hand, path: Path, tell: NoticeCallback = ignore_notice) -> GainsFile:
     """Read a gains file, and check that the gains are for this hand.
 
-    If the gains were made for an earlier version of the hand file, they are accepted, with a notice
-    to the operator.
+    Gains for an earlier version of the hand file are accepted, but a notice tells the operator.
 
     Raises:
         ConfigError: the file cannot be used, or is for another hand.
@@ -87,7 +86,7 @@ def read_gains_for_hand(hand: Hand, path: Path, tell: NoticeCallback = ignore_no
 
 
 def _origin_of(gains: Gains, key: str, file: Path | None) -> str:
-    """Return the origin of a gain, without regard to the command line."""
+    """Return the origin of a gain that the command line does not set: the file, or the packaged gains."""
     section, _, name = key.partition(".")
     in_file = tendon_key(key) is not None or (
         section in gains.model_fields_set and name in getattr(gains, section).model_fields_set

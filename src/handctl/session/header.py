@@ -1,4 +1,7 @@
-"""Header of the log of a run: hand, gains, software, machine, and settings of the run."""
+"""Header of a run's log.
+
+The header describes the hand, gains, software, machine and settings of the run.
+"""
 
 import functools
 import platform
@@ -15,16 +18,16 @@ from handctl.runtime.clocks.priority import GrantedPriority
 from handctl.session.plan import RunPlan
 
 LOCKSTEP_START_S = 0.0
-"""UNIX time that the log gives as the start of every lockstep run [s].
+"""UNIX time that a log gives as the start of a lockstep run [s].
 
-With a constant time, equal runs have equal logs.
+The time is constant, so that equal runs have equal logs.
 """
 
 
 def run_header(
     plan: RunPlan, controller: Controller, priority: GrantedPriority | None, lockstep: bool
 ) -> RunHeader:
-    """Return the header of the log, with all data that are available before the first tick."""
+    """Return the header of a run's log, with all data that are available before the first tick."""
     hand = plan.hand
     attachments = {
         "hand.toml": hand.to_toml().encode(),
@@ -77,8 +80,8 @@ def installed_packages() -> tuple[str, ...]:
 def _name_and_version(dist: Distribution) -> str:
     """Return NAME==VERSION of an installed Python package.
 
-    Only the two lines with name and version are read. The parser of ``importlib.metadata`` reads
-    all metadata of a package and takes ten times as long.
+    This function reads only the two lines with name and version. The parser of
+    ``importlib.metadata`` reads all metadata of a package, and takes ten times as long.
     """
     lines = (dist.read_text("METADATA") or dist.read_text("PKG-INFO") or "").splitlines()
     values = [

@@ -1,6 +1,6 @@
 """Reading of robot descriptions (URDF and MJCF) with MuJoCo.
 
-MuJoCo is a dependency of the simulator only.
+The simulator depends on MuJoCo. The rest of handctl does not.
 """
 
 from collections.abc import Callable, Mapping
@@ -11,14 +11,14 @@ from handctl.errors import ConfigError
 from handctl.runtime.clocks.lockstep import load_simulator_object
 
 MODEL_FILE_READER = "firmware_sim.model_file:read_model_file"
-"""Module and name of the function that reads a description.
+"""Module and name of the simulator's function that reads a robot description.
 
-The docstring of this function describes the result.
+The docstring of that function describes the result.
 """
 
 
 def read_model_file(path: Path, kind: str) -> Mapping[str, Any]:
-    """Read the tree of links of a hand from a robot description, as plain values.
+    """Read the tree of a hand's links from a robot description. Return it as plain values.
 
     Args:
         path: path of the robot description.

@@ -1,6 +1,6 @@
 """Notices and progress reports from a run to the operator.
 
-The caller of the run supplies the functions that show them.
+The functions that show them come from the caller of the run.
 """
 
 from collections.abc import Callable
@@ -9,9 +9,10 @@ from contextlib import AbstractContextManager, nullcontext
 NoticeCallback = Callable[[str], None]
 """Function that shows a notice of one line to the operator."""
 ProgressFunction = Callable[[str], AbstractContextManager[Callable[[int, int], None]]]
-"""Function that returns a context manager, which shows the progress of a named step.
+"""Function that takes the name of a step, and returns a context manager that shows the progress of this step.
 
-The context yields a function that takes the completed count and the total count.
+The context yields a function. The arguments of this function are the completed count and the total
+count.
 """
 
 

@@ -1,4 +1,4 @@
-"""Plan of a run: all settings. They are checked before a bus is opened."""
+"""Plan of a run. A plan contains all settings, which are checked before a bus is opened."""
 
 import math
 import os
@@ -24,9 +24,9 @@ from handctl.session.gains import layered_gains
 from handctl.session.notices import NoticeCallback, ProgressFunction, ignore_notice, ignore_progress
 
 TICKS_IN_WATCHDOG = 2
-"""Smallest number of ticks within the watchdog time of a drive.
+"""Smallest allowed number of ticks within the watchdog time of a drive.
 
-With two ticks, one lost frame does not disable a drive.
+With two ticks, a single lost frame does not disable a drive.
 """
 
 
@@ -44,17 +44,17 @@ class OperatorDisplay(Protocol):
 
 @dataclass(frozen=True)
 class RunPlan:
-    """Plan of a run: all settings, already checked.
+    """Plan of a run: all its settings, after their check.
 
     Attributes:
         hand: description of the hand.
         gains: gains of the controller.
         rate_hz: control rate [Hz].
-        bus_loads: worst-case load of each bus of the hand, as a fraction.
+        bus_loads: worst-case load of each bus of the hand, as a fraction of its capacity.
         buses: specification of each bus, empty in lockstep.
         attachments: files to store in the log.
-        time_scale: time of the run divided by wall time.
-        clear_faults: True if the operator requested to clear the latched errors of the drives.
+        time_scale: ratio of the run's time to wall time.
+        clear_faults: True if the operator wants the latched errors of the drives to be cleared.
         start_display: function that starts the display of a run, or None for no display.
         show_notice: function that shows a notice to the operator.
         show_progress: function that shows the progress of a step before the run.
@@ -79,7 +79,7 @@ class RunPlan:
 
     @property
     def is_simulated(self) -> bool:
-        """Return True if the plan has buses, but no bus that can have real motors."""
+        """Return True if the plan has buses, and none of them can have real motors."""
         return bool(self.buses) and not real_buses(self.buses)
 
     def with_buses(self, buses: tuple[str, ...]) -> "RunPlan":
@@ -89,17 +89,18 @@ class RunPlan:
 
 @dataclass(frozen=True)
 class RunChoice:
-    """Settings that the operator chose for a run, not yet checked.
+    """Settings that the operator has chosen for a run, before their check.
 
     Attributes:
         hand: name of a packaged hand, or path of a hand file.
         hand_named: True if the operator named the hand.
         bus_words: ``SPEC`` for a hand with one bus, ``NAME=SPEC`` for each bus, or None in lockstep.
         gains_file: gains file, or None for the gains of the hand.
-        gain_words: KEY=VALUE words for single gains, which override every file.
-        rate_hz: control rate [Hz], or None for the highest usual rate.
-        time_scale: time of the run divided by wall time, or None for the time scale of the
-            simulator on the bus.
+        gain_words: KEY=VALUE words that set single gains. These words override every file.
+        rate_hz: control rate [Hz]. If it is None, the highest usual rate that the buses allow is
+            used.
+        time_scale: ratio of the run's time to wall time. If it is None, the time scale of the
+            simulator on the bus is used.
         log_path: log file to write, or None if the command names it later.
         clear_faults: True to clear the latched errors of the drives.
     """
@@ -120,7 +121,7 @@ def make_plan(
     display: "Callable[[RunPlan], OperatorDisplay] | None" = None,
     tell: NoticeCallback = ignore_notice,
 ) -> RunPlan:
-    """Check hand, gains, buses and rate, and return the plan of the run.
+    """Check the hand, gains, buses and control rate, and return the plan of the run.
 
     Args:
         choice: choices of the operator.
@@ -128,7 +129,7 @@ def make_plan(
         tell: function that shows a notice to the operator.
 
     Raises:
-        ConfigError: a choice of the operator is wrong. The message is one line.
+        ConfigError: a choice of the operator is wrong. The error message is one line.
     """
     hand = load_hand(choice.hand)
     check_hand_ready(hand, str(choice.hand))
@@ -161,10 +162,10 @@ def make_plan(
 
 
 def chosen_time_scale(chosen: float | None, buses: Sequence[str]) -> float:
-    """Return the time scale of a run: the chosen one, else that of the simulator on the bus, else 1.
+    """Return the time scale of a run: the chosen scale, or else that of the simulator on the bus, or else 1.
 
     Args:
-        chosen: simulated seconds per second of wall time, or None.
+        chosen: ratio of simulated time to wall time that the operator has chosen, or None.
         buses: specification of each bus, empty in lockstep.
 
     Raises:
@@ -182,7 +183,7 @@ def chosen_time_scale(chosen: float | None, buses: Sequence[str]) -> float:
         return 1.0
     simulated = (
         simulated_time_scale(buses[0]) if buses else None
-    )  # the simulator's request socket is on the first bus
+    )  # the request socket of the simulator belongs to the first bus
     if chosen is not None and simulated not in (None, chosen):
         raise ConfigError(
             f"{chosen:g}", "--time-scale", f"{simulated:g}, as the simulator on {buses[0]} has"
@@ -191,7 +192,7 @@ def chosen_time_scale(chosen: float | None, buses: Sequence[str]) -> float:
 
 
 def check_hand_ready(hand: Hand, where: str) -> None:
-    """Raise an error if a hand with a valid file must not run, see ``reasons_not_ready``.
+    """Raise an error if a hand must not run although its file is valid, see ``reasons_not_ready``.
 
     Args:
         hand: description of the hand to run.
@@ -205,11 +206,13 @@ def check_hand_ready(hand: Hand, where: str) -> None:
 
 
 def control_rate(requested: float | None, hand: Hand, loads: Sequence[BusLoad]) -> float:
-    """Return the requested control rate [Hz]. Without a request, return the highest usual rate for the buses.
+    """Return the requested control rate [Hz].
+
+    If none is requested, return the highest usual rate that the buses allow.
 
     Raises:
-        ConfigError: at this rate, one lost tick would trigger the watchdog of a drive, or a bus
-            would be overloaded.
+        ConfigError: at this rate, a single lost tick would trigger the watchdog of a drive, or a
+            bus would be overloaded.
     """
     best = highest_rate_of_buses(loads)
     rate = best if requested is None else requested
@@ -238,7 +241,10 @@ def highest_rate_of_buses(loads: Sequence[BusLoad]) -> float:
 
 
 def default_rate(hand: Hand) -> float:
-    """Return the default control rate of a hand, the highest usual rate for its buses [Hz]."""
+    """Return the default control rate of a hand [Hz].
+
+    The default is the highest usual rate that the buses of the hand allow.
+    """
     return highest_rate_of_buses(bus_loads(hand))
 
 
@@ -250,10 +256,11 @@ def check_gain_margins(hand: Hand, gains: Gains, rate_hz: float | None = None) -
     Args:
         hand: description of the hand.
         gains: all gains of the run.
-        rate_hz: control rate [Hz]. The default is the highest usual rate for the buses of the hand.
+        rate_hz: control rate [Hz]. The default is the highest usual rate that the buses of the hand
+            allow.
 
     Raises:
-        ConfigError: the design of the controller or of the filter fails.
+        ConfigError: no valid controller or filter follows from the gains.
     """
     from handctl.core.hand_model import HandModel
 
@@ -261,7 +268,7 @@ def check_gain_margins(hand: Hand, gains: Gains, rate_hz: float | None = None) -
 
 
 def bus_specs(hand: Hand, arguments: Sequence[str]) -> tuple[str, ...]:
-    """Return the specification of each bus of a hand, as given with ``--bus``.
+    """Return the specification of each bus of a hand, from the words after ``--bus``.
 
     Raises:
         ConfigError: a bus is missing, given twice, or unknown to the hand, or a specification is invalid.
@@ -273,7 +280,7 @@ def bus_specs(hand: Hand, arguments: Sequence[str]) -> tuple[str, ...]:
 
 
 def _specs_by_name(names: tuple[str, ...], arguments: Sequence[str]) -> tuple[str, ...]:
-    """Return the specification that the arguments give for each bus, in the order of the names."""
+    """Return the specifications that the arguments give for the named buses, in the order of the names."""
     if len(names) == 1 and len(arguments) == 1 and "=" not in arguments[0].partition(":")[0]:
         return (arguments[0],)
     specs: dict[str, str] = {}
@@ -289,10 +296,10 @@ def _specs_by_name(names: tuple[str, ...], arguments: Sequence[str]) -> tuple[st
 
 
 def commission_log(log: Path) -> Path:
-    """Return an unused path for the log of the commissioning before a run, next to the log of the run.
+    """Return an unused path, next to the log of a run, for the log of the commissioning before it.
 
-    If a fault ends the commissioning, only this log exists. When the operator repeats the same
-    command, the new log gets another name.
+    If a fault ends the commissioning, this log exists without a log of the run. When the operator
+    repeats the command, the new log gets another name.
     """
     number = 1
     path = log.with_suffix(".commission.mcap")
@@ -303,7 +310,7 @@ def commission_log(log: Path) -> Path:
 
 
 def default_log(hand: Hand, kind: str = "") -> Path:
-    """Return an unused path logs/DATE-HAND.mcap for a log, and create the folder."""
+    """Return an unused path of the form logs/DATE-HAND.mcap, and create its folder."""
     folder = Path("logs")
     folder.mkdir(exist_ok=True)
     stem = time.strftime("%Y%m%d-%H%M%S") + f"-{hand.name}" + (f"-{kind}" if kind else "")

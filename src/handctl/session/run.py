@@ -48,7 +48,7 @@ from handctl.session.header import run_header
 from handctl.session.plan import OperatorDisplay, RunPlan
 
 LATENESS_FAULTS = ("B02", "B03b", "B17", "N02", "N02b", "N08", "H03")
-"""Identifiers of the faults that latch when answers of drives or ticks of the controller are late."""
+"""Identifiers of the faults that latch when drives answer late, or when sensor frames or ticks are late."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class RunOutcome:
         loop_stats: statistics of the control loop.
         log_summary: summary of the recorder.
         priority: real-time priority that the operating system granted, or None in lockstep.
-        offset_ns: time on the simulator's clock when the time of the run was 0 [ns].
+        offset_ns: reading of the simulator's clock at the start of the run [ns].
         pauses: number of pauses of the clock, if the run and the simulator share a clock.
         paused_ns: total duration of these pauses, in wall time [ns].
     """
@@ -75,12 +75,12 @@ class RunOutcome:
 
     @property
     def was_too_slow(self) -> bool:
-        """Return True if a fault latched because the host or the simulator was too slow."""
+        """Return True if a fault has occurred because the host or the simulator was too slow."""
         return any(mark.id in LATENESS_FAULTS for mark in self.state.latched)
 
     @property
     def exit_code(self) -> ExitCode:
-        """Return the exit code of a command that does nothing except this run."""
+        """Return the exit code of a command whose only work is this run."""
         if self.state.unconfirmed:
             return ExitCode.REMOVE_POWER
         return ExitCode.FAILED if self.state.failure else ExitCode.DONE
@@ -111,7 +111,7 @@ def make_controller(
 ) -> Controller:
     """Construct the controller of a run, and design it with the gains of the plan.
 
-    If the code must be compiled first, a progress bar is shown.
+    If code must be compiled first, a progress bar is shown.
     """
     with plan.show_progress("compiling the controller, once") as report_progress:
         compile_kernels(report_progress)
@@ -123,7 +123,10 @@ def make_controller(
 
 
 class RunObserver(Protocol):
-    """Object in the same process that watches a run and can send requests, as an operator does."""
+    """Object that watches a run from inside its process.
+
+    The observer can send requests, as an operator can.
+    """
 
     def poll_requests(self) -> tuple[str, ...]:
         """Return the requests that the observer made since the last call."""
@@ -147,7 +150,8 @@ def run_live(
         plan: checked plan of the run.
         controller: controller with its program.
         log: log file to write.
-        live_view: True to show the log in Rerun during the run, from a separate process.
+        live_view: True to show the log in Rerun during the run. A separate process feeds the
+            viewer.
         observer: observer that sends requests, or None.
 
     Raises:
@@ -206,13 +210,13 @@ def run_lockstep(
     clock: LockstepClock,
     observer: RunObserver | None = None,
 ) -> RunOutcome:
-    """Execute a run in virtual time with the simulated hand of a lockstep clock.
+    """Execute a run in virtual time, with the simulated hand of a lockstep clock.
 
-    Several runs may use the same clock, one after the other. No operator clears faults in virtual
-    time.
+    Several runs may use the same clock, one after the other. In virtual time, there is no operator
+    who could clear a fault.
 
     Raises:
-        DriveError: a fault made the hand hold still for too long.
+        DriveError: a fault has held the hand for too long.
     """
     clock.restart()
     header = run_header(plan, controller, None, lockstep=True)
@@ -235,7 +239,7 @@ def run_lockstep(
 def _open_clock(plan: RunPlan, stack: ExitStack) -> RealClock:
     """Return the clock of a run.
 
-    If the simulator on the bus offers a shared clock, the run uses this clock, else
+    If the simulator on the bus offers a shared clock, the run uses that clock. Otherwise it uses
     CLOCK_MONOTONIC.
 
     Raises:
@@ -273,8 +277,8 @@ def refuse_view_without_screen(view_requested: bool) -> None:
 def _start_view(log: Path) -> Callable[[], None]:
     """Start the live view of a log.
 
-    The result is a function that stops the process which feeds the viewer. The viewer itself stays
-    open.
+    A separate process feeds the viewer. The result is a function that stops this process. The
+    viewer itself stays open.
     """
     from handctl.view.live_view import start_live_view
 
@@ -283,7 +287,10 @@ def _start_view(log: Path) -> Callable[[], None]:
 
 
 def snapshot_recorder(recorder: Recorder) -> Callable[[TickIn, ControllerState], None]:
-    """Return a function that is called after each tick, and records a snapshot of the state once per second."""
+    """Return a function to call after each tick.
+
+    That function records a snapshot of the controller's state once per second.
+    """
     due_ns = SNAPSHOT_PERIOD_NS
 
     def keep_snapshot(entry: TickIn, state: ControllerState) -> None:
@@ -348,7 +355,7 @@ def _request_source(
 ) -> Callable[[], tuple[str, ...]]:
     """Return a function that collects all requests for a tick.
 
-    The first is the request of the command line to clear errors, if the plan has it.
+    If the plan says so, its first request is to clear the latched errors of the drives.
     """
     orders = [CLEAR_REQUEST] if plan.clear_faults else []
 
@@ -387,7 +394,10 @@ STATUS_RATE_HZ = 50.0
 def _status_callback(
     display: OperatorDisplay | None, mailbox: Mailbox, rate_hz: float
 ) -> TickCallback:
-    """Return a function that updates the display and the observing programs after each tick."""
+    """Return a function to call after each tick.
+
+    That function updates the display, and the programs that observe the run.
+    """
     every = max(1, round(rate_hz / STATUS_RATE_HZ))
 
     def show_tick(entry: TickIn, out: TickOut) -> None:
@@ -411,7 +421,10 @@ def _run_to_end(
     priority: GrantedPriority | None,
     offset_ns: Callable[[], int],
 ) -> RunOutcome:
-    """Run the control loop to its end. Then close display and recorder, even after an error."""
+    """Run the control loop to its end.
+
+    Then close the display and the recorder, even after an error.
+    """
     reason = "controller error"
     try:
         state = loop.run(controller.initial_state())

@@ -2,8 +2,8 @@
 
 All lockstep runs are set up in this module.
 
-``simulate_controller`` executes a whole run, ``SimulatedRun`` executes single ticks, and
-``SimulatorSettings.lockstep_clock`` is for runs with a log.
+``simulate_controller`` executes a whole run. ``SimulatedRun`` executes single ticks.
+``SimulatorSettings.lockstep_clock`` provides the clock of runs with a log.
 """
 
 import math
@@ -34,14 +34,14 @@ from handctl.runtime.clocks.lockstep import (
 )
 
 CHECKED_CONTROL_PERIOD_NS = 2_000_000
-"""Control period of a simulated hand that is only constructed to check its settings [ns]."""
+"""Control period of a simulated hand that never runs, because it is constructed only to check its settings [ns]."""
 
 
 class SimulatedHand(LockstepSimulator, Protocol):
-    """Simulated hand on the other side of the bus, into which faults can be injected.
+    """Simulated hand on the other side of the bus. Faults can be injected into it.
 
     Attributes:
-        world: simulated plant and nodes, for direct access without the bus.
+        world: simulated plant and nodes. Through it, tests and rewards read values without the bus.
     """
 
     world: Any
@@ -51,11 +51,11 @@ class SimulatedHand(LockstepSimulator, Protocol):
         ...
 
     def fault_states(self) -> list[dict[str, Any]]:
-        """Return every injected fault, with the effects that were observed so far."""
+        """Return every injected fault, with its effects so far."""
         ...
 
     def truth(self) -> dict[str, list[float]]:
-        """Return the true tensions [N] and the torques commanded to the motors [N m] at present."""
+        """Return the present true tensions [N], and the torques that the motors are commanded to produce [N m]."""
         ...
 
 
@@ -69,10 +69,10 @@ class SimulatorSettings:
             objects.
         seed: random seed of noise, slack and encoder offsets.
         perturb: factors for the parameters of the simulated plant.
-        homed: True if the hand starts taut with its encoders at zero.
+        homed: True if the hand starts with taut tendons and its encoders at zero.
         truth: file to which the true values of the simulated hand are written, or None.
-        wire: KEY=VALUE words that describe a simulated wire with delays, or None for answers
-            without delay.
+        wire: KEY=VALUE words that describe a simulated wire with delays. If it is None, answers
+            arrive without delay.
         serials: serial numbers of the drives.
     """
 
@@ -87,9 +87,7 @@ class SimulatorSettings:
 
     @contextmanager
     def simulated_hand(self, period_ns: int) -> Iterator[SimulatedHand]:
-        """Construct the simulated hand.
-
-        At its end, the context closes the hand and its truth file.
+        """Construct the simulated hand. The end of the context closes the hand and its truth file.
 
         Args:
             period_ns: control period [ns].
@@ -122,7 +120,7 @@ class SimulatorSettings:
 
     @contextmanager
     def lockstep_clock(self, period_ns: int) -> Iterator[LockstepClock]:
-        """Construct the simulated hand and its lockstep clock, for one or more consecutive runs.
+        """Construct the simulated hand and its lockstep clock, for one run or several runs in succession.
 
         See ``simulated_hand``.
         """
@@ -152,10 +150,11 @@ class SimulatorSettings:
 
 @dataclass
 class SimulatedRun:
-    """Run of a controller with a simulated hand, which the caller advances tick by tick.
+    """Run of a controller with a simulated hand. The caller advances this run tick by tick.
 
     Attributes:
-        controller, simulated_hand: controller and simulated hand, the two sides of the bus.
+        controller, simulated_hand: controller on one side of the bus, and simulated hand on the
+            other.
         period_ns: control period [ns].
         state: state of the controller.
         k: number of the next tick.
@@ -197,10 +196,10 @@ class SimulatedRun:
         """Run one tick, then advance the simulated hand to the next tick.
 
         Args:
-            io: additional events of buses and host, which the controller receives in this tick.
+            io: additional events of buses and host that the controller receives in this tick.
             requests: requests of the operator in this tick.
             late_ns: lateness of the tick [ns].
-            skip: number of ticks that are left out before this tick, as if the host missed their
+            skip: number of ticks to leave out before this tick, as if the host had missed their
                 deadlines.
         """
         for _ in range(skip):
@@ -210,9 +209,10 @@ class SimulatedRun:
         return out
 
     def run_ticks(self, limit_s: float = math.inf) -> Iterator[tuple[TickIn, TickOut]]:
-        """Run ticks until the controller is done, and yield input and output of each.
+        """Run ticks until the controller is done.
 
-        While a tick is yielded, the simulated hand is at the time of this tick.
+        Yield the input and output of each tick. At that moment, the simulated hand is still at the
+        time of the yielded tick.
 
         Args:
             limit_s: longest duration of the run [s].
@@ -227,7 +227,7 @@ class SimulatedRun:
     def run_until(self, reached: Callable[[TickOut], bool], timeout_s: float) -> bool:
         """Run until a condition on the output of a tick is true, for at most ``timeout_s`` [s].
 
-        The result is True if the condition became true.
+        Return True if the condition became true.
         """
         for _ in range(round(timeout_s * 1e9 / self.period_ns)):
             out = self.run_tick()
@@ -255,12 +255,13 @@ class SimulatedRun:
 
 
 def homed_controller(model: HandModel, program: Program, hand: Hand | None = None) -> Controller:
-    """Construct the controller for a simulated hand that is homed and needs no tare.
+    """Construct the controller for a simulated hand that is already homed and tared.
 
     Args:
         model: model of the hand with designed gains.
         program: program to run.
-        hand: description of the actual drives and sensors. The default is the hand of the model.
+        hand: description of the drives and sensors that the hand really has. The default is the
+            hand of the model.
     """
     target_hand = hand or model.hand
     zeros = np.zeros(model.tendon_count)

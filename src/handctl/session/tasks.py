@@ -1,4 +1,4 @@
-"""Loading of tasks, trajectories and scenes, packaged or from files.
+"""Loading of tasks, trajectories and scenes, which are packaged or in files.
 
 Each task is checked against the hand.
 """
@@ -16,14 +16,17 @@ PACKAGED_TASKS_FOLDER = Path(__file__).parents[1] / "tasks"
 
 
 PACKAGED_GRASP_FILE = Path("grasp.toml")
-"""Name of the packaged grasp, for hands with the digits that this task moves."""
+"""Name of the packaged grasp.
+
+The packaged grasp suits hands that have the digits which this task moves.
+"""
 
 
 def load_task_for_hand(name: Path | None, hand: Hand) -> tuple[Task, bytes]:
     """Load a task, given by path or packaged name, and check that the task suits the hand.
 
-    Without a name, the packaged grasp is loaded. If the hand has other digits, the default task is
-    made for it.
+    If no name is given, the packaged grasp is loaded. For a hand with other digits, a default task
+    is made instead.
 
     Raises:
         ConfigError: the task does not exist, or its content is wrong.
@@ -43,8 +46,8 @@ def load_task_for_hand(name: Path | None, hand: Hand) -> tuple[Task, bytes]:
 def scene_for_hand(name: str | None, hand: Hand) -> str:
     """Return the scene of a simulated hand.
 
-    Without a name, the result is the scene of the packaged grasp, or a cylinder whose size suits
-    the hand.
+    If no name is given, the result is the scene of the packaged grasp, or a cylinder whose size
+    suits the hand.
     """
     if name is not None:
         return name

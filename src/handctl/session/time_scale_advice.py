@@ -10,7 +10,7 @@ from handctl.session.plan import RunPlan
 from handctl.session.run import RunOutcome
 
 MAX_CORE_LOAD = 0.7
-"""Largest load of a processor core, as a fraction, at which the machine counts as fast enough."""
+"""Largest load of a processor core at which the machine counts as fast enough, as a fraction of full load."""
 FAILED_SCALE_FRACTION = 0.7
 """Largest time scale that is advised, as a fraction of the time scale that was too fast."""
 
@@ -27,10 +27,10 @@ def pace_advice(plan: RunPlan, outcome: RunOutcome) -> str:
 
 
 def slower_time_scale(plan: RunPlan, outcome: RunOutcome) -> float:
-    """Return a time scale at which this machine is fast enough, given the computing times of a late run.
+    """Return a time scale at which this machine is fast enough, from the computing times of a run that was too slow.
 
-    Simulator and controller use one core each, or share the core of a machine with a single core.
-    The simulator reports its own computing time.
+    Simulator and controller use one core each. On a machine with a single core, they share it. The
+    simulator reports its own computing time.
 
     Args:
         plan: plan of the run.

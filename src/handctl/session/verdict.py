@@ -29,17 +29,18 @@ def judge_run(
 ) -> dict[str, Any]:
     """Compute the performance numbers of a run, and draw its picture next to the log.
 
-    If the picture cannot be written, for example on a full disk, a notice says so.
+    If the picture cannot be written, for example because the disk is full, a notice tells the
+    operator.
 
     Args:
         plan: plan of the run.
         outcome: outcome of the run.
         log: log file of the run.
         truth_file: truth file of the simulator, which is copied to the folder of the log, or None
-            on hardware.
+            for a real hand.
         picture: True to draw the picture.
-        task: executed task, if its grasp is to be judged. The run failed if the grasp did not hold
-            the object.
+        task: executed task, if its grasp is to be judged. The run counts as failed if the grasp did
+            not hold the object.
     """
     truth_file = _copy_truth(log, truth_file, plan.show_notice) if truth_file else None
     truth = read_truth(truth_file) if truth_file else None
@@ -79,7 +80,7 @@ def _hold_phases(task: Task | None) -> set[str]:
 def _copy_truth(log: Path, truth: Path, tell: NoticeCallback) -> Path:
     """Copy the truth file to the folder of the log, and return the path of the copy.
 
-    If the file cannot be copied, the original path is returned.
+    If this fails, return the original path.
     """
     beside = log.with_suffix(".truth")
     if truth == beside:
@@ -95,7 +96,10 @@ def _copy_truth(log: Path, truth: Path, tell: NoticeCallback) -> Path:
 def _draw_picture(
     plan: RunPlan, outcome: RunOutcome, record: RunLog, truth: TruthRecord | None, log: Path
 ) -> Path | None:
-    """Draw the picture of the run, and return its path, or None if the file cannot be written."""
+    """Draw the picture of the run, and return its path.
+
+    If the file cannot be written, return None.
+    """
     path = log.with_suffix(".png")
     try:
         draw_run(path, record, plan.hand, truth, outcome.offset_ns, f"{plan.hand.name}: {log.name}")
@@ -106,16 +110,17 @@ def _draw_picture(
 
 
 def _report_omitted(path: Path, error: OSError, tell: NoticeCallback) -> None:
-    """Delete a file that was only partly written next to the log, and notify the operator."""
+    """Delete an incomplete file next to the log, and tell the operator that it is left out."""
     with suppress(OSError):
         path.unlink()
     tell(f"handctl: {path} is left out: {error.strerror or error}")
 
 
 def lost_frames(plan: RunPlan, outcome: RunOutcome) -> int:
-    """Return the number of lost frames: those that a bus refused, or that never came from the sensor node.
+    """Return the number of lost frames.
 
-    A reply that came after the next SYNC is late, and does not count as lost.
+    Lost are frames that a bus refused, and frames of the sensor node that never arrived. A reply
+    that arrived after the next SYNC is late, not lost.
     """
     return outcome.loop_stats.refused_frames + make_sensors(plan.hand).lost_frame_count(
         *outcome.state.sensor_counts

@@ -2,7 +2,7 @@
 
 Runs use `HAND.gains.toml`. All gains applied so far are in `HAND.gains/0001.toml` and the following
 numbers. Each file is written under a temporary name and then renamed. Thus a reader gets either the
-old or the new file.
+complete old file or the complete new file.
 """
 
 import datetime
@@ -112,7 +112,7 @@ class GainsStore:
     def apply_gains(self, gains: Gains, provenance: GainsProvenance) -> GainsFile:
         """Make the given gains the present gains.
 
-        If a user edited the present gains, they are added to the history before.
+        If a user edited the present gains, these are first added to the history.
 
         Raises:
             ConfigError: The files cannot be written, or the present file cannot be read, see
@@ -165,8 +165,8 @@ class GainsStore:
     ) -> GainsFile:
         """Write gains to the history with the next number, and then make them the present gains.
 
-        If the present file is not in the history, for example a copy, the new gains are recorded as
-        the successor of the newest entry.
+        If the present file is not in the history, for example because a user copied it, the new
+        gains are recorded as the successor of the newest entry.
         """
         present = self.present_gains()
         entries = self.history_entries()

@@ -3,7 +3,8 @@
 The hand does an exercise with the old gains, and then with the new gains at increasing amplitude.
 
 If a limit is violated, an observer of the run requests the old gains again. The controller receives
-these requests like those of any client. Therefore the log contains them, and can be executed again.
+the observer's requests like those of any client. Therefore the log contains them, and can be
+executed again.
 """
 
 import json
@@ -27,7 +28,7 @@ from handctl.tune.scoring import GainScore, GroundTruth, score_ticks
 OLD_GAINS_ROUNDS = 2
 """Number of rounds of the exercise with the old gains.
 
-The last of them is compared with the new gains.
+The last of these rounds is compared with the new gains.
 """
 ROUND_AMPLITUDES = (0.3, 1.0, 0.3, 0.6, 1.0)
 """Amplitudes of the rounds of the exercise: first those with the old gains, then those with the new gains.
@@ -37,7 +38,7 @@ Before the round that is compared, both old and new gains have at least one othe
 RINGING_WINDOW_S = 0.1
 """Duration of the window in which oscillations of the torques are measured [s].
 
-It contains two periods of the oscillation of a drive on a blocked tendon.
+The window contains two periods of the oscillation of a drive on a blocked tendon.
 """
 
 
@@ -50,7 +51,7 @@ class VerifyLimits:
             [rad].
         trip_fraction: largest tension of a tendon, as a fraction of its ``tension_trip_N``.
         ringing_factor: largest rate of change of the motor torques (RMS over a window), divided by
-            the largest one with the old gains.
+            the largest rate with the old gains.
         ringing_floor_Nm_per_s: rate of change up to which the torques never count as oscillating [N
             m/s].
     """
@@ -63,7 +64,7 @@ class VerifyLimits:
 
 @dataclass(frozen=True, slots=True)
 class GainsRollback:
-    """Return to the old gains during a verification.
+    """Record of a return to the old gains during a verification.
 
     Attributes:
         t_s: time at which the return was requested [s].
@@ -130,9 +131,9 @@ class VerifyObserver:
             self._request_gains(self.old_gains, self.new_gains)
 
     def _request_gains(self, gains: Gains, replaced: Gains) -> None:
-        """Queue a request for other gains, as far as a running controller accepts them."""
-        # If a request does not set the forces of single tendons, a running controller keeps them.
-        # Therefore all are set.
+        """Queue a request for those of the given gains that a running controller accepts."""
+        # A running controller keeps the force of every tendon that a request does not set.
+        # Therefore the request sets the forces of all tendons.
         all_values = values_by_key(gains) | {
             key: new for key, (_, new) in different_values(replaced, gains).items()
         }
@@ -158,7 +159,7 @@ class VerifyObserver:
         return float(np.sqrt(sum(self._rates) / len(self._rates)))
 
     def _violated_limit(self, out: TickOut, ringing: float) -> str:
-        """Return a text about the limit that a tick violates, else an empty text."""
+        """Return a text about the limit that a tick violates, or an empty text if it violates none."""
         if out.action >= SafetyAction.HOLD:
             return f"safety: {out.action.name}"
         if out.mode != HandMode.ACTIVE:

@@ -31,7 +31,7 @@ STEP_RESPONSE_UNITS = {
     LoopKind.MOTION: (1e6, "travel [um]"),
     LoopKind.TENSION: (1.0, "tension [N]"),
 }
-"""Scale and axis label of this response, by kind of loop."""
+"""Scale and axis label of the drawn response, by kind of loop."""
 
 
 def _new_figure(width: float, height: float) -> Any:

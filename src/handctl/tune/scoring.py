@@ -80,8 +80,8 @@ def evaluate_job(job: Mapping[str, Any]) -> dict[str, Any]:
 
     Args:
         job: table with hand (text of the hand file), rate_hz, gains (table), plants (tables of
-            factors), seed, and optionally must_keep_margins: True to skip the simulation of gains
-            without sufficient margins.
+            factors) and seed. If the optional value must_keep_margins is True, gains without
+            sufficient margins are not simulated.
 
     Returns:
         A `GainScore` as a table.
@@ -132,8 +132,8 @@ def score_exercise(
 
     Args:
         hand: description of the hand.
-        model: model with the gains.
-        factors: factors of the plant relative to the description.
+        model: model of the hand with its gains.
+        factors: factors by which the plant's parameters differ from the description.
         seed: seed of the simulated noise.
     """
     return score_run(hand, *simulate_program(hand, model, ExerciseProgram(), factors, seed))
@@ -149,9 +149,9 @@ def simulate_program(
 
     Args:
         hand: description of the hand.
-        model: model with the gains.
+        model: model of the hand with its gains.
         program: program to run.
-        factors: factors of the plant relative to the description.
+        factors: factors by which the plant's parameters differ from the description.
         seed: seed of the simulated noise.
 
     Returns:
@@ -241,7 +241,7 @@ def score_ticks(
         angle: (ticks, D) goals of the mean joint angle [rad].
         tension: (ticks, N) tension goals [N].
         torque: (ticks, M) commanded motor torques [N m].
-        truth: ground truth at these times.
+        truth: ground truth at the times of the ticks.
     """
     rate = np.diff(torque, axis=0) / (np.diff(t_ns)[:, None] / 1e9)
     return GainScore(

@@ -42,7 +42,7 @@ def browse_log(
         run: run and hand of the log.
         arguments: further arguments of the viewer.
         environment: environment variables for the viewer.
-        scan: outer records of the log, if the log has been scanned already.
+        scan: result of the scan of the log's records, if the log has been scanned already.
 
     Yields:
         the viewer, after the whole log was sent.

@@ -90,7 +90,7 @@ def connect_client(running: Viewer) -> "ViewerClient":
 def timeline_end(state: "ViewerState", timeline: str) -> int:
     """Return the latest end of a timeline in all recordings of a viewer, in the timeline's unit.
 
-    The end is -1 without data.
+    If there are no data, the result is -1.
     """
     lines = [
         line
@@ -104,8 +104,8 @@ def timeline_end(state: "ViewerState", timeline: str) -> int:
 def wait_until_loaded(client: "ViewerClient", timeline: str, until: int = 0) -> None:
     """Wait until a viewer has views and has loaded a recording up to a given time.
 
-    A viewer gets a recording and the layout before the first data. Already then the viewer reports
-    the end of loading, so a check of this report alone is not enough.
+    A viewer gets a recording and the layout before the first data. Even before the first data, the
+    viewer reports the end of loading. So a check of this report alone is not enough.
 
     Args:
         client: client of the viewer.

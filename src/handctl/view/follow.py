@@ -28,7 +28,7 @@ FLUSH_TIMEOUT_S = 5.0
 LOG_FILE_TIMEOUT_S = 30.0
 """Longest wait until the log file exists and has a header [s]."""
 NO_GROWTH_TIMEOUT_S = 15.0
-"""Time without growth of the log after which the recorder is taken for dead [s]."""
+"""Time without growth of the log after which the recording process is assumed to have died [s]."""
 
 
 class LogFollower:

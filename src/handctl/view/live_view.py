@@ -1,4 +1,4 @@
-"""Process that shows a run live: start by the controller, and main program.
+"""Live view of a run in a separate process: the function that starts the process, and its main program.
 
 Command: `python -m handctl.view.live_view LOG [ARGUMENT OF THE VIEWER ...]`.
 

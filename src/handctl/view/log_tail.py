@@ -27,7 +27,7 @@ class LogTail:
         self.log_ended = False
 
     def write_new_chunks(self, path: Path) -> int | None:
-        """Write the chunks that are new since the last call into a log that has no end.
+        """Write the chunks that are new since the last call into a log file without an end mark.
 
         Args:
             path: log file to write. The file also has the definitions of all topics.
@@ -45,7 +45,7 @@ class LogTail:
             scan_records(file, scan)
             self.log_ended = scan.complete
             # Rerun loses messages of a chunk whose message indexes are not complete. So a chunk is
-            # sent only when the next record after them exists.
+            # sent only when the record after its message indexes exists.
             ends = [
                 *(chunk.offset for chunk in scan.chunks[1:]),
                 *([scan.end] if scan.complete else []),
@@ -54,8 +54,8 @@ class LogTail:
             if not new:
                 return None
             with path.open("wb") as out:
-                # The first chunk of the log has the definitions of all topics. Every part begins
-                # with it.
+                # The first chunk of the log has the definitions of all topics. Therefore every
+                # written part begins with this chunk.
                 if self._sent_chunks:
                     out.write(file.read_range(0, ends[0]))
                 start = new[0].offset if self._sent_chunks else 0

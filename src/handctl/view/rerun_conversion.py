@@ -58,7 +58,7 @@ def run_chunks_in_parts(
         path: path of the log. The log may end early.
         run: run and hand of the log.
         first_ns: length of the first part of the run [ns].
-        scan: outer records of the log, if the log has been scanned already.
+        scan: result of the scan of the log's records, if the log has been scanned already.
 
     Raises:
         LogError: the log is damaged.
@@ -106,7 +106,7 @@ def log_chunks(
             path, decoders=MESSAGE_DECODERS, include_topic_regex=converters.topics, recover=True
         )
         first, last = reader.time_bounds()
-        # The end of the time range does not belong to the stream, so 1 is added.
+        # The stream excludes the end of the time range, so 1 is added.
         raw = (
             reader.stream(start_time_ns=max(first, since_ns), end_time_ns=last + 1)
             .collect()

@@ -10,9 +10,9 @@ from handctl.log.read.logfile import ChunkLocation, LogFile
 from handctl.log.read.record_scan import RecordScan
 
 SLICE_NS = 20_000_000_000
-"""Length of the run in each part after the first one [ns].
+"""Duration of the part of the run in each small log after the first one [ns].
 
-A part of this length has few chunks, which limits the use of memory.
+A part of this length has few chunks. The small number of chunks limits the use of memory.
 """
 
 
@@ -25,7 +25,7 @@ def time_slices(
 
     Args:
         path: path of a complete log.
-        scan: outer records of the log.
+        scan: result of the scan of the log's records.
         folder: folder for the parts.
         first_ns: length of the first part of the run [ns].
 

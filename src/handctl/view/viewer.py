@@ -238,7 +238,7 @@ def _wait_for_url(process: "subprocess.Popen[bytes]", notes: IO[bytes]) -> str:
     while remaining > 0:
         try:
             # This call waits for an early end of the viewer. The wait is also the pause between two
-            # checks of its output.
+            # checks of the viewer's output.
             process.wait(0.05)
         except subprocess.TimeoutExpired:
             remaining -= 0.05

@@ -1,6 +1,6 @@
 """Declaration of the arguments of the commands in this folder.
 
-The code of a command is imported only when the command runs. Therefore help texts appear fast.
+The code of a command is imported only when that command runs. Therefore help texts appear fast.
 """
 
 import argparse
@@ -49,7 +49,7 @@ EXAMPLES = {
     ),
     "doctor": CommandExample("handctl doctor"),
 }
-"""Example command line for the help of each command and subcommand."""
+"""Example command line that the help of each command and subcommand prints."""
 
 
 def config(parser: VerbParser) -> None:
@@ -98,7 +98,10 @@ def config(parser: VerbParser) -> None:
 
 
 def _declare_init(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``config init``. Each option answers a question about the new hand."""
+    """Declare the options of ``config init``.
+
+    Each option answers one of the questions about the new hand.
+    """
     add_output_option(parser, "a new hand file", required=True)
     source = parser.add_mutually_exclusive_group()
     text = "take links, joints and inertia from {}; questions ask for the tendons, or the file marks them as 'TODO'"
@@ -212,7 +215,7 @@ def _declare_files(parser: argparse.ArgumentParser) -> None:
 def bus(parser: VerbParser) -> None:
     """Declare the arguments of ``bus``.
 
-    The subcommand ``watch`` polls the drives, but enables none.
+    The subcommand ``watch`` polls the drives, but never enables a drive.
     """
     kinds = parser.add_subparsers(dest="what", required=True, metavar="plan|doctor|up|watch")
     text = "compute the worst-case load of each bus of a hand, stuff bits included"

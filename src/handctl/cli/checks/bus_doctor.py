@@ -1,4 +1,4 @@
-"""``handctl bus doctor``: check each bus from interface to nodes, and print a repair for each bad finding."""
+"""``handctl bus doctor``: check the interface and the nodes of each bus, and print a repair for each bad finding."""
 
 import argparse
 from collections.abc import Sequence
@@ -31,21 +31,21 @@ from handctl.session.buses import named_buses
 from handctl.session.exit_codes import ExitCode
 
 NO_USB_ADAPTER = UsbAdapter()
-"""Adapter of an interface that is not a USB adapter."""
+"""Stand-in for the USB adapter of a CAN interface that has none."""
 BUSY_HINT = "check the load of the computer and the latency timer of the adapter; handctl doctor checks the priorities"
 SLOW_ROUND_TRIP_S = 0.005
-"""Median round-trip time of a node above which a finding is bad [s].
+"""Largest acceptable median of a node's round-trip times [s].
 
-The limit is the period of a control rate of 200 Hz.
+The limit is one tick at a control rate of 200 Hz.
 """
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check the buses of the command line. Return 1 if a finding needs a repair.
+    """Check the buses that the command line names. Return 1 if a finding needs a repair.
 
     Args:
         args: arguments with bus, bitrate, data_bitrate, json, and hand. The hand gives the expected
-            bit rates and motors. Without a hand, any are accepted.
+            bit rates and motors. Without a hand, all motors and bit rates are accepted.
     """
     hand = load_hand(args.hand) if args.hand else None
     if not args.bus:
@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
 def _expected_buses(
     args: argparse.Namespace, hand: Hand | None
 ) -> Sequence[tuple[str, BusSection]]:
-    """Return each bus of the command line, with the expected name and bit rates."""
+    """Return each bus that the command line names, with its expected name and bit rates."""
     if hand is not None:
         from handctl.session.plan import bus_specs
 
@@ -74,7 +74,10 @@ def _expected_buses(
 
 
 def _examine_bus(spec: str, expected: BusSection, hand: Hand | None) -> dict[str, Any]:
-    """Return the result for one bus: findings about the interface and, if the interface works, about the nodes."""
+    """Return the findings about the interface of a bus.
+
+    If the interface works, also return findings about the nodes.
+    """
     print_note(f"{spec}: looking")
     kind, _, channel = spec.partition(":")
     rows = _check_interface(channel, expected) if kind == "socketcan" else []
@@ -160,7 +163,7 @@ def _check_nodes(
 def _duplicate_nodes(
     result: BusScan, trips: list[tuple[DiscoveredNode, RoundTrip]]
 ) -> list[DiscoveredNode]:
-    """Return the nodes whose number more than one drive uses."""
+    """Return the nodes whose node number is used by more than one drive."""
     twice = [node for node, trip in trips if trip.is_number_shared]
     return [node for node in result.found_nodes if node.twins or node in twice]
 
@@ -174,7 +177,7 @@ def _measure_round_trips(bus: Bus, result: BusScan) -> list[tuple[DiscoveredNode
 
 
 def _event_findings(result: BusScan) -> list[LinkFinding]:
-    """Return one finding for each kind of bus event during the scan."""
+    """Return one finding for each kind of bus event that occurred during the scan."""
     return [
         LinkFinding(f"during the scan: {kind}, {number} times", False, WIRING_ADVICE)
         for kind, _, number in result.bus_events
@@ -197,7 +200,7 @@ def _answers_text(timed: tuple[DiscoveredNode, RoundTrip]) -> LinkFinding:
 
 
 def _missing_motors(hand: Hand, bus: str, result: BusScan) -> list[LinkFinding]:
-    """Return one finding for each motor of the hand file that did not answer on a bus."""
+    """Return one finding for each motor on a bus of the hand file that did not answer."""
     there = {(node.protocol, node.node_id) for node in result.found_nodes}
     motors = [
         motor

@@ -1,6 +1,6 @@
 """``handctl bus plan``: compute the worst-case load of each bus of a hand.
 
-If a bus is overloaded, propose more buses.
+If a bus is overloaded, the command proposes a division of the motors among more buses.
 """
 
 import argparse

@@ -14,7 +14,7 @@ from handctl.session.buses import named_buses
 from handctl.session.exit_codes import ExitCode
 
 COMMAND_TIMEOUT_S = 10.0
-"""Longest time that one of the commands may take [s]."""
+"""Longest time that one of the system commands may take [s]."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -37,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _bus_rates(args: argparse.Namespace) -> tuple[tuple[str, BusSection], ...]:
-    """Return each bus with the bit rates from the hand file or from the options."""
+    """Return each bus with its bit rates, which come from the hand file or from the options."""
     if args.hand:
         from handctl.session.plan import bus_specs
 
@@ -52,7 +52,8 @@ def _commands_of_bus(spec: str, section: BusSection) -> tuple[CommandWords, ...]
     """Return the commands that set up the interface of one bus.
 
     Raises:
-        BusError: the bus is not a SocketCAN interface or is a real interface that does not exist.
+        BusError: the bus is not a SocketCAN interface, or it is a hardware interface that does not
+            exist.
     """
     kind, _, channel = spec.partition(":")
     if kind != "socketcan":
@@ -69,7 +70,7 @@ def _commands_of_bus(spec: str, section: BusSection) -> tuple[CommandWords, ...]
 
 
 def _check_root(commands: list[CommandWords]) -> None:
-    """Raise an error if --yes is given without the permission to set up an interface.
+    """Raise an error if --yes is given but the user may not set up an interface.
 
     Raises:
         BusError: the user is not root.

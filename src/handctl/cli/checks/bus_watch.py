@@ -27,7 +27,10 @@ from handctl.session.plan import bus_specs, chosen_time_scale, default_rate
 from handctl.signal_handlers import TerminationFlag, installed_handler
 
 MAX_POLL_RATE_HZ = 100.0
-"""Largest rate of the requests to the drives [Hz]. The bus load may allow only a lower rate."""
+"""Largest rate at which this command polls the drives [Hz].
+
+A high bus load may lower the rate further.
+"""
 REFRESH_PERIOD_S = 0.1
 """Time between two lines of JSON, or between two tables in a terminal [s]."""
 LINE_PERIOD_S = 1.0
@@ -36,9 +39,9 @@ MAX_WATCH_S = 86400.0
 
 
 def run(args: argparse.Namespace) -> int:
-    """Show the readings until Ctrl-C or for a given time.
+    """Show the readings for a given time, or until Ctrl-C.
 
-    Return 1 if a drive does not reply at the end.
+    Return 1 if a drive no longer replies at the end.
     """
     specs, hand, time_scale = _checked_arguments(args)
     drives = make_drives(hand)
@@ -79,8 +82,7 @@ def _checked_arguments(args: argparse.Namespace) -> tuple[tuple[str, ...], Hand,
     """Return the buses, the hand and the time scale that the command line gives.
 
     Raises:
-        ConfigError: an argument is missing or out of range, or the bus is real and no hand is
-            named.
+        ConfigError: an argument is missing or out of range, or a real bus is given without a hand.
     """
     if not args.bus:
         raise ConfigError("missing", "--bus", "the bus of the hand, such as --bus socketcan:can0")
@@ -96,7 +98,7 @@ def _checked_arguments(args: argparse.Namespace) -> tuple[tuple[str, ...], Hand,
 def _show_readings(
     args: argparse.Namespace, hand: Hand, watch: BusWatch, ended: TerminationFlag
 ) -> None:
-    """Poll the drives in every tick, and show the readings at intervals and at the end."""
+    """Poll the drives in every tick. Show their readings at intervals and at the end."""
     begin = time.monotonic()
     end = begin + (math.inf if args.duration is None else args.duration)
     in_place = sys.stdout.isatty() and not args.json
@@ -126,7 +128,7 @@ def _show_readings(
 def readings_of(hand: Hand, watch: BusWatch) -> dict[str, Any]:
     """Return the present readings of all drives and load cells.
 
-    A reading older than ``STALE_AFTER_S`` is NaN.
+    A reading that is older than ``STALE_AFTER_S`` becomes NaN.
     """
     now = watch.clock.now_ns()
     rows = zip(hand.tendon_names, watch.drives, watch.states, watch.ages_s(now), strict=True)

@@ -1,4 +1,4 @@
-"""``handctl config``: show a hand with derived values, check the files of a hand, or export a hand for other tools."""
+"""``handctl config``: show a hand and its derived values, check its files, or export it for other tools."""
 
 import argparse
 from collections.abc import Callable
@@ -94,19 +94,19 @@ def _all_errors(args: argparse.Namespace) -> list[str]:
             )
             errors.append(placed[0].error(str(path)) if in_hand else error)
     places = [error.where for error in errors]
-    # A later error at the same key is a consequence of the first one.
+    # A later error at the same key follows from the first error, and is not reported.
     return [str(error) for i, error in enumerate(errors) if error.where not in places[:i]]
 
 
 def _checks_of_files(args: argparse.Namespace, hand: Hand) -> list[Callable[[], object]]:
-    """Return the checks of a valid hand and of the other files of this hand.
+    """Return functions that check a valid hand and its other files.
 
-    Each check raises a ConfigError for an error.
+    Each function raises a ConfigError if it finds an error.
     """
     buses = hand.bus_names
 
     def check_task() -> None:
-        """Check the given task, or the default task of the demo."""
+        """Check the task that the user has named, or else the default task of the demo."""
         load_task_for_hand(args.task, hand)
 
     def check_calibration() -> None:
@@ -122,9 +122,9 @@ def _checks_of_files(args: argparse.Namespace, hand: Hand) -> list[Callable[[], 
         )
 
     def check_scene() -> None:
-        """Check that the hand can be simulated in the given scene, if a scene is given."""
+        """Check that the hand can be simulated in the scene that the user has named, if any."""
         if args.scene:
-            # No other check needs this import of the simulated hand.
+            # Only this check needs the module of the simulated hand.
             from handctl.session.simulate import SimulatorSettings
 
             SimulatorSettings(hand, args.scene).check_constructible()
@@ -142,7 +142,7 @@ def _checks_of_files(args: argparse.Namespace, hand: Hand) -> list[Callable[[], 
 
 
 def _report_errors(args: argparse.Namespace, errors: list[str]) -> int:
-    """Print one line for each error, and return the exit code."""
+    """Print one line for each error in the files of a hand, and return the exit code."""
     if args.json:
         print_json({"file": hand_path(args.hand).name, "errors": errors})
     for error in errors:
@@ -151,7 +151,7 @@ def _report_errors(args: argparse.Namespace, errors: list[str]) -> int:
 
 
 def _show_graph(args: argparse.Namespace, hand: Hand) -> int:
-    """Print the structure of a hand as text, or draw a picture of the structure."""
+    """Print the structure of a hand as text, or draw it as a picture."""
     from handctl.report.hand_graph import draw_hand, text_graph
 
     if not args.graph:
@@ -175,7 +175,7 @@ def _show_graph(args: argparse.Namespace, hand: Hand) -> int:
 
 
 def _show_or_check(args: argparse.Namespace, hand: Hand) -> int:
-    """Show a hand with derived values and files, or check the hand."""
+    """Show a hand with its derived values and files, or check the hand."""
     layers = layered_gains(args, hand)
     if args.task:
         load_task_for_hand(args.task, hand)
@@ -233,9 +233,9 @@ def _hand_warnings(hand: Hand) -> list[str]:
 
 
 def _gains_with_sources(layers: LayeredGains) -> list[str]:
-    """Return every gain and the origin of each as TOML comments.
+    """Return every gain with its origin as TOML comments.
 
-    The gains are comments because gains belong in a separate file.
+    A hand file contains no gains, because they belong in a separate file.
     """
     values = values_by_key(layers.gains)
     return [
@@ -246,7 +246,10 @@ def _gains_with_sources(layers: LayeredGains) -> list[str]:
 
 
 def _calibration_fields(args: argparse.Namespace, hand: Hand) -> dict[str, Any]:
-    """Return the calibration that a run would use, with identified parameters, or the reason for having none."""
+    """Return the calibration that a run would use, or the reason why there is none.
+
+    The calibration includes the identified parameters.
+    """
     path, calibration, reason = find_calibration(args, hand)
     if calibration is None:
         return {"file": str(path), "problem": reason, "made": None, "identified": {}}
@@ -280,7 +283,7 @@ def _calibration_lines(calibration: dict[str, Any]) -> list[str]:
 
 
 def _export_hand(args: argparse.Namespace, hand: Hand) -> int:
-    """Write a description of a hand in the format of other tools."""
+    """Write a description of a hand in the file format of another tool."""
     if args.dbc:
         return _export_buses(args, hand)
     if not (args.urdf or args.mjcf):
@@ -338,7 +341,7 @@ def _write_schema(args: argparse.Namespace) -> int:
 def _convert_file(args: argparse.Namespace) -> int:
     """Convert a hand file of schema 1 to schema 2, and write the new hand file."""
     from handctl.hand.file.schema_conversion import (
-        convert_to_schema_2,  # only this verb needs tomlkit
+        convert_to_schema_2,  # only this subcommand needs tomlkit
     )
 
     hand = load_hand(args.old)

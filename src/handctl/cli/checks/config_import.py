@@ -36,11 +36,11 @@ from handctl.hand.hand_loading import inspect_content, parse_toml
 from handctl.session.model_file import read_model_file
 
 OPTIONS_WITHOUT_DESCRIPTION = ("fingers", "opposed", "links_mm", "width_mm", "palm_mm")
-"""Options that cannot be combined with a robot description, because the description contains these values."""
+"""Options that are refused together with a robot description, because the description contains their values."""
 NODE_NUMBERS = range(1, 128)
 """Valid node numbers."""
 READ_ALL_OR_NONE = reader_of_choice(("all", "none"))
-"""Function that reads the answer ``all`` or ``none`` to a question about all tendons or joints."""
+"""Function that reads the answer ``all`` or ``none`` to a question about all tendons or all joints."""
 IMPORT_QUESTIONS = (
     *TENDON_QUESTIONS,
     HandQuestion("cells", "Load cells at the tendons (all, none)", READ_ALL_OR_NONE, "all or none"),
@@ -56,9 +56,9 @@ IMPORT_QUESTIONS = (
     ),
     HandQuestion("first_node", "Node number of the first drive of a bus", int, "a whole number"),
 )
-"""All questions about what a robot description lacks, in order.
+"""Questions about the values that a robot description lacks, in the order of asking.
 
-After an empty answer, the hand file marks the value as missing.
+If an answer is empty, the hand file marks this value as missing.
 """
 
 
@@ -104,15 +104,15 @@ def run(args: argparse.Namespace) -> int:
 
 
 def read_hand_description(path: Path, kind: str, output: Path) -> tuple[DescribedHand, list[str]]:
-    """Read a robot description, and return the described hand.
+    """Read a robot description, and return the hand that it describes.
 
     Args:
         path: file of the description.
         kind: ``urdf`` or ``mjcf``.
-        output: folder of the hand file, to which the paths of meshes are relative.
+        output: folder of the hand file. The paths of meshes are relative to this folder.
 
     Returns:
-        the hand, and one line for each part of the file that was not used.
+        the hand, and one line of text for each part of the description that was not used.
 
     Raises:
         ConfigError: the file cannot be read or does not describe a tree of hinges with inertia.
@@ -142,7 +142,7 @@ def read_hand_description(path: Path, kind: str, output: Path) -> tuple[Describe
 def _mesh_of(
     link: str, meshes: Sequence[Mapping[str, Any]], output: Path, notes: list[str]
 ) -> ModelMesh | None:
-    """Return the largest usable mesh of a link, or None.
+    """Return the largest usable mesh of a link, or None if there is none.
 
     Add a line to ``notes`` for each mesh that is left out.
     """
@@ -177,9 +177,9 @@ def _ask_questions(answers: TendonAnswers, known: set[str]) -> TendonAnswers:
 
 
 def _check_answers(answers: TendonAnswers) -> None:
-    """Raise an error for answers with which no hand file can be written.
+    """Raise an error if no hand file can be written from the answers.
 
-    The check of the hand file finds other mistakes.
+    Other mistakes are found when the new hand file is checked.
 
     Raises:
         ConfigError: a name or a node number is wrong.

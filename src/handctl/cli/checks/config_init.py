@@ -40,11 +40,14 @@ HAND_QUESTIONS = (
     HandQuestion("palm_mm", "Distance between the two sides of the palm [mm]", float, "a number"),
     *TENDON_QUESTIONS,
 )
-"""All questions about a new hand, in order. A question that an option answers is skipped."""
+"""Questions about a new hand, in the order of asking.
+
+If an option already answers a question, the question is skipped.
+"""
 OPTIONS_WITH_DESCRIPTION = ("cells", "encoders", "springs", "first_node")
 """Options that are valid only for a hand imported from a robot description."""
 PROPORTIONAL_DEFAULT = {"palm_mm": "palm", "pulley_mm": "pulley"}
-"""Attribute of the answers that gives the default of a field.
+"""Attribute of the answers that computes the default of each of these fields.
 
 The default is proportional to other answers.
 """

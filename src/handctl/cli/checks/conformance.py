@@ -1,6 +1,6 @@
 """``handctl conformance``: check that a real drive behaves as handctl requires.
 
-The torque stays below a given limit.
+During the checks, the torque stays below a limit that the user gives.
 """
 
 import argparse
@@ -94,7 +94,8 @@ def _run_checks(
 ) -> tuple[list[ConformanceCheck], bool]:
     """Run the checks of a drive, disable the drive, and restore the torque range of the drive.
 
-    Return the results of the checks, and True if the drive has confirmed that it is disabled.
+    Return the results of the checks. The second returned value is True if the drive has confirmed
+    that it is disabled.
     """
     results: list[ConformanceCheck] = []
     with open_rig(args, drive) as (rig, bus):

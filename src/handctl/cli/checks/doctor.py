@@ -28,14 +28,14 @@ WAKEUP_TEST_S = 1.0
 WAKEUP_SLEEP_S = 0.001
 """Time that the measuring process sleeps before each wake-up [s]."""
 MAX_WAKEUP_LATENESS_S = 0.002
-"""Lateness of a wake-up above which the machine is not good enough [s].
+"""Lateness of a wake-up at which this check fails [s].
 
 The limit is one tick at 500 Hz.
 """
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check priority, CAN, viewer and disk space of this machine.
+    """Check process priority, CAN, the viewer and the disk space of this machine.
 
     Return 1 if a finding needs a repair.
     """
@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
 def _print_findings(findings: Sequence["DoctorFinding"]) -> None:
     """Print the findings.
 
-    With ``--quiet``, good findings are left out. With ``--verbose``, versions are added.
+    ``--quiet`` leaves out the good findings, and ``--verbose`` adds the versions of the software.
     """
     for what, good, fix in findings:
         if not (good and is_quiet()):
@@ -74,7 +74,7 @@ DoctorFinding = tuple[str, bool, str]
 
 
 def _version_fields() -> dict[str, object]:
-    """Return data for a bug report: versions, operating system, installed extras."""
+    """Return the data for a bug report: versions, operating system and installed optional packages."""
     return {
         "version": version("handctl"),
         "python": platform.python_version(),
@@ -89,7 +89,7 @@ def _extras_finding() -> DoctorFinding:
         f"optional packages; not installed: {', '.join(missing) or 'none'}",
         True,
         "",
-    )  # the controller needs no extra
+    )  # the controller needs no optional packages
 
 
 def _granted_priority() -> GrantedPriority:
@@ -140,7 +140,7 @@ def _check_wakeups() -> DoctorFinding:
 def _processor_ticks() -> tuple[int, int]:
     """Return the time of all cores since system start, and the part that a hypervisor gave to other machines.
 
-    The unit is the clock tick of the kernel. The part given away is the field ``steal`` of
+    The unit is the clock tick of the kernel. The second value is the field ``steal`` of
     ``/proc/stat`` (Linux ``proc_stat(5)``). On systems other than Linux, both times are 0.
     """
     try:

@@ -1,4 +1,4 @@
-"""Fragment of a hand file for drives that a scan has found.
+"""Part of a hand file that describes the drives a scan has found.
 
 Values that the drives report are filled in. Values that the user must measure are marked.
 """
@@ -10,7 +10,7 @@ from handctl.drives.protocol_registry import PROTOCOL_ENTRIES
 from handctl.hand.file.sections import CIA404_PROTOCOL
 
 SnippetEntry = tuple[str, object, str]
-"""Key, value and comment of a line in the fragment."""
+"""Key, value and comment of one line of the hand file."""
 TO_FILL_IN_COMMENT = "yours: "
 MAX_TORQUE_N_M = 50.0
 """Largest torque allowed in a hand file [N m]."""

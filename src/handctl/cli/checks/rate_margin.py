@@ -6,7 +6,7 @@ from handctl.core.hand_model import HandModel
 from handctl.hand.description import Hand
 
 LOWEST_UNCHECKED_RATE_HZ = 250.0
-"""Control rate from which on a hand is not checked [Hz].
+"""Control rate at and above which the loops of a hand are not checked [Hz].
 
 All packaged hands and the hands of ``config init`` run at this rate.
 """
@@ -15,8 +15,9 @@ All packaged hands and the hands of ``config init`` run at this rate.
 def rate_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
     """Return a warning if the gain margin of a tendon's motion loop is too small at a control rate.
 
-    The bus load determines the control rate. At low rates, the tensions of fingers with light links
-    oscillate, and a run ends with the fault N14b or T03.
+    A high bus load forces a low control rate. At low rates, the tensions of fingers with light
+    links may oscillate. The run then ends with an oscillation fault (N14b) or an over-tension fault
+    (T03).
 
     Args:
         hand: description of the hand.
@@ -25,7 +26,7 @@ def rate_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
     """
     if rate_hz >= LOWEST_UNCHECKED_RATE_HZ:
         return []
-    # The loops are computed by the compiled core. No other check of a hand needs this import.
+    # The compiled core computes the control loops. No other check of a hand needs to import it.
     from handctl.tune.loops.linear import LoopKind, open_loop
     from handctl.tune.loops.margins import MIN_GAIN_MARGIN_DB, margins_of_loop
 

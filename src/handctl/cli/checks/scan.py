@@ -1,4 +1,4 @@
-"""``handctl scan``: find the nodes on a bus without moving a motor, and print a fragment of a hand file."""
+"""``handctl scan``: find the nodes on a bus without moving a motor, and print hand-file sections for them."""
 
 import argparse
 import dataclasses
@@ -24,7 +24,7 @@ MILLI = 1e-3
 
 
 def run(args: argparse.Namespace) -> int:
-    """Scan each bus of the command line. Return 1 if no node was found."""
+    """Scan each bus that the command line names. Return 1 if no node was found."""
     buses = named_buses(args.bus)
     if args.dry_run:
         return _print_requests(args.json)
@@ -61,14 +61,17 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _print_note_of_bus(spec: str, text: str) -> None:
-    """Print a note about a bus."""
+    """Print a note that begins with the name of a bus."""
     print_note(f"{spec}: {text}")
 
 
 def add_identities(
     nodes: tuple[DiscoveredNode, ...], spec: str, bitrate: int
 ) -> tuple[DiscoveredNode, ...]:
-    """Return the found nodes. CANopen nodes get the identity that each reports over SDO."""
+    """Return the nodes that a scan has found.
+
+    To each CANopen node, add the identity that it reports over SDO.
+    """
     canopen_ids = [drive.node_id for drive in nodes if drive.protocol == "cia402"]
     if not canopen_ids:
         return nodes

@@ -1,1 +1,1 @@
-"""Parts that all commands share: options, output, display, and questions to the operator."""
+"""Code that all commands share: options, output, display, and questions to the operator."""

@@ -1,4 +1,7 @@
-"""Single drive on a bench, without a hand file: options, search by a scan, description, and ticks."""
+"""Commands on a single drive on a bench, without a hand file.
+
+This module reads the options, scans for the drive, describes it, and opens its bus.
+"""
 
 import argparse
 import dataclasses
@@ -28,11 +31,11 @@ from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
 from handctl.runtime.diagnostics.scan import BusScan, collect_frames, scan_bus
 
 NOT_OFF_WARNING = "the drive does not report that it is off: REMOVE ITS POWER"
-"""Message about a drive that may still make torque."""
+"""Message about a drive that may still produce torque."""
 WATCHDOG_MS = 100
-"""Watchdog time of the drive [ms].
+"""Time without commands after which the watchdog stops the drive [ms].
 
-A desktop computer without real-time priority has shorter delays.
+This time is longer than the delays of a desktop computer without real-time priority.
 """
 MAX_TORQUE_N_M = 50.0
 """Largest torque that a hand file allows [N m]."""
@@ -40,20 +43,26 @@ BENCH_OPTIONS: dict[str, dict[str, Any]] = {
     "odrive": {"torque_feedback": True},
     "cia402": {"sync": True},
 }
-"""Options for a single drive on a bench, by protocol. No other host sends SYNC there."""
-TEXT_VALUED_OPTIONS = ("firmware", "motor_type")
-"""Options whose value is always text, even if the text looks like a number, as in firmware=0.5."""
-UNQUOTED_TEXT = re.compile(r"[A-Za-z0-9][\w.-]*")
-"""Pattern for an option's text that needs no quotes."""
-ASSUMED_OPTIONS = {"rated_torque_N_m": 1.0, "counts_per_turn": 65536}
-"""Defaults for options that a CiA 402 drive may not report.
+"""Options for a single drive on a bench, by protocol.
 
-The read-back of the drive's settings refuses a wrong rated torque.
+A CiA 402 drive gets SYNC messages from handctl, because no other host on the bench sends them.
+"""
+TEXT_VALUED_OPTIONS = ("firmware", "motor_type")
+"""Options whose value is always text, even if it looks like a number, as in firmware=0.5."""
+UNQUOTED_TEXT = re.compile(r"[A-Za-z0-9][\w.-]*")
+"""Pattern of an option's value that needs no quotes."""
+ASSUMED_OPTIONS = {"rated_torque_N_m": 1.0, "counts_per_turn": 65536}
+"""Defaults of options whose values a CiA 402 drive may not report.
+
+If the rated torque is wrong, handctl notices this when it reads back the settings, and refuses the
+drive.
 """
 
 
 def parse_options(words: list[str]) -> dict[str, Any]:
-    """Return the options that KEY=VALUE words give. The values are TOML, in which the quotes of a text may be omitted.
+    """Return the options that KEY=VALUE words give.
+
+    The values are TOML, but a text may be written without quotes.
 
     Raises:
         ConfigError: a word is not TOML.
@@ -81,7 +90,7 @@ def _option_from_word(word: str) -> dict[str, Any]:
 
 
 def _torque_drive(motor: Motor) -> Drive:
-    """Return the drive of a motor in torque mode."""
+    """Return a motor's drive, in torque mode."""
     return make_drive(motor, 0)
 
 
@@ -91,11 +100,11 @@ def describe_drive(
     node: DiscoveredNode | None,
     make: Callable[[Motor], Drive] = _torque_drive,
 ) -> Drive:
-    """Return the drive with the values reported by the drive. Values on the command line take precedence.
+    """Return the drive with the values that it reports. Values on the command line take precedence.
 
     Args:
         args: arguments with ``protocol``, ``node`` and ``limit`` [N m].
-        options: options of the drive on the command line.
+        options: options of the drive, from the command line.
         node: the drive found by a scan, or None before the scan.
         make: function that constructs the drive of a motor.
 
@@ -178,11 +187,10 @@ def find_drive(args: argparse.Namespace) -> DiscoveredNode:
 
 
 def _listen_for_drive(args: argparse.Namespace, bus: Bus) -> BusScan:
-    """Return a scan result for a drive that answers only to commands, not to a scan.
+    """Return a scan result for a drive that answers commands, but no scan.
 
-    The function only listens. A frame with the drive's identifier must come from another host.
-
-    Only the first check after the scan shows whether the drive is present.
+    The function listens and sends nothing. Therefore a frame with the drive's identifier must come
+    from another host. The first check after the scan shows whether the drive is present.
     """
     seen: list[Frame] = []
     collect_frames(bus, SCAN_LISTEN_S, seen)
@@ -191,7 +199,7 @@ def _listen_for_drive(args: argparse.Namespace, bus: Bus) -> BusScan:
 
 
 def with_torque_range(drive: Drive, node: DiscoveredNode) -> Drive:
-    """Return a drive with the original torque range.
+    """Return a drive with the torque range that the scanned drive had.
 
     In the MIT protocol, this range scales every torque.
     """
@@ -203,9 +211,10 @@ def with_torque_range(drive: Drive, node: DiscoveredNode) -> Drive:
 
 @contextmanager
 def open_rig(args: argparse.Namespace, drive: Drive) -> Iterator[tuple[DriveRig, Bus]]:
-    """Open the bus of a drive, and yield the rig with the drive, and the bus.
+    """Open the bus of a drive.
 
-    Where allowed, ticks have real-time priority.
+    Yield the test rig of the drive, and the bus. If the system allows it, the ticks run with
+    real-time priority.
 
     Args:
         args: arguments with ``bus`` and the bit rates of the bus.

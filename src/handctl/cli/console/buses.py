@@ -1,4 +1,4 @@
-"""Bus by which a command line identifies a running controller."""
+"""Bus that tells a command which running controller the user means."""
 
 import argparse
 
@@ -6,5 +6,5 @@ from handctl.session.buses import named_buses
 
 
 def controller_bus(args: argparse.Namespace) -> str:
-    """Return the bus that identifies a running controller: the first bus given, without the name from the hand file."""
+    """Return the bus that identifies a running controller: the first ``--bus`` without the NAME= in front."""
     return next(iter(named_buses(args.bus).values()))

@@ -1,9 +1,9 @@
 """Display of a running hand. A separate process draws the display from lines of JSON.
 
 The controller writes a short line every tenth of a second to a pipe that never blocks. If the
-display process is slow, lines are lost, but the controller is not disturbed. In a terminal, the
-display redraws the state in place. Without a terminal, the display prints one plain line per
-second.
+display process is too slow, it misses lines, but the controller never waits. In a terminal, the
+display redraws the state of the hand in place. If the output is no terminal, the display prints one
+plain line per second.
 """
 
 import json
@@ -26,7 +26,7 @@ STDERR_FD = 2
 """File descriptor to which the display prints. Standard output is reserved for results."""
 ONE_SECOND_NS = 1_000_000_000
 MAX_LINE_CHARACTERS = 120
-"""Length of the longest plain line [characters]."""
+"""Longest line that the display prints without a terminal [characters]."""
 NO_BREAK_SPACE = "\u00a0"
 
 
@@ -38,8 +38,8 @@ class DisplayProcess:
         child: display process.
         pipe: file descriptor of the pipe to the display process.
         worst_late_ns: largest lateness of a tick since the last line [ns].
-        last_warning_ns: time of the last printed warning of each fault id [ns].
-        shown: remedies for faults that have been printed already.
+        last_warning_ns: time at which a warning of each fault id was last printed [ns].
+        shown: remedies that the display has already printed.
     """
 
     def __init__(
@@ -77,7 +77,10 @@ class DisplayProcess:
         )
 
     def show_tick(self, entry: TickIn, out: TickOut) -> None:
-        """Send a line about the tick to the display, if ``REFRESH_PERIOD_S`` has passed or if the tick has an event."""
+        """Send a line about the tick to the display.
+
+        Only ticks with an event, and one tick in each ``REFRESH_PERIOD_S``, are sent.
+        """
         self.worst_late_ns = max(self.worst_late_ns, entry.late_ns)
         if entry.k % self.ticks_per_line and not out.events:
             return
@@ -102,7 +105,7 @@ class DisplayProcess:
     def _is_due(self, t_ns: int, event: TickEvent) -> bool:
         """Return True if the display shall print an event.
 
-        A warning that repeats is printed at most once per second. The log contains every event.
+        A repeated warning is printed at most once per second. The log contains every event.
         """
         if event.level == "error" or event.name != "fault":
             return True
@@ -115,8 +118,8 @@ class DisplayProcess:
     def _event_text(self, event: TickEvent) -> str:
         """Return the text that the display prints for an event.
 
-        When a fault is first reported, a second line has the remedy. A changed gain is printed with
-        the key of the gain.
+        When a fault occurs for the first time, a second line gives the remedy. If a gain has
+        changed, the text contains the key of the gain.
         """
         if event.name == GAIN_EVENT:
             return f"{event.where} = {event.text}"
@@ -133,7 +136,10 @@ class DisplayProcess:
             return
 
     def close(self) -> None:
-        """Close the pipe, and wait at most 2 s until the display has printed the last line."""
+        """Close the pipe to the display.
+
+        Wait at most 2 s until the display has printed its last line.
+        """
         assert self.child.stdin is not None
         self.child.stdin.close()
         try:
@@ -148,7 +154,7 @@ def short_names(names: Sequence[str]) -> list[str]:
 
 
 def _print_lines(head: dict[str, Any]) -> None:
-    """Print one line about the state per second, and each event."""
+    """Print each event, and once per second a line about the state of the hand."""
     last = -1.0
     for text in sys.stdin:
         line = json.loads(text)
@@ -162,11 +168,11 @@ def _print_lines(head: dict[str, Any]) -> None:
 def _tension_lines(names: Sequence[str], line: dict[str, Any]) -> str:
     """Return the state and the tensions of a hand as text.
 
-    The tensions of many tendons fill several lines.
+    A hand with many tendons needs several lines.
     """
     start = f"{line['t']:8.3f} s  {line['mode']:<9} {line['phase']:<10} tension [N]  "
     pairs = zip(short_names(names), line["tension"], strict=True)
-    # A no-break space keeps the name of a tendon and its value on the same line.
+    # A no-break space keeps the name of a tendon and its tension on the same line.
     text = "  ".join(f"{name}{NO_BREAK_SPACE}{f:.1f}" for name, f in pairs)
     rows = textwrap.fill(
         text, MAX_LINE_CHARACTERS, initial_indent=start, subsequent_indent=" " * len(start)
@@ -175,7 +181,7 @@ def _tension_lines(names: Sequence[str], line: dict[str, Any]) -> str:
 
 
 def _draw_in_place(head: dict[str, Any]) -> None:
-    """Draw the state of the hand in place in the terminal, with the package rich."""
+    """Draw the state of the hand in the terminal, always in the same place, with the package rich."""
     from rich.live import Live
 
     console = rich_console()

@@ -1,4 +1,4 @@
-"""Report of a dry run, the same for every command with a controller."""
+"""Report of a dry run. All commands that run a controller print the same report."""
 
 import argparse
 from typing import Any
@@ -9,7 +9,7 @@ from handctl.session.plan import RunPlan, check_gain_margins
 
 
 def report_dry_run(args: argparse.Namespace, plan: RunPlan, *lines: str, **fields: Any) -> int:
-    """Check that the gains give a valid design, and report the planned run.
+    """Check that a controller can be designed with the gains, and report the planned run.
 
     Args:
         args: arguments with ``json``.
@@ -18,7 +18,7 @@ def report_dry_run(args: argparse.Namespace, plan: RunPlan, *lines: str, **field
         fields: further fields of the JSON result.
 
     Raises:
-        ConfigError: the design of the controller or of the filter fails.
+        ConfigError: no valid controller or filter follows from the gains.
     """
     check_gain_margins(plan.hand, plan.gains, plan.rate_hz)
     if args.json:

@@ -24,17 +24,19 @@ DAY_S = 86400.0
 def announce_motion(
     args: argparse.Namespace, plan: RunPlan, path: Path, calibration: Calibration | None
 ) -> None:
-    """Print the files that a run uses. On a real bus, then ask the operator whether the hand may move.
+    """Print the files that a run uses.
+
+    On a real bus, also ask the operator whether the hand may move.
 
     Args:
         args: arguments with ``yes``, ``gains`` and ``calibration``.
         plan: plan of the run.
         path: calibration file.
-        calibration: content of the calibration file, or None if the hand is commissioned first.
+        calibration: content of the calibration file. If it is None, the run commissions the hand
+            first.
 
     Raises:
-        ConfigError: there is no terminal at which to ask the operator, or the operator refuses the
-            motion.
+        ConfigError: the operator refuses the motion, or there is no terminal on which to ask.
     """
     files = []
     gains = Path(f"{plan.hand.name}.gains.toml")
@@ -58,9 +60,9 @@ def announce_motion(
 
 
 def _file_text(what: str, path: Path, made: str) -> str:
-    """Return kind, path and age of a file as one text.
+    """Return the kind, path and age of a file as one text.
 
-    The age counts from the date in the file. Without a date in the file, the age counts from the
+    The age counts from the date written in the file. A file without a date counts from its
     modification time.
     """
     then = path.stat().st_mtime
@@ -70,7 +72,7 @@ def _file_text(what: str, path: Path, made: str) -> str:
 
 
 def age_text(seconds: float) -> str:
-    """Return an age as text, in the largest unit of which the age has at least two."""
+    """Return an age as text, in the largest unit in which it is at least 2."""
     for unit, name in ((DAY_S, "days"), (HOUR_S, "h"), (MINUTE_S, "min")):
         if seconds >= 2 * unit:
             return f"{seconds / unit:.0f} {name}"

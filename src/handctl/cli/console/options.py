@@ -1,4 +1,4 @@
-"""Options that have the same meaning in every command, and output of results."""
+"""Options that have the same meaning in every command, and functions that print results."""
 
 import argparse
 import json
@@ -16,7 +16,7 @@ from handctl.session.exit_codes import ExitCode
 
 
 class _StoreNamedHand(argparse.Action):
-    """Argparse action that stores a hand together with the fact that the operator has named one."""
+    """Argparse action that stores the hand, and stores that the operator has named a hand."""
 
     def __call__(
         self, parser: Any, namespace: argparse.Namespace, values: Any, option: str | None = None
@@ -57,13 +57,16 @@ def checked_count(number: int, option: str, maximum: int) -> int:
 
 
 def add_protocol_option(parser: argparse.ArgumentParser, more: str = "") -> None:
-    """Declare --protocol, which selects drives of another protocol for the same hand."""
+    """Declare --protocol.
+
+    The hand then has drives of this protocol instead of those in its file.
+    """
     text = "drives of the simulated hand (default: as in its file)" + more
     parser.add_argument("--protocol", choices=GUARDED_PROTOCOLS, help=text)
 
 
 def add_bus_option(parser: argparse.ArgumentParser, required: bool = True) -> None:
-    """Declare --bus: one bus, or several of the form NAME=SPEC for a hand on several buses."""
+    """Declare --bus. A hand with several buses needs one ``--bus NAME=SPEC`` for each."""
     parser.add_argument(
         "--bus",
         action="append",
@@ -83,7 +86,7 @@ def add_bitrate_options(parser: argparse.ArgumentParser, nominal: str, data: str
 
 
 def _bit_rate(word: str) -> int:
-    """Return a bit rate of the command line [bit/s], after a check against the limits of a hand file."""
+    """Return a bit rate from the command line [bit/s], if a hand file would also allow it."""
     rate = int(word)
     if not MIN_BITRATE_BIT_S <= rate <= MAX_BITRATE_BIT_S:
         raise argparse.ArgumentTypeError(
@@ -93,21 +96,21 @@ def _bit_rate(word: str) -> int:
 
 
 def add_json_option(parser: argparse.ArgumentParser) -> None:
-    """Declare --json, with which standard output contains only the result, as JSON."""
+    """Declare --json. Standard output then contains the result as JSON, and no other text."""
     parser.add_argument(
         "--json", action="store_true", help="print the result as JSON on standard output"
     )
 
 
 def add_dry_run_option(parser: argparse.ArgumentParser) -> None:
-    """Declare --dry-run, with which a command checks all inputs but opens no bus."""
+    """Declare --dry-run. The command then checks all its inputs, but opens no bus."""
     parser.add_argument(
         "--dry-run", action="store_true", help="check all files and the bus load, open no bus"
     )
 
 
 def add_run_options(parser: argparse.ArgumentParser, bus_required: bool = True) -> None:
-    """Declare the options that all commands with a controller have."""
+    """Declare the options of all commands that run a controller."""
     add_hand_option(parser)
     add_bus_option(parser, bus_required)
     add_json_option(parser)
@@ -140,7 +143,7 @@ def add_jobs_option(parser: argparse.ArgumentParser, default: int | None, text: 
 
     Args:
         parser: parser of a command.
-        default: default number of processes. None stands for one process per core.
+        default: default number of processes. None stands for one process for each core.
         text: help text without the default.
     """
     default_text = "one per core" if default is None else str(default)
@@ -152,12 +155,15 @@ def add_jobs_option(parser: argparse.ArgumentParser, default: int | None, text: 
 def add_output_option(
     parser: argparse.ArgumentParser, text: str, metavar: str = "FILE", *, required: bool = False
 ) -> None:
-    """Declare --output, the file or folder to which the result is written."""
+    """Declare --output, the file or folder to which the command writes its result."""
     parser.add_argument("--output", type=Path, metavar=metavar, help=text, required=required)
 
 
 def add_perturb_option(parser: argparse.ArgumentParser) -> None:
-    """Declare --perturb, factors between parameters of the simulated hand and the values in the hand file."""
+    """Declare --perturb.
+
+    Each factor multiplies a value of the hand file to give the simulated hand's value.
+    """
     text = "change parameters of the simulated hand, e.g. stiffness=0.8 friction=1.3 (python -m firmware_sim --help)"
     parser.add_argument(
         "--perturb", nargs="+", action="extend", default=[], metavar="KEY=FACTOR", help=text
@@ -170,7 +176,7 @@ def perturb_option_words(args: argparse.Namespace) -> list[str]:
 
 
 def add_yes_option(parser: argparse.ArgumentParser) -> None:
-    """Declare --yes, which allows a motion without a question."""
+    """Declare --yes, which lets a hand move without a question to the operator."""
     text = "do not ask for permission before the hand moves on a real bus"
     parser.add_argument("--yes", action="store_true", help=text)
 
@@ -180,12 +186,12 @@ def add_time_scale_option(
     default: float | None = None,
     default_text: str = "that of the simulator on the bus, otherwise 1",
 ) -> None:
-    """Declare --time-scale, the simulated time that passes per real time.
+    """Declare --time-scale, the ratio of simulated time to real time.
 
     Args:
         parser: parser of a command.
-        default: value if the option is not given.
-        default_text: the default in words.
+        default: value of the time scale if the option is not given.
+        default_text: description of this default for the help.
     """
     text = f"simulated time per wall time (default: {default_text})"
     parser.add_argument("--time-scale", type=float, default=default, metavar="X", help=text)
@@ -215,7 +221,7 @@ def print_escaped(text: str, error: bool = False) -> None:
 def warn_if_lossy(path: Path, warning: str) -> ExitCode:
     """Warn if a log is incomplete.
 
-    Return the exit code of a command that has used the readable part.
+    Return the exit code for a command that has used the readable part of a log.
     """
     if warning:
         print_escaped(f"handctl: {path}: {warning}", error=True)
@@ -223,7 +229,7 @@ def warn_if_lossy(path: Path, warning: str) -> ExitCode:
 
 
 def add_wire_option(parser: argparse.ArgumentParser) -> None:
-    """Declare --wire, with which simulated frames take as long as on a real bus."""
+    """Declare --wire. Each simulated frame then takes as long as on a real bus."""
     text = "the simulated bus has a bit rate, queues and errors; e.g. --wire queue=10 (python -m firmware_sim --help)"
     parser.add_argument("--wire", nargs="*", metavar="KEY=VALUE", help=text)
 
@@ -234,7 +240,7 @@ def wire_option_words(args: argparse.Namespace) -> list[str]:
 
 
 def print_json(result: dict[str, Any]) -> None:
-    """Print a result as JSON. NaN becomes null."""
+    """Print a result as JSON. A NaN in the result becomes null."""
     text = json.dumps(_json_value(result), indent=2, allow_nan=False)
     sys.stdout.write(
         text.replace("\x7f", "\\u007f") + "\n"
@@ -242,9 +248,9 @@ def print_json(result: dict[str, Any]) -> None:
 
 
 def print_json_line(result: dict[str, Any]) -> None:
-    """Print a result at once as one line of JSON, for a command that reports during its work.
+    """Print a result as one line of JSON, without buffering.
 
-    NaN becomes null.
+    Commands that report during their work use this function. A NaN becomes null.
     """
     text = json.dumps(_json_value(result), allow_nan=False)
     sys.stdout.write(text.replace("\x7f", "\\u007f") + "\n")

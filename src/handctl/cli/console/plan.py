@@ -1,4 +1,4 @@
-"""Conversion of command-line arguments to the inputs of a session, which runs a hand."""
+"""Conversion of command-line arguments to the inputs of ``handctl.session``, the package that runs a hand."""
 
 import argparse
 from dataclasses import replace
@@ -16,7 +16,7 @@ from handctl.session.simulate import SimulatorSettings
 
 
 def make_plan(args: argparse.Namespace, lockstep: bool = False) -> plan.RunPlan:
-    """Check hand, gains, buses and control rate of a command line, and return the plan of the run.
+    """Check the hand, gains, buses and control rate that a command line gives, and return the plan of the run.
 
     Raises:
         ConfigError: an argument or a file is wrong.
@@ -40,7 +40,7 @@ def make_plan(args: argparse.Namespace, lockstep: bool = False) -> plan.RunPlan:
 
 
 def _print_plan(args: argparse.Namespace, run_plan: plan.RunPlan) -> None:
-    """Print the details of a plan, as ``--verbose`` demands."""
+    """Print the details of a plan if ``--verbose`` is given."""
     hand = run_plan.hand
     print_detail(
         f"hand: {hand.name} from {args.hand}, identity {hand.identity[:16]}, {len(hand.tendon)} tendons"
@@ -58,9 +58,9 @@ def _print_plan(args: argparse.Namespace, run_plan: plan.RunPlan) -> None:
 
 
 def print_notice(text: str) -> None:
-    """Print a notice to standard error, unless the command is quiet.
+    """Print a notice to standard error, unless ``--quiet`` is given.
 
-    A text that begins with ``handctl:`` is a caution, which is always printed.
+    A text that begins with ``handctl:`` is a caution, and is printed even then.
     """
     if text.startswith("handctl:"):
         print_escaped(text, error=True)
@@ -76,7 +76,7 @@ def _display_starter(of: plan.RunPlan) -> plan.OperatorDisplay:
 
 
 def layered_gains(args: argparse.Namespace, hand: Hand) -> gains.LayeredGains:
-    """Return the gains that a run with these arguments uses.
+    """Return the gains that a run with the given arguments uses.
 
     Args:
         args: arguments with ``gains`` and ``gain``.
@@ -92,7 +92,7 @@ def calibration_path(args: argparse.Namespace, hand: Hand) -> Path:
     """Return the path of the calibration file, which may not exist yet.
 
     Raises:
-        ConfigError: the file cannot be written. This is checked before a hand moves.
+        ConfigError: the calibration file could not be written. This check precedes all motion.
     """
     path: Path = args.calibration or Path(f"{hand.name}.calibration.toml")
     check_output(
@@ -106,10 +106,12 @@ def calibration_path(args: argparse.Namespace, hand: Hand) -> Path:
 
 
 def find_calibration(args: argparse.Namespace, hand: Hand) -> tuple[Path, Calibration | None, str]:
-    """Return the path of the hand's calibration file, and the calibration if the hand may be armed with it.
+    """Return the path of the hand's calibration file.
+
+    If the hand may be armed with this calibration, also return the calibration.
 
     Returns:
-        the path, the calibration or None, and the reason for None.
+        the path of the file, the calibration or None, and the reason if it is None.
 
     Raises:
         ConfigError: a named file exists but cannot be used, or the file cannot be written.
@@ -121,7 +123,7 @@ def find_calibration(args: argparse.Namespace, hand: Hand) -> tuple[Path, Calibr
 
 
 def check_perturb(args: argparse.Namespace, simulated: bool) -> dict[str, float]:
-    """Return the factors of ``--perturb``, after a check on a simulated hand.
+    """Return the factors of ``--perturb``, after a simulated hand has accepted them.
 
     Args:
         args: arguments with the hand and ``--perturb``.
@@ -144,7 +146,7 @@ def check_perturb(args: argparse.Namespace, simulated: bool) -> dict[str, float]
 
 
 def refuse_bus_options(args: argparse.Namespace) -> None:
-    """Raise an error if an option is given that has an effect only in a run on a bus.
+    """Raise an error if the user gives an option that has no effect without a bus.
 
     Raises:
         ConfigError: such an option is given.

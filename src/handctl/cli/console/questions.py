@@ -58,8 +58,8 @@ TENDON_QUESTIONS = (
 def write_with_schema(output: Path, text: str) -> Path:
     """Write a new hand file.
 
-    Write the JSON Schema beside the hand file unless there is one, and return the path of the
-    schema.
+    Also write the JSON Schema of hand files in the same folder, unless the schema exists there.
+    Return the path of the schema.
     """
     schema = output.parent / SCHEMA_FILE
     write_text_atomically(output, text, new=True)
@@ -81,7 +81,10 @@ def check_terminal() -> None:
 
 
 def ask_question(question: HandQuestion, shown: str, default: Any) -> Any:
-    """Ask a question until the answer is valid, and return the answer."""
+    """Ask a question until the answer is valid or empty.
+
+    Return the answer, or the default if it is empty.
+    """
     while True:
         text = input(f"{question.question_text} [{shown}]: ").strip()
         if not text:

@@ -1,7 +1,7 @@
-"""Console of the package rich for all commands.
+"""Console of the package rich, for the output of all commands.
 
-The console escapes text from files. If the reader of a command's output closes the pipe, the
-console ends the command.
+The console escapes control characters in text from files. If the program that reads the output
+closes its pipe, the console ends the command.
 """
 
 from collections.abc import Iterable
@@ -16,8 +16,8 @@ def rich_console(error: bool = False, min_width: int = 1) -> Any:
     Args:
         error: True to print on standard error. If standard error is closed, the output is dropped
             without an error.
-        min_width: smallest width [columns]. A narrower terminal wraps the lines of a table, but
-            cuts no number.
+        min_width: smallest width [columns]. In a narrower terminal, the lines of a table wrap, so
+            that no number is cut.
     """
     from rich.console import Console, ConsoleOptions, RenderableType
     from rich.segment import Segment
@@ -26,19 +26,23 @@ def rich_console(error: bool = False, min_width: int = 1) -> Any:
         def render(
             self, renderable: RenderableType, options: ConsoleOptions | None = None
         ) -> Iterable[Segment]:
-            """Escape every text except the control codes that rich itself writes."""
+            """Escape all printed text.
+
+            The control codes that rich itself writes stay as they are.
+            """
             for segment in super().render(renderable, options):
                 done = segment.control or segment.text.isprintable()
                 yield segment if done else Segment(escape_text(segment.text, "\n\t"), segment.style)
 
         def render_str(self, text: str, **keywords: Any) -> Any:
-            """Escape a string before rich measures the width."""
+            """Escape a string before rich measures its width."""
             return super().render_str(escape_text(text, "\n\t"), **keywords)
 
         def on_broken_pipe(self) -> None:
-            """Raise the same error as in commands without rich, which ``main`` handles.
+            """Raise the error of a closed pipe that commands without rich raise too.
 
-            If only progress output has no reader any more, the command continues silently.
+            ``main`` handles this error. If only the progress output has lost its reader, the
+            command continues without that output.
             """
             if not error:
                 raise BrokenPipeError

@@ -8,10 +8,9 @@ from io import TextIOWrapper
 def open_standard_streams() -> None:
     """Open the standard streams that are closed.
 
-    Standard output and error then escape all characters that the terminal cannot show.
-
-    If a standard stream stayed closed, the next file to be opened would get the file descriptor of
-    this stream.
+    Afterwards, standard output and error escape all characters that the terminal cannot show. A
+    closed standard stream must be opened, because the next opened file would otherwise get its file
+    descriptor.
     """
     for number in range(3):
         try:
@@ -39,8 +38,8 @@ def flush_stdout() -> None:
 
 
 def discard_output() -> None:
-    """Discard the buffered output that cannot be written.
+    """Discard buffered output that cannot be written.
 
-    Otherwise the same error would occur again at the end of the process.
+    Otherwise the process would try to write it at its end, and fail again.
     """
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -1,8 +1,8 @@
-"""Orderly end of a command after a signal or a bug.
+"""Orderly end of a command after a signal or an unexpected exception.
 
-While no hand runs, a signal raises an exception in the command. The exception closes files, child
-processes and sockets. While a hand runs, the control loop handles the signals, see
-``runtime.loop.StopSignals``.
+While no hand runs, a signal raises an exception in the command. This exception makes the command
+close its files, child processes and sockets. While a hand runs, the control loop handles the
+signals instead, see ``runtime.loop.StopSignals``.
 """
 
 import atexit
@@ -19,7 +19,7 @@ from handctl.signal_handlers import installed_handler
 
 
 class TerminationRequested(KeyboardInterrupt):
-    """Exception that SIGTERM raises, and SIGHUP when the terminal is closed."""
+    """Exception that SIGTERM raises. SIGHUP, which a closed terminal sends, raises it too."""
 
 
 def _raise_terminated(number: int, frame: FrameType | None) -> None:
@@ -28,9 +28,9 @@ def _raise_terminated(number: int, frame: FrameType | None) -> None:
 
 @contextmanager
 def terminate_on_signals() -> Iterator[None]:
-    """Let SIGTERM and SIGHUP end a command like Ctrl-C.
+    """Let SIGTERM and SIGHUP end a command as Ctrl-C does.
 
-    A signal that ``nohup`` ignores stays ignored.
+    If the command was started with ``nohup``, SIGHUP stays ignored.
     """
     ending = [
         number
@@ -44,8 +44,7 @@ def terminate_on_signals() -> Iterator[None]:
 def install_excepthook() -> None:
     """End the process with a traceback and ``ExitCode.INTERNAL`` after an unexpected exception.
 
-    The exit code is set last. Before, all other exit handlers run and close every resource as
-    usual.
+    All other exit handlers run first and close their resources. The exit code is set after them.
     """
     bugs: list[BaseException] = []
 

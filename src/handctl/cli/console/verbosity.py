@@ -1,4 +1,4 @@
-"""Amount of text on standard error: with ``--quiet``, by default, or with ``--verbose``.
+"""Amount of text on standard error: less with ``--quiet``, more with ``--verbose``.
 
 Results, errors and cautions are always printed.
 """
@@ -14,7 +14,7 @@ from handctl.printing import one_line_message
 
 
 class Verbosity(IntEnum):
-    """Amount of text that a command prints besides the result."""
+    """Amount of text that a command prints in addition to its result."""
 
     QUIET = 0
     NORMAL = 1
@@ -48,7 +48,7 @@ def is_verbose() -> bool:
 
 
 def print_note(text: str) -> None:
-    """Print progress or a notice to standard error, unless ``--quiet`` is given."""
+    """Print a text about progress, or a notice, to standard error, unless ``--quiet`` is given."""
     if not is_quiet():
         print(one_line_message(text), file=sys.stderr, flush=True)
 

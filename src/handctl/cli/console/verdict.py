@@ -63,14 +63,17 @@ def print_summary(result: dict[str, Any], plan: RunPlan) -> None:
 
 
 def _pauses_text(silent: int) -> str:
-    """Return a text that explains late frames by the number of ticks in which no node answered."""
+    """Return a text that gives the number of ticks in which no node answered.
+
+    Such ticks explain late frames.
+    """
     return f", bus silent for {silent} tick{'s' if silent > 1 else ''}" if silent else ""
 
 
 def _clock_text(result: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return a row about how long the simulated clock waited for a slow machine.
+    """Return a table row with the time for which the simulated clock waited for a slow machine.
 
-    Without a pause, there is no row.
+    If the clock never waited, return no row.
     """
     if not result["clock_pauses"]:
         return []
@@ -93,9 +96,9 @@ def _value_with_unit(value: float, scale: float, unit: str, digits: int) -> str:
 
 
 def _lift_text(result: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return a row about how far the table sank and how far the object then moved.
+    """Return a table row with two distances: how far the simulated table sank, and how far the object then moved.
 
-    Without a sinking table, there is no row.
+    If the table did not sink, return no row.
     """
     sunk = result["table_sunk_mm"]
     slid = result["object_slid_mm"]
@@ -110,7 +113,7 @@ def _lift_text(result: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def _forces_text(result: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return a row for each digit with the estimated tip force and the true contact force."""
+    """Return a table row for each digit, with its estimated tip force and its simulated contact force."""
     estimated = result["tip_equivalent_force_n"]
     real = result["contact_force_n"]
     rows = []

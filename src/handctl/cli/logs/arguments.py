@@ -1,6 +1,6 @@
 """Declaration of the arguments of the commands in this folder.
 
-The code of a command is imported only when the command runs. Therefore help texts appear fast.
+The code of a command is imported only when that command runs. Therefore help texts appear fast.
 """
 
 import argparse
@@ -16,7 +16,7 @@ from handctl.cli.parsing.parser import CommandExample, VerbParser, add_sub_verb
 
 
 def _example_with_log(command: str) -> CommandExample:
-    """Return an example of a command.
+    """Return an example of a command that reads a log.
 
     If there is no log ``run.mcap``, the example first records one.
     """
@@ -41,7 +41,7 @@ EXAMPLES = {
     "log export": _example_with_log("handctl log export run.mcap --csv"),
     "report": _example_with_log("handctl report run.mcap"),
 }
-"""Example command line for the help of each command and subcommand."""
+"""Example command line that the help of each command and subcommand prints."""
 EXPORT_FORMATS = {
     "parquet": "one table with a row per tick",
     "csv": "the table of --parquet as text",
@@ -49,7 +49,7 @@ EXPORT_FORMATS = {
     "rrd": "a recording for the Rerun viewer",
     "lerobot": "a LeRobot dataset (3.0) in a folder, with an episode for each log",
 }
-"""Description of each format to which ``log export`` can export."""
+"""Description of each format to which ``log export`` can convert a log."""
 
 
 def view(parser: argparse.ArgumentParser) -> None:

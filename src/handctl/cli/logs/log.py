@@ -14,9 +14,9 @@ from handctl.output import atomic_path, path_with_suffix
 from handctl.session.exit_codes import ExitCode
 
 EXPORT_UNITS = {"candump": "frames", "rrd": "bytes", "lerobot": "frames"}
-"""Unit in which the exported data are counted, by format.
+"""Unit in which ``log export`` counts the exported data, by format.
 
-For the other formats, rows are counted.
+In the other formats, it counts rows.
 """
 
 
@@ -75,7 +75,7 @@ def _print_info(args: argparse.Namespace) -> int:
 
 
 def _value_text(value: object) -> str:
-    """Return a value as text: yes or no, a number with 9 significant digits, or ``-`` if the value is empty."""
+    """Return a value as text: yes, no, a number with 9 significant digits, or ``-`` for an empty value."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     return f"{value:.9g}" if isinstance(value, float) else str(value) or "-"

@@ -1,6 +1,7 @@
-"""``handctl replay``: execute a recorded run again, repeat the motion on a hand, or judge the run by other limits.
+"""``handctl replay``: execute a recorded run again, repeat its motion on a hand, or judge it by other limits.
 
-Only the module of the requested kind of replay is imported, because only ``drive`` uses buses.
+Only the module of the requested kind of replay is imported. Therefore buses are imported for
+``replay drive`` alone.
 """
 
 import argparse

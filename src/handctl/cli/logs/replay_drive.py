@@ -1,4 +1,4 @@
-"""``handctl replay drive``: repeat the motion of a recorded run on the hand, and compare both runs."""
+"""``handctl replay drive``: repeat a recorded motion on the hand, and compare the new run with the recorded run."""
 
 import argparse
 from dataclasses import replace
@@ -24,13 +24,13 @@ from handctl.session.run import make_controller, run_live
 
 
 def run(args: argparse.Namespace) -> int:
-    """Repeat the recorded motion, compare the new log with the recorded one, and return the exit code."""
+    """Repeat the recorded motion, compare the new log with the recorded log, and return the exit code."""
     with RunLog(args.recorded) as before:
         plan = make_plan(args)
         check_same_hand(before, plan.hand.name, plan.hand.identity, f"--hand {args.hand}")
         logged_hand(
             before
-        )  # refuse a log whose hand cannot be rebuilt: the column names come from that hand
+        )  # refuse a log whose hand cannot be loaded: this hand gives the names of the columns
         program = playback_program(before, plan.period_ns * 1e-9, args.raw)
         path, calibration, reason = find_calibration(args, plan.hand)
         start_s, end_s = active_interval(before)

@@ -1,6 +1,6 @@
-"""``handctl replay execute``: compute the controller's decisions in a log again, with the logged gains or other gains.
+"""``handctl replay execute``: execute the controller again on a log, with the logged gains or other gains.
 
-No bus is used by this module and the imported modules.
+Neither this module nor the modules that it imports use a bus.
 """
 
 import argparse
@@ -38,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
 def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
     """Execute the log with the logged gains.
 
-    Return True if all ticks equal the logged ones, or differ within the tolerance.
+    Return True if all computed ticks equal the logged ticks, or differ by at most the tolerance.
     """
     from importlib.metadata import version
 
@@ -110,7 +110,7 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
 
 
 def _writer_text(log: Any) -> tuple[str, str]:
-    """Return version and code identity of the handctl that has written a log."""
+    """Return the version and code identity of the handctl that wrote a log."""
     from handctl.log.code_identity import UNKNOWN_IDENTITY
 
     return log.header.metadata.get("version", UNKNOWN_IDENTITY), log.header.metadata.get(
@@ -119,14 +119,17 @@ def _writer_text(log: Any) -> tuple[str, str]:
 
 
 def _difference_line(one: Any) -> str:
-    """Return a difference from the log as one line: tick, time [s], field, logged and computed value."""
+    """Return a difference from the log as one line: tick, time [s], field, logged value and computed value."""
     place = f"{one.field} of {one.name}" if one.name else one.field
     apart = f", {one.ulps} units in the last place" if one.ulps is not None else ""
     return f"tick {one.k} ({one.t_s:.3f} s), {place}: logged {one.logged!r}, now {one.computed!r}{apart}"
 
 
 def _compare_with_other_gains(args: argparse.Namespace, log: Any) -> bool:
-    """Execute the log with other gains, and draw the resulting commands. Always return True."""
+    """Execute the log with other gains, and draw a picture of the resulting commands.
+
+    Always return True.
+    """
     from handctl.core.gains.gains import load_gains
     from handctl.replay.counterfactual import CommandCollector, command_change, draw_commands
     from handctl.replay.execute import execute_log

@@ -52,7 +52,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _find_truth(args: argparse.Namespace, log: Any) -> Any:
-    """Return the simulator's truth of a lockstep run, or None if there is no truth file next to the log.
+    """Return the true values that the simulator recorded in a lockstep run.
+
+    If there is no truth file next to the log, return None.
 
     Raises:
         LogError: the file that ``--truth`` names does not belong to this run.
@@ -72,7 +74,7 @@ def _find_truth(args: argparse.Namespace, log: Any) -> Any:
 
 
 def _picture_moment_s(args: argparse.Namespace, log: Any) -> float:
-    """Return the time in the run that the picture shall show [s].
+    """Return the time in the run for which the picture is drawn [s].
 
     Raises:
         ConfigError: the time given by ``--at`` is not within the run.
@@ -88,7 +90,10 @@ def _picture_moment_s(args: argparse.Namespace, log: Any) -> float:
 
 
 def _check_options(args: argparse.Namespace) -> None:
-    """Raise an error if options contradict each other. This happens before the log is read."""
+    """Raise an error if options contradict each other.
+
+    This check precedes the reading of the log.
+    """
     from handctl.view.viewer import check_screen, software_vulkan
 
     if args.follow and (args.save or args.picture):
@@ -143,7 +148,7 @@ def _draw_picture(args: argparse.Namespace, rrd: Path, at_s: float) -> dict[str,
 
 
 def _show_in_viewer(log: Path, run_info: Any, scan: Any) -> None:
-    """Open the viewer, send the log, and wait until the user closes the viewer."""
+    """Open the viewer, send the log to it, and wait until the user closes the viewer."""
     from handctl.view.browse import browse_log
 
     with browse_log(log, run_info, [], {}, scan) as running:

@@ -1,1 +1,1 @@
-"""Parsing of the command line: parser, renamed options, shell completion, and the optional packages of each command."""
+"""Parsing of the command line: parser, renamed options, shell completion, and list of optional packages."""

@@ -1,7 +1,7 @@
 """Shell completion of commands and options, with the package argcomplete.
 
-``eval "$(register-python-argcomplete handctl)"`` in a bash or zsh makes the shell call ``handctl``
-with ``_ARGCOMPLETE`` in its environment, each time the user presses the Tab key.
+``eval "$(register-python-argcomplete handctl)"`` prepares bash or zsh. At each press of the Tab
+key, the shell then calls ``handctl`` with the environment variable ``_ARGCOMPLETE``.
 """
 
 import os
@@ -11,9 +11,9 @@ from typing import Any
 from handctl.cli.parsing.parser import VerbParser
 
 HANDS_FOLDER = Path(__file__).parents[2] / "hand" / "hands"
-"""Folder of the packaged hands, the same as in ``hand.hand_loading``.
+"""Folder of the packaged hands, as in ``hand.hand_loading``.
 
-An import of ``hand.hand_loading`` would delay the completion.
+The path is repeated here, because an import of ``hand.hand_loading`` would delay the completion.
 """
 
 
@@ -23,14 +23,14 @@ def is_completing() -> bool:
 
 
 def print_completions(parser: VerbParser) -> None:
-    """Print completions of the command line for the shell, and end this process."""
+    """Print the possible completions of the command line for the shell, and end this process."""
     import argcomplete
 
     argcomplete.autocomplete(parser)
 
 
 def hand_names(prefix: str, **context: Any) -> list[str]:
-    """Return the names of packaged hands and of hand files that begin with a prefix."""
+    """Return all names of packaged hands and hand files that begin with a prefix."""
     files = [path for path in Path().glob("*.toml") if path.is_file()]
     return [name for name in (*sorted(path.stem for path in HANDS_FOLDER.glob("*.toml")), *map(str, files))
             if name.startswith(prefix)]  # fmt: skip

@@ -1,6 +1,6 @@
 """Optional packages that each command needs.
 
-With them, a missing package is reported before the command begins.
+With this list, handctl reports a missing package before the command begins.
 """
 
 import argparse
@@ -35,7 +35,7 @@ def _needs_simulator(verb: str, args: argparse.Namespace) -> bool:
         return True
     if verb == "config":
         return bool(args.what == "init" and (args.urdf or args.mjcf))
-    if verb == "paper":  # results of earlier experiments are read from their file
+    if verb == "paper":  # existing results are read from their file, without a simulation
         return not (args.quick or (args.results and args.results.exists()))
     return (verb == "fault" and args.action in ("campaign", "sequences")) or (
         verb == "tune" and args.kind == "search"

@@ -1,7 +1,8 @@
-"""Parser of command lines. Errors are one line with a suggested correction. Help texts end with an example.
+"""Parser of command lines.
 
-Messages of argparse quote words from the user. The parser escapes and shortens them before
-printing.
+Each error is one line that suggests a correction. Help texts end with an example. The messages of
+argparse quote words of the user. The parser escapes and shortens these messages before they are
+printed.
 """
 
 import argparse
@@ -19,14 +20,14 @@ DOUBLE_DASH_AS_VALUE = re.compile(r"(--?[^=]+)=--")
 INVALID_CHOICE = re.compile(
     r"invalid choice: '(?P<word>.*)' \(choose from (?P<choices>.*)\)", re.DOTALL
 )
-"""Pattern for the message of argparse about a word that is not an allowed choice."""
+"""Pattern of the message that argparse gives for a word that is not among the allowed choices."""
 
 SIMULATED_HAND = "handctl sim --hand jamia --bus local:demo"
 RUNNING_HAND = "handctl run --hand jamia --bus local:demo"
 
 
 class CommandExample(NamedTuple):
-    """Example command line for a help text. The command works if pasted into a shell.
+    """Example command line for a help text. A user can paste it into a shell.
 
     Attributes:
         command_line: the command line.
@@ -49,7 +50,8 @@ class CommandExample(NamedTuple):
 class HelpFormatter(argparse.HelpFormatter):
     """Formatter of help texts.
 
-    The formatter wraps paragraphs to the width of the terminal, and does not change indented lines.
+    The formatter wraps paragraphs to the width of the terminal, and leaves indented lines
+    unchanged.
     """
 
     def _fill_text(self, text: str, width: int, indent: str) -> str:
@@ -72,8 +74,8 @@ class VerbParser(argparse.ArgumentParser):
         The keyword arguments are those of ``ArgumentParser``.
         """
         super().__init__(**{"formatter_class": HelpFormatter} | keywords)
-        # The options have no default. Otherwise the parser of a subcommand would reset an option
-        # before the subcommand.
+        # The options have no default. With a default, the parser of a subcommand would reset an
+        # option that stands before the subcommand.
         volume = self.add_mutually_exclusive_group()
         add = volume.add_argument
         text = "print more detail on standard error"
@@ -88,12 +90,17 @@ class VerbParser(argparse.ArgumentParser):
         self._has_sub_verbs = False
 
     def add_subparsers(self, **keywords: Any) -> Any:
-        """Add subcommands, whose options this parser does not know."""
+        """Add subcommands to this parser.
+
+        The options of a subcommand are known only to its own parser.
+        """
         self._has_sub_verbs = True
         return super().add_subparsers(**keywords)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Parse a command line. For an old spelling or an unknown option, raise an error that suggests the right one.
+        """Parse a command line.
+
+        If an option is unknown or was renamed, raise an error that suggests the right option.
 
         Raises:
             ConfigError: an option is unknown or was renamed.
@@ -101,8 +108,8 @@ class VerbParser(argparse.ArgumentParser):
         for word in _option_names(args or ()):
             if new := new_spelling(self._verb_names(), word):
                 raise ConfigError(f"{word} has been renamed", self._verb_names(), new)
-            # This check comes before argparse reports a missing argument, whose name may be the
-            # misspelt one.
+            # This check comes first. Otherwise argparse would report a missing argument where the
+            # user has misspelt its name.
             if not (
                 self._has_sub_verbs
                 or any(option.startswith(word) for option in self._option_string_actions)
@@ -165,9 +172,9 @@ def _quote_word(word: str) -> str:
 
 
 def did_you_mean(word: str, names: Iterable[str]) -> str:
-    """Return a question that suggests the most similar name.
+    """Return a question that suggests the name most similar to a word.
 
-    The text is empty if no name is similar.
+    If no name is similar, the text is empty.
     """
     near = similar_name(word, names)
     return f", did you mean {near}?" if near else ""

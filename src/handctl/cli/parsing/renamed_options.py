@@ -1,6 +1,7 @@
-"""Renamed options. If the user writes an old spelling, the error message gives the new one.
+"""Renamed options.
 
-The table of renamed options in docs/reference/command-line.md has the same rows.
+If the user writes an old spelling, the error message gives the new spelling. The same rows are in
+the table of renamed options in docs/reference/command-line.md.
 """
 
 RENAMED_OPTIONS = {

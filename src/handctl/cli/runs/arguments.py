@@ -1,6 +1,6 @@
 """Declaration of the arguments of the commands in this folder.
 
-The code of a command is imported only when the command runs. Therefore help texts appear fast.
+The code of a command is imported only when that command runs. Therefore help texts appear fast.
 """
 
 import argparse
@@ -31,12 +31,12 @@ EXAMPLES = {
     "jog": CommandExample("handctl jog index --tension 8 --hand jamia --bus local:demo --dry-run"),
     "sim": CommandExample("handctl sim --hand jamia --bus local:demo --scene cylinder --dry-run"),
 }
-"""Example command line for the help of each command."""
+"""Example command line that the help of each command prints."""
 DRIVE_EXAMPLE = (
     "One drive on a bench, as in: handctl jog --mode velocity --setpoint 2 --protocol mit --node 1"
     " --torque-limit-Nm 0.5 --bus socketcan:can0"
 )
-"""Description of the options of ``jog`` for one drive, printed in the help."""
+"""Help text about the options of ``jog`` that move a single drive."""
 
 
 def demo(parser: argparse.ArgumentParser) -> None:

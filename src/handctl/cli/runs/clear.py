@@ -1,7 +1,7 @@
-"""``handctl clear``: clear the latched faults of a running controller. This command never arms a hand.
+"""``handctl clear``: clear the latched faults of a running controller.
 
-If a controller has crashed, ``handctl run --clear`` clears the latched faults of the drives before
-arming.
+This command never arms a hand. After a crash of the controller, use ``handctl run --clear``, which
+clears the latched faults of the drives before arming.
 """
 
 import argparse
@@ -12,9 +12,9 @@ from handctl.runtime.confirmed_requests import request_action
 
 
 def run(args: argparse.Namespace) -> int:
-    """Request that the controller of a bus clears all latched faults.
+    """Ask the controller of a bus to clear all latched faults.
 
-    Return 0 after the controller has confirmed this.
+    Return 0 after the controller has confirmed the request.
     """
     bus = controller_bus(args)
     line = request_action(bus, "clear")

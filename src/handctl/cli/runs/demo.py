@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _run_demo(args: argparse.Namespace) -> int:
-    """Run the demo with the same hand file for simulator and controller, and return the exit code."""
+    """Run the demo, and return the exit code. Simulator and controller read the same hand file."""
     if args.lockstep and args.time_scale != 1:
         raise ConfigError(
             f"{args.time_scale:g}",
@@ -88,7 +88,7 @@ def _run_demo(args: argparse.Namespace) -> int:
         outcome = _run_in_real_time(args, plan, TaskProgram(task), log, identified)
         truth = truth_path(plan.buses[0])
     wall = time.monotonic() - started
-    from handctl.session.verdict import judge_run  # reads the log, so that a run starts without it
+    from handctl.session.verdict import judge_run  # only needed after the run, to read its log
 
     result = judge_run(plan, outcome, log, truth, task=task)
     result |= _speed_ratio(outcome, plan, wall) if args.lockstep else {}
@@ -105,7 +105,7 @@ def _run_demo(args: argparse.Namespace) -> int:
 def _bus_words(names: tuple[str, ...]) -> list[str]:
     """Return the values of ``--bus`` for a hand.
 
-    For each bus name, there is a local bus of this process.
+    Each bus of the hand becomes a local bus of this process.
     """
     spec = f"local:demo-{os.getpid()}"
     return [spec] if len(names) == 1 else [f"{name}={spec}-{name}" for name in names]
@@ -118,7 +118,7 @@ def _run_in_real_time(
     log: Path,
     identified: IdentifiedByTendon,
 ) -> RunOutcome:
-    """Run the demo in real time, with the simulator as a separate process."""
+    """Run the demo in real time. The simulator is a separate process."""
     runners = (run_live, partial(run_live, live_view=args.view))
     with running_simulator(args, plan):
         return _commission_and_run(plan, program, log, runners, identified)
@@ -131,7 +131,10 @@ def _commission_and_run(
     runners: tuple[RunFunction, RunFunction],
     identified: IdentifiedByTendon,
 ) -> RunOutcome:
-    """Commission the hand, then run the program with parameters of the hand that were identified earlier."""
+    """Commission the hand, then run the program.
+
+    The controller uses parameters of the hand that were identified earlier.
+    """
     first, then = runners
     print_note(f"commissioning {plan.hand.name}: tare, zero, and a 3 N pull of each tendon")
     calibration, _ = run_commissioning(plan, commission_log(log), first)
@@ -163,9 +166,9 @@ def _make_simulated_hand(args: argparse.Namespace, truth: Path | None) -> Simula
 
 
 def _speed_ratio(outcome: RunOutcome, plan: RunPlan, wall: float) -> dict[str, Any]:
-    """Return fields with simulated time, real time and their ratio.
+    """Return result fields with the simulated time, the real time and their ratio.
 
-    The times include commissioning.
+    Both times include commissioning.
     """
     simulated = (outcome.offset_ns + outcome.state.k * plan.period_ns) / 1e9
     return {
@@ -178,7 +181,7 @@ def _speed_ratio(outcome: RunOutcome, plan: RunPlan, wall: float) -> dict[str, A
 
 @contextmanager
 def running_simulator(args: argparse.Namespace, plan: RunPlan) -> Iterator[None]:
-    """Start the simulator as a separate process, and stop the process at the end of the context.
+    """Start the simulator as a separate process, and stop it at the end of the context.
 
     Raises:
         BusError: the simulator does not start.

@@ -32,9 +32,9 @@ from handctl.session.exit_codes import ExitCode
 MAX_JOG_S = 600.0
 """Longest duration of a motion [s]."""
 MAX_POSITION_RANGE_RAD = 1000.0
-"""Position range for a drive that counts turns and reports no range [rad].
+"""Position range of a drive that counts turns and reports no range [rad].
 
-No hand file may have a larger range.
+A hand file may not contain a larger range.
 """
 ANGLE_UNIT = "rad"
 
@@ -79,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _motion_goal(args: argparse.Namespace) -> JogGoal:
-    """Check every number of the command line before a bus is opened, and return the motion.
+    """Check every number of the command line before a bus is opened. Return the requested motion.
 
     Raises:
         ConfigError: an argument is missing or out of range.
@@ -122,7 +122,7 @@ def _check_number(value: float, name: str, low: float, high: float) -> None:
 def _describe_motion(
     args: argparse.Namespace, options: dict[str, Any], node: DiscoveredNode | None, goal: JogGoal
 ) -> Drive:
-    """Return the drive, described in the mode of the goal.
+    """Return the drive, prepared for the mode of the requested motion.
 
     Raises:
         ConfigError: the protocol has no such mode or option.
@@ -139,11 +139,13 @@ def _describe_motion(
 
 
 def _with_current_limit(motor: Motor, full_scale: float, torque: float) -> Motor:
-    """Return a Damiao motor whose commands contain a torque limit, as a fraction of the motor's full scale.
+    """Return a Damiao motor whose commands contain a torque limit.
+
+    In a command, the limit is a fraction of full scale.
 
     Args:
         motor: description of the motor.
-        full_scale: register TMAX of the motor [N m]. The register is not changed.
+        full_scale: value of the motor's register TMAX [N m]. The register keeps this value.
         torque: torque limit [N m].
     """
     options = {"current_fraction": min(1.0, torque / full_scale), **motor.options}
@@ -152,7 +154,10 @@ def _with_current_limit(motor: Motor, full_scale: float, torque: float) -> Motor
 
 
 def _torque_options(options: dict[str, Any]) -> dict[str, Any]:
-    """Return the options without those that belong to the position and velocity modes."""
+    """Return the options that also apply in torque mode.
+
+    Options of the position and velocity modes are left out.
+    """
     return {
         key: value
         for key, value in options.items()
@@ -175,8 +180,8 @@ def _move_drive(
 ) -> tuple[JogResult, bool]:
     """Move and disable a drive. Return the result, and True if the drive has confirmed that it is disabled.
 
-    If a fault or a limit stops the motion, the drive stays latched in the mode of the motion.
-    Otherwise the drive is left in torque mode.
+    If a fault or a limit stops the motion, the drive stays latched, in the mode of the motion.
+    Otherwise the drive ends in torque mode.
     """
     result: JogResult | None = None
     with open_rig(args, drive) as (rig, bus):
@@ -203,7 +208,7 @@ def _move_drive(
 
 
 def _print_result(args: argparse.Namespace, goal: JogGoal, result: JogResult, off: bool) -> None:
-    """Print the motion that the drive has reported."""
+    """Print the result of a motion, from the values that the drive has reported."""
     if args.json:
         values = {
             "moved_rad": result.moved_rad, "fastest_rad_s": result.max_speed_rad_s,

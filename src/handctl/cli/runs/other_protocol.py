@@ -1,4 +1,7 @@
-"""Hand file for a simulated hand whose drives use another protocol, as in the fault campaign."""
+"""Hand file for a simulated hand whose drives use another protocol than its packaged file.
+
+The fault campaign uses such hands too.
+"""
 
 import argparse
 import tempfile
@@ -15,7 +18,9 @@ from handctl.output import write_text_atomically
 
 @contextmanager
 def hand_in_protocol(args: argparse.Namespace) -> Iterator[None]:
-    """Replace ``args.hand`` by a hand file with drives of ``args.protocol``, until the end of the context.
+    """Replace ``args.hand`` by a hand file with drives of ``args.protocol``.
+
+    The end of the context restores ``args.hand``.
 
     Raises:
         ConfigError: the hand does not exist.
@@ -39,7 +44,7 @@ def path_in_protocol(args: argparse.Namespace) -> Path:
     """Return the path in the present folder for the hand file with drives of ``args.protocol``.
 
     Raises:
-        ConfigError: a file with other content has this name.
+        ConfigError: a file with this name exists, and has other content.
     """
     path = Path(f"{Path(args.hand).stem}-{args.protocol}.toml")
     if path.exists() and path.read_bytes() != _hand_text(args).encode():
@@ -59,7 +64,7 @@ def write_in_protocol(args: argparse.Namespace) -> Path:
 def _hand_text(args: argparse.Namespace) -> str:
     """Return the text of the hand file with drives of ``args.protocol``."""
     from handctl.campaign.run_stages import (
-        hand_with_protocol,  # a slow import: the whole controller
+        hand_with_protocol,  # a slow import, because it imports the whole controller
     )
 
     hand = hand_with_protocol(args.hand, args.protocol)

@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     controller = make_controller(plan, program, calibration, arm_at_once=True)
     stdin_watch = StdinWatch() if args.until_eof else None
     outcome = run_live(plan, controller, log, live_view=args.view, observer=stdin_watch)
-    from handctl.session.verdict import judge_run  # reads the log, so that a run starts without it
+    from handctl.session.verdict import judge_run  # only needed after the run, to read its log
 
     truth = args.truth or truth_path(plan.buses[0])
     result = judge_run(plan, outcome, log, truth if truth.exists() else None)
@@ -56,9 +56,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _program_of_task(args: argparse.Namespace, plan: RunPlan) -> tuple[Program, dict[str, bytes]]:
-    """Return the program of the task or dataset, with the files to attach to the log.
+    """Return the program of the task or dataset, and the files to attach to the log.
 
-    Without task and dataset, return a program that waits for requests.
+    If neither a task nor a dataset is given, the program waits for requests.
 
     Raises:
         ConfigError: the content of a file is wrong, or an episode is given without a dataset.

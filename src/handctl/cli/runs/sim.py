@@ -1,4 +1,4 @@
-"""``handctl sim``: start a simulated hand, as ``python -m firmware_sim`` does."""
+"""``handctl sim``: start a simulated hand, with the same effect as ``python -m firmware_sim``."""
 
 import argparse
 import os

@@ -1,6 +1,7 @@
-"""Watch of standard input, which ends a run if ``--until-eof`` is given.
+"""Watch on standard input for ``--until-eof``.
 
-Standard input ends when the program that started the run has ended.
+The end of standard input ends the run. Standard input ends when the program that started the run
+ends.
 """
 
 import os
@@ -18,7 +19,7 @@ class StdinWatch:
     """Observer of a run that requests a stop when standard input has ended, see ``session.run.RunObserver``."""
 
     def __init__(self) -> None:
-        """Start with the assumption that standard input is open."""
+        """Create the observer. Standard input is assumed to be open."""
         self.input_ended = False
 
     def poll_requests(self) -> tuple[str, ...]:
@@ -33,4 +34,4 @@ class StdinWatch:
         return (STOP_REQUEST,)
 
     def on_tick(self, entry: TickIn, out: TickOut) -> None:
-        """Ignore a tick of the run, which ``session.run.RunObserver`` passes on."""
+        """Ignore a tick of the run. ``session.run.RunObserver`` requires this method."""

@@ -1,6 +1,6 @@
 """Declaration of the arguments of the commands in this folder.
 
-The code of a command is imported only when the command runs. Therefore help texts appear fast.
+The code of a command is imported only when that command runs. Therefore help texts appear fast.
 """
 
 import argparse
@@ -26,7 +26,7 @@ EXAMPLES = {
     "fault sequences": CommandExample("handctl fault sequences --count 2 --seed 7"),
     "paper": CommandExample("handctl paper --quick"),
 }
-"""Example command line for the help of each command and subcommand."""
+"""Example command line that the help of each command and subcommand prints."""
 FAULT_SYNTAX = """a fault is KIND COMPONENT=INSTANCE [size=X] [p=X] [at=TIME] [for=TIME] [seed=N], as in
 'drop node=3 p=0.05 at=3s for=2s', 'snap tendon=index_tendon', 'stuck cell=thumb_tendon at=500ms';
 handctl fault kinds lists all faults that a running simulator can inject"""

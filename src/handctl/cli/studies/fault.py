@@ -1,4 +1,4 @@
-"""``handctl fault``: inject single faults, the whole fault matrix, or random sequences into a simulated hand."""
+"""``handctl fault``: inject one fault, every fault of the matrix, or random fault sequences into a simulated hand."""
 
 import argparse
 
@@ -6,7 +6,7 @@ from handctl.cli.console.options import print_json
 from handctl.runtime.simulator import ask_simulator, find_simulator
 
 MAX_PRINTED_INSTANCES = 8
-"""Largest number of names of instances that are printed in one line."""
+"""Largest number of components whose names are printed in one line."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -21,7 +21,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _send_request(args: argparse.Namespace, question: dict[str, object]) -> int:
-    """Send a request about faults to a running simulator, and print the faults of the simulator."""
+    """Send a request about faults to a running simulator, and print the faults that the simulator lists."""
     faults = ask_simulator(find_simulator(args.bus), question)["faults"]
     if args.json:
         print_json({"faults": faults})
@@ -37,7 +37,7 @@ def _send_request(args: argparse.Namespace, question: dict[str, object]) -> int:
 
 
 def _print_kinds(args: argparse.Namespace) -> int:
-    """Print each kind of fault with the instances of the hand that can have this fault."""
+    """Print each kind of fault with the components of the hand that can have this fault."""
     kinds = ask_simulator(find_simulator(args.bus), {"kinds": True})["kinds"]
     if args.json:
         print_json({"kinds": kinds})

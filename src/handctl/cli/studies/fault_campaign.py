@@ -1,4 +1,4 @@
-"""``handctl fault campaign``: run the whole fault matrix on a simulated hand in lockstep."""
+"""``handctl fault campaign``: simulate every fault of the fault matrix on a hand in lockstep."""
 
 import argparse
 import json
@@ -24,9 +24,9 @@ from handctl.session.plan import RunPlan, default_rate
 from handctl.session.simulate import SimulatedRun
 
 QUICK_FAULT_FREE_S = 4.0
-"""Simulated time of the runs without faults for each protocol, in a quick campaign [s]."""
+"""Simulated time without faults for each protocol, in a campaign with ``--quick`` [s]."""
 FAULT_FREE_S = 60.0
-"""Simulated time of the runs without faults for each protocol, in a full campaign [s]."""
+"""Simulated time without faults for each protocol, in a campaign without ``--quick`` [s]."""
 MAX_JOBS = 64
 FIRST_PROGRESS_LABEL = "bringing the hand to its stages"
 MAX_FAULT_FREE_S = 86_400.0

@@ -21,7 +21,10 @@ MAX_SEQUENCES = 1_000_000
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run random sequences of faults, and report the violated rules. Return the exit code."""
+    """Run random sequences of faults, and report which rules the hand has violated.
+
+    Return the exit code.
+    """
     for name, value, maximum in (
         ("--jobs", args.jobs, MAX_JOBS),
         ("--count", args.count, MAX_SEQUENCES),

@@ -40,7 +40,7 @@ VERDICT_COLOURS = {
 
 
 def run(args: argparse.Namespace) -> int:
-    """Compute all items of the paper, run the requested experiments, and print the items.
+    """Compute all items of the paper again, run the requested experiments, and print the items with the results.
 
     Return the exit code.
     """
@@ -61,9 +61,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _load_or_measure(path: Path | None, jobs: int) -> dict[str, Any]:
-    """Return the results of the experiments, read from a file if it exists.
+    """Return the results of the experiments.
 
-    Otherwise run the experiments and save the results.
+    If the file exists, read the results from it. Otherwise run the experiments and save their
+    results.
 
     Raises:
         ConfigError: the file contains no results, or the file cannot be written.
@@ -78,7 +79,7 @@ def _load_or_measure(path: Path | None, jobs: int) -> dict[str, Any]:
 
 
 def _check_writable(report_file: Path | None, *folders: Path | None) -> None:
-    """Check that the report and the folders can be written. This happens before the experiments."""
+    """Check that the report and the folders can be written. This check precedes the experiments."""
     if report_file:
         check_output(report_file, "--output")
     for folder in filter(None, folders):
@@ -122,7 +123,7 @@ def _measure_all(jobs: int) -> dict[str, Any]:
 
 
 def _print_table(parts: tuple[PageSection, ...]) -> None:
-    """Print the items of the paper as tables, and then how often each verdict occurs."""
+    """Print the items of the paper as tables, and then the number of items with each verdict."""
     from rich.table import Table
     from rich.text import Text
 

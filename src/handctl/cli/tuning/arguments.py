@@ -1,6 +1,6 @@
 """Declaration of the arguments of the commands in this folder.
 
-The code of a command is imported only when the command runs. Therefore help texts appear fast.
+The code of a command is imported only when that command runs. Therefore help texts appear fast.
 """
 
 import argparse
@@ -57,7 +57,7 @@ EXAMPLES = {
         f"{WRITE_GAINS_COMMAND} handctl tune verify new.toml --hand jamia --lockstep --dry-run"
     ),
 }
-"""Example command line for the help of each command and subcommand."""
+"""Example command line that the help of each command and subcommand prints."""
 
 
 def identify(parser: argparse.ArgumentParser) -> None:
@@ -92,7 +92,7 @@ def gains(parser: VerbParser) -> None:
     def add_kind(name: str, text: str) -> VerbParser:
         one = add_sub_verb(kinds, name, text, EXAMPLES[f"gains {name}"])
         add_json_option(one)
-        if name != "set":  # no --hand for set: the running controller has loaded its hand
+        if name != "set":  # "set" needs no --hand: the running controller knows its hand
             add_hand_option(one)
         return one
 

@@ -1,4 +1,4 @@
-"""``handctl gains``: show, compare, apply and roll back the gains of a hand, and change gains of a running hand."""
+"""``handctl gains``: show, compare, apply and roll back the gains of a hand, also while the hand runs."""
 
 import argparse
 import itertools
@@ -27,7 +27,7 @@ from handctl.session.plan import check_gain_margins
 from handctl.tune.gains_store import GainsStore, StoredGains
 
 GAIN_CHANGE_TIMEOUT_S = 3.0
-"""Longest time until a running controller has designed new gains and uses the new gains [s]."""
+"""Longest time until a running controller has completed a design with new gains and uses them [s]."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _show_gains(args: argparse.Namespace, hand: Hand) -> int:
-    """Print value, origin, meaning and bounds of every gain."""
+    """Print the value, origin, meaning and bounds of every gain."""
     layers = layered_gains(args, hand)
     values = values_by_key(layers.gains)
     gain_bounds = {key: bounds_after_check(key, value, "gains") for key, value in values.items()}
@@ -82,7 +82,7 @@ def gain_meaning(gain: GainBounds) -> str:
 
 
 def _provenance_text(provenance: GainsProvenance) -> str:
-    """Return the provenance of gains as one phrase with number, time and sources."""
+    """Return the provenance of gains as a phrase that gives number, time and sources."""
     sources = [*provenance.log, *filter(None, (provenance.fit, provenance.study, provenance.note))]
     number = f", number {provenance.number}" if provenance.number else ""
     made = f", made {provenance.made}" if provenance.made else ""
@@ -114,7 +114,9 @@ def _print_diff(args: argparse.Namespace, hand: Hand) -> int:
 
 
 def _gains_to_compare(word: str, hand: Hand) -> Gains:
-    """Return the gains that ``word`` names: packaged, present, a number of the history, a log, or a gains file.
+    """Return the gains that ``word`` names.
+
+    This word may be "packaged", "present", a number of the history, a log or a gains file.
 
     Raises:
         ConfigError: the history has no such number.
@@ -164,7 +166,7 @@ def _apply_file(args: argparse.Namespace, hand: Hand) -> int:
 def _roll_back(args: argparse.Namespace, hand: Hand) -> int:
     """Restore earlier gains of the hand from the history.
 
-    If the file of the present gains cannot be used, the newest entry of the history is the default.
+    If the file of the present gains is unusable and no number is given, restore the newest entry.
     """
     store = GainsStore(hand.name, hand.identity)
     entries = store.history_entries()
@@ -174,7 +176,7 @@ def _roll_back(args: argparse.Namespace, hand: Hand) -> int:
 
 
 def _rename_unusable(store: GainsStore) -> bool:
-    """Rename a file of present gains that cannot be used, and report the new name.
+    """Rename the file of the present gains if it is unusable, and report its new name.
 
     Return True if a file was renamed.
     """
@@ -242,7 +244,7 @@ def _entry_line(entry: StoredGains, entries: list[StoredGains]) -> str:
 def _change_live_gains(args: argparse.Namespace) -> int:
     """Change gains of a running controller, and return the exit code.
 
-    If a value is invalid, an error is raised before a request is sent.
+    An invalid value raises an error before a request is sent.
     """
     from handctl.runtime.confirmed_requests import open_watcher, send_with_confirmation
 
@@ -271,7 +273,9 @@ def _change_live_gains(args: argparse.Namespace) -> int:
 def _wait_for_answers(
     watcher: Any, values: dict[str, float], taken: dict[str, Any]
 ) -> dict[str, str]:
-    """Wait until the controller has answered a request to change gains, and return the event text of each changed gain.
+    """Wait until the controller has answered a request to change gains.
+
+    Return the event text of each changed gain.
 
     Raises:
         ConfigError: the controller refuses the gains.
@@ -289,7 +293,7 @@ def _wait_for_answers(
 
 
 def _raise_refusal(text: str) -> None:
-    """Raise an error if the text of an event is a refusal of the controller.
+    """Raise an error if the text of an event says that the controller has refused a request.
 
     Raises:
         ConfigError: the controller refused the request.

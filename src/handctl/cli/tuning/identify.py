@@ -1,4 +1,4 @@
-"""``handctl identify``: identify the parameters of a hand by excitation or from logs, and save the parameters."""
+"""``handctl identify``: identify the parameters of a hand, by moving it or from logs, and save them."""
 
 import argparse
 import shlex
@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
         excitation_steps(plan.hand, tuple(args.digits or plan.hand.digit_names))
     )
     path, calibration, reason = find_calibration(args, plan.hand)
-    if args.lockstep and not args.calibration:  # keep simulated results out of the real calibration
+    if args.lockstep and not args.calibration:  # keep simulated results out of the real hand's file
         path = _simulated_calibration_path(plan.hand)
     total = sum(step.duration_s for step in program.steps)
     if args.dry_run:
@@ -138,7 +138,7 @@ def _commission_and_excite(
 def _identify_from_logs(args: argparse.Namespace) -> int:
     """Identify parameters from recorded runs, without moving the hand. Return the exit code.
 
-    If several logs have a result for a tendon, that of the last log is used.
+    If several logs give results for a tendon, the result of the last log is used.
     """
     hand = load_hand(args.hand)
     path = calibration_path(args, hand)
@@ -225,7 +225,7 @@ def _report_results(
         write_calibration(path, calibration.model_copy(update={"identified": identified}))
     pictures = _draw_pictures(
         hand, results, print_note
-    )  # after the calibration: a drawing error loses nothing else
+    )  # the calibration is written first, so that a drawing error cannot lose it
     for digit, reason in spoilt.items():
         print_escaped(
             f"handctl: no parameters of {digit} are kept: {reason}; expected a digit that touches nothing",
@@ -257,7 +257,7 @@ def _report_results(
 
 
 def _search_command(args: argparse.Namespace, path: Path) -> str:
-    """Return the command that tunes the identified hand, with options that select the same hand."""
+    """Return the command line that tunes the identified hand. The options select the same hand."""
     words = ["handctl", "tune", "search", "--hand", str(args.hand), "--calibration", str(path)]
     return shlex.join(words + same_hand_words(args))
 

@@ -1,4 +1,4 @@
-"""``handctl tune design``: design gains and compare the stability margins before and after."""
+"""``handctl tune design``: design gains, and compare the stability margins of the old and the new gains."""
 
 import argparse
 import math
@@ -24,7 +24,7 @@ from handctl.session.exit_codes import ExitCode
 from handctl.session.plan import control_rate
 
 TABLE_WIDTH = 100
-"""Width of the table of margins at which no number is cut [columns]."""
+"""Width at which the table of margins cuts no number [columns]."""
 MIN_POLE_HZ = 0.01
 MAX_DAMPING = 100.0
 
@@ -86,7 +86,7 @@ def _report_failure(args: argparse.Namespace, reason: str) -> int:
 
 
 def _place_poles(args: argparse.Namespace, model: HandModel, plants: Any, rate: float) -> Any:
-    """Return the design of gains with poles at ``--poles-Hz`` [Hz] and the damping ratio ``--damping``.
+    """Return gains that place the poles at ``--poles-Hz`` [Hz] with the damping ratio ``--damping``.
 
     Raises:
         ConfigError: a pole or the damping is not a number within the limits.

@@ -21,7 +21,7 @@ def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, 
     """Return the paths of the gains file and of the picture to write.
 
     Raises:
-        ConfigError: a folder is missing, both paths are equal, or a path is that of another file of
+        ConfigError: a folder is missing, both paths are equal, or a path belongs to another file of
             this hand.
     """
     out: Path = args.output or Path(f"{hand}.{kind}.toml")
@@ -40,11 +40,12 @@ def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, 
 def ensemble_of_tuned_hand(
     args: argparse.Namespace, spread: dict[str, float], maximum: int
 ) -> tuple[dict[str, float], ...]:
-    """Return the parameter factors of the plants for tuning: an ensemble around the best estimate of the hand.
+    """Return the factors between the parameters of each simulated plant and those of the hand to tune.
 
-    Without a calibration, the center of the ensemble has the parameters of the hand file times the
-    factors of ``--perturb``. A calibration already contains these factors, which are then not
-    applied again.
+    The plants form an ensemble around the best estimate of the hand. Without a calibration, the
+    center of the ensemble has the parameters of the hand file, multiplied by the factors of
+    ``--perturb``. A calibration already contains these factors. Therefore they are not applied
+    again.
 
     Raises:
         ConfigError: the number of plants is too small or too large, or ``--perturb`` is wrong.
@@ -59,14 +60,17 @@ def ensemble_of_tuned_hand(
 
 
 def verify_command(args: argparse.Namespace, out: Path) -> str:
-    """Return the command that verifies new gains in simulation, with options that select the same hand."""
+    """Return the command line that verifies new gains in simulation.
+
+    The options of this command select the same hand.
+    """
     words = ["handctl", "tune", "verify", str(out), "--lockstep", "--hand", str(args.hand)]
     words += ["--calibration", str(args.fit)] if args.fit else []
     return shlex.join(words + same_hand_words(args))
 
 
 def same_hand_words(args: argparse.Namespace) -> list[str]:
-    """Return the options with which a later command uses the same gains, control rate and simulated plant."""
+    """Return the options that give a later command the same gains, control rate and simulated plant."""
     words = ["--gains", str(args.gains)] if args.gains else []
     words += [word for gain in args.gain or () for word in ("--gain", gain)]
     words += ["--rate", f"{args.rate:g}"] if args.rate else []
@@ -84,14 +88,15 @@ def write_gains(
 
 
 class TunedHand(NamedTuple):
-    """Hand to tune, identified twin of this hand, and spread of the ensemble.
+    """Hand to tune, the same hand with identified parameters, and the spread of its parameters.
 
     Attributes:
-        hand: hand with the parameters of the hand file. Gains files record name and identity of
-            this hand.
-        identified_hand: hand with the identified parameters instead of those in the file. The twin is the
-            controller's model, as in a run with this calibration, and the center of the ensemble.
-        factor_spread: half widths of the ensemble, as the identification gives them, see
+        hand: hand with the parameters of the hand file. A gains file records the name and identity
+            of this hand.
+        identified_hand: hand with identified parameters in place of the parameters in the file. The
+            controller has this hand as its model, as in a run with this calibration. The ensemble
+            of simulated plants has this hand at its center.
+        factor_spread: half width of the ensemble for each parameter, from the identification, see
             ``draw_ensemble``.
     """
 

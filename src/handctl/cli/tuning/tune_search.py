@@ -98,9 +98,9 @@ def _report_infeasible(
 def _designed_gains(
     hand: Hand, gains: Gains, rate: float, plants: tuple[dict[str, float], ...]
 ) -> tuple[Gains, ...]:
-    """Return the gains of a design for the same plants, a further start point of the search.
+    """Return gains that are designed for the same plants.
 
-    If the design fails, return none.
+    The search also starts from these gains. If the design fails, return an empty tuple.
     """
     from handctl.tune.loops.design import design_gains, linear_factors
 
@@ -152,7 +152,7 @@ class _SearchProgress:
     def show_result(self, result: Any) -> None:
         """Update the display of the search after a trial.
 
-        Without a terminal, the display prints at most one line in 5 s.
+        Without a terminal, print at most one line in 5 s.
         """
         text = (
             f"best {result.relative_cost(result.best):.3f}, trial {result.best.number}"

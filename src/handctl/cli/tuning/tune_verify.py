@@ -1,6 +1,6 @@
-"""``handctl tune verify``: test new gains on the hand at rising amplitude.
+"""``handctl tune verify``: test new gains on the hand, in rounds of rising amplitude.
 
-If a test fails, return to the old gains.
+If a round fails, the hand returns to the old gains.
 """
 
 import argparse
@@ -25,7 +25,7 @@ from handctl.session.simulate import SimulatorSettings
 
 
 def run(args: argparse.Namespace) -> int:
-    """Verify new gains on the hand. Return 0 only if the new gains pass at full amplitude."""
+    """Verify new gains on the hand. Return 0 only if they pass the round with full amplitude."""
     from handctl.programs.exercise import ExerciseProgram
     from handctl.tune.gains_verification import ROUND_AMPLITUDES, VerifyObserver
 
@@ -100,7 +100,7 @@ def _run_once(
 def _judge_run(
     plan: RunPlan, outcome: RunOutcome, observer: Any, log: Path, truth_file: Path | None
 ) -> dict[str, Any]:
-    """Score one run of the test, and draw a picture of the run.
+    """Compute the scores of one test run, and draw a picture of it.
 
     Return the fields of the JSON result.
     """
@@ -130,7 +130,7 @@ def _judge_run(
 def _report_verification(
     args: argparse.Namespace, runs: list[dict[str, Any]], outcome: RunOutcome
 ) -> int:
-    """Print the result of all runs of the test, with the table of the last run.
+    """Print the result of all test runs, and the table of the last run.
 
     Return the exit code.
     """
@@ -212,7 +212,7 @@ def _print_rounds(result: dict[str, Any], rounds: Iterable[Any], args: argparse.
 
 
 def _gains_label(number: int, back: dict[str, Any] | None) -> str:
-    """Return the label for the gains in a round of the test: old, new, or back to the old gains."""
+    """Return the label of the gains that a test round used: old, new, first new and then old, or old again."""
     from handctl.tune.gains_verification import OLD_GAINS_ROUNDS, ROUND_AMPLITUDES
 
     if number < OLD_GAINS_ROUNDS:

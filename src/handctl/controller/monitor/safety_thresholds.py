@@ -114,10 +114,11 @@ def compiled_constants(
 def servo_resolutions(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, object]:
     """Return the constants of the drives' position loops that depend on their frames.
 
-    These are one count and the largest value of kp [N m/rad] and of kd [N m s/rad], the force that
-    one count of feedback causes [N], and 1 for each drive that moves its target. A drive whose
-    commands have no kp and kd gets a count of 1. Feedback is the position and the speed that the
-    drive reports, in counts of its protocol, or of the encoder if these are coarser.
+    For kp [N m/rad] and kd [N m s/rad], the constants are the step of one count and the largest
+    value. Further constants are the force that one count of feedback causes [N], and 1 for each
+    drive that moves its commanded position by itself. A drive whose commands have no kp and kd gets
+    a count of 1. Feedback is the position and the speed that the drive reports. Both are rounded to
+    counts of the protocol, or to counts of the encoder if these are coarser.
     """
     gain = np.ones(len(drives)) if model.torque_gain is None else model.torque_gain
     loop = servo_constants(model)
@@ -157,7 +158,7 @@ def servo_resolutions(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, 
 def torque_resolution(drive: Drive) -> float:
     """Return the torque of one count in the feedback or in the command, whichever is larger [N m at the spool].
 
-    It is 0 for a floating-point torque.
+    For a floating-point torque, the result is 0.
     """
     messages = (*drive.cyclic_messages.feedback, *drive.cyclic_messages.commands)
     signals = [
@@ -183,8 +184,8 @@ def max_frames_per_tick(drives: Sequence[Drive], sensors: SensorInterface) -> in
 def _noise_limit(model: HandModel) -> float:
     """Return the largest mean squared jerk of a motor's position without encoder noise [rad^2].
 
-    This jerk includes full torque in alternating directions on the bare rotor, and rounding of the
-    encoder.
+    This limit includes the jerk of the bare rotor under full torque in alternating directions, and
+    rounding of the encoder.
     """
     space = model.space
     period = model.period

@@ -91,8 +91,9 @@ def _detect_duplicate_answers(
 def _has_lost_answers(last_state: ControllerState) -> bool:
     """Return True if answers of the load cells were missing in the last ``LATE_ANSWER_WINDOW_TICKS`` ticks.
 
-    An additional answer without a counter then counts as late, and not as a duplicate. The same
-    holds after a tick without an answer, and if this host has missed a tick.
+    An additional answer without a counter then counts as late, and not as a duplicate. An
+    additional answer also counts as late after a tick without an answer, and if this host has
+    missed a tick.
     """
     return bool(
         last_state.layout.table(last_state.block, "node_int")[s.LOST_REPLIES, -1]

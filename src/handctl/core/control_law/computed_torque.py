@@ -1,22 +1,23 @@
-"""Control laws of a tendon-driven digit: computed torque for motion, and the tension loop.
+"""Two control laws of a tendon-driven digit: computed torque for its motions, and a tension loop for pulling.
 
-Motion: inverse dynamics give the joint torque that the trajectory requires, and this torque gives
-the tendon tensions f. The motor force u is the tension f_0 at the load cell, plus the feedback,
-plus the force for the inertia and the friction of the motor:
+Motion: inverse dynamics give the joint torque that the trajectory requires. The tensions f of the
+tendons must make this torque. The motor force u is the tension f_0 at the load cell, plus the
+feedback, plus the force for the inertia and the friction of the motor:
 
     f = allocate(M theta_d'' + h(theta_d, theta_d'))    f_0 = f / efficiency
-    u = f_0 + (m_m + m_l) (k (s_d - s) + d (s_d' - v)) + c_i m_m s_d'' + c_f (b_m v +
-    friction(s_d'))
+    u = f_0 + (m_m + m_l) (k (s_d - s) + d (s_d' - v))
+        + c_i m_m s_d'' + c_f (b_m v + friction(s_d'))
         - c_d disturbance + K_f (f_0 - f_hat)
 
-The excursions are s = R_r theta. With varying arms they are e(q), and s'' = R q'' + R' q'^2. The
-speed v is the tendon speed at the spool, so the feedback damps the rotor, and not the digit behind
-the tendon. The factors c are fractions from the gains. The rotor, with the mass m_m, is about
-twenty times heavier than the finger, with the mass m_l. The feedback accelerates both.
+The excursions are s = R_r theta. With moment arms that vary with the joint angles q, the excursions
+are e(q), and s'' = R q'' + R' q'^2. The speed v is the tendon speed at the spool, so the feedback
+damps the rotor, and not the digit behind the tendon. The factors c_i, c_f and c_d are fractions
+that belong to the gains. The mass m_m of the rotor is about twenty times the mass m_l of the
+finger. The feedback accelerates rotor and finger.
 
 Tension: the tension loop is a state feedback of tension error and tendon speed, with a slow
-integral. On an expected trajectory, the speed and the force for the rotor's inertia are fed
-forward. Source: LQR of ``motion_design``.
+integral. If the digit is expected to follow a trajectory, the loop feeds forward the speed of the
+tendon and the force for the rotor's inertia. Source: LQR of ``motion_design``.
 """
 
 import math
@@ -62,27 +63,34 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 MOTOR_FRICTION_SPEED_M_S = 2.5e-3
-"""Tendon speed of fully developed motor friction [m/s]: 0.5 rad/s of a spool with a radius of 5 mm."""
+"""Tendon speed at which motor friction is fully developed [m/s]: 0.5 rad/s of a spool with a radius of 5 mm."""
 UNWIND_FRACTION = 0.3
 """Largest motor force that pays out a tendon, as a fraction of the torque limit.
 
-It is enough to brake the rotor, and too little to throw a tendon off its spool.
+This force is enough to brake a rotor, and too little to throw a tendon off its spool.
 """
 TRIM_TIME_S = 0.2
-"""Time constant with which the trim fades after a change of gains [s].
+"""Time constant with which the trim, an added motor force, fades after a change of gains [s].
 
-Both loops are faster, so they can follow.
+Motion feedback and tension loop are faster, so they can follow.
 """
 MIN_TRIM_N = 1e-3
-"""A smaller trim is set to 0 [N]. This force is 0.02 counts of the drive with the finest torque."""
+"""Smallest trim that remains [N].
+
+When all trims are smaller, all are set to 0. The smallest trim is 0.02 counts of the drive with the
+finest torque.
+"""
 HOLD_MARGIN_N = 1.0
-"""Margin of the limit during a hold above the tension at its start [N], about the error of the estimate."""
+"""Margin [N] of the tension limit during a hold above the tension at the start of the hold.
+
+The margin is about the error of the estimated tension.
+"""
 ROUNDING_FACTOR = 1.0 - 1e-12
 """Factor on the envelope of a relaxing hand, so that rounding errors cannot raise a constant envelope."""
 TAKE_UP_SPEED_M_S = 0.02
 """Speed of a spool that takes up the slack of its tendon during a motion [m/s].
 
-This speed is too low for the tendon to count as snapped.
+At this low speed, the fault detectors do not take the slack tendon for a snapped one.
 """
 RELAX_FLOOR_N = 5.0
 """Tension of a relaxed hand whose springs open it [N]."""
@@ -107,7 +115,9 @@ def command_no_torque(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def update_hold_limits(x: StateTables, c: ConstantTables, hold: bool) -> None:
-    """Start or end a hold that safety demands. Each tension at the start of the hold is its limit until the end.
+    """Start or end a hold that safety demands.
+
+    Until the end of the hold, the tensions at its start, plus a margin, are limits.
 
     Args:
         x: state tables.
@@ -129,8 +139,8 @@ def present_tension_limits(x: StateTables, c: ConstantTables) -> Vector:
 
     The limit of a warm drive falls from the ceiling at the soft temperature to the floor at the
     hard temperature. The limit of a blocked digit is ``MAX_PRESS_N`` above the tension that the
-    trajectory requires. During a hold the limit is the tension at the start of the hold. The limit
-    of a spool pair applies to both directions.
+    trajectory requires. During a hold, the limit is ``HOLD_MARGIN_N`` above the tension at the
+    start of the hold. The limit of a spool pair applies to the net tension in both directions.
     """
     limit = np.full(x.tendon.shape[1], math.inf)
     warm = False
@@ -153,7 +163,7 @@ def present_tension_limits(x: StateTables, c: ConstantTables) -> Vector:
 def _derated_tension(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the largest tension that the drive's temperature allows.
 
-    A drive without temperature counts as cool.
+    A drive that reports no temperature counts as cool.
     """
     soft = c.run[h.TEMPERATURE_SOFT]
     hard = c.run[h.TEMPERATURE_HARD]
@@ -268,12 +278,12 @@ def _write_filter_force(
         c: constants of the hand.
         n: index of the tendon.
         force: motor force of the coming period [N].
-        carried: acceleration of the carriers along the tendon on the trajectories [m/s2].
+        carried: acceleration of the tendon that the trajectories of carrying digits cause [m/s2].
     """
     x.tendon[s.FILTER_FORCE, n] = force - _motor_friction(x, c, n, force)
     if c.run_int[h.HAS_CARRIER_ARMS]:
-        # The travel in the filter excludes the motion of carriers, so the force for this motion is
-        # subtracted.
+        # The filter's travel of the spool excludes the motion of carrying digits, so the force for
+        # this motion is subtracted.
         x.tendon[s.FILTER_FORCE, n] -= c.tendon[h.MOTOR_MASS, n] * carried
         x.tendon[s.FILTER_FORCE, n] -= c.tendon[h.MOTOR_DAMPING, n] * carrier_excursion(
             c, n, x.joint[s.DQ]
@@ -336,9 +346,11 @@ def _relaxing_force(
 def _motion_terms(
     x: StateTables, c: ConstantTables, trajectory: Matrix, limit: Vector
 ) -> tuple[Vector, Matrix, Matrix]:
-    """Return pulley efficiency (N,), tension goal and feedback (2, N) [N], null-space force and integral (2, N) [N].
+    """Return pulley efficiencies (N,), and goal, feedback, null-space force and integral of each tendon [N].
 
-    The feedback accelerates rotor and digit. All terms are 0 for tendons that follow no trajectory.
+    The results are an array (N,), an array (2, N) with tension goals and feedback forces, and an
+    array (2, N) with null-space forces and integrals. The feedback accelerates rotor and digit. All
+    terms are 0 for tendons that follow no trajectory.
 
     Args:
         x: state tables.
@@ -360,7 +372,7 @@ def _motion_terms(
         if c.tendon_int[h.HAS_SURPLUS, n]:
             surplus = True
             # If no motion of the digit explains a part of the excursions, this part is an error of
-            # tendon length. It gets no feedback.
+            # tendon length. The feedback ignores it.
             place = (
                 part_explained_by_motion(c, n, x.tendon[s.EXCURSION])
                 + c.tendon[h.EXPLAINED_OFFSET, n]
@@ -401,7 +413,10 @@ def _motion_terms(
 
 @kernel_helper
 def _takes_up_slack(x: StateTables, c: ConstantTables, n: int) -> bool:
-    """Return True for a slack tendon of a streamed digit. A spool pair is never slack."""
+    """Return True for a slack tendon of a digit that follows streamed angles.
+
+    A spool pair is never slack.
+    """
     if c.tendon_int[h.IS_SPOOL_PAIR, n] or not is_tendon_streamed(x, c, n):
         return False
     return (
@@ -411,13 +426,13 @@ def _takes_up_slack(x: StateTables, c: ConstantTables, n: int) -> bool:
 
 @kernel_helper
 def _is_moved_by_drive(x: StateTables, c: ConstantTables, n: int) -> bool:
-    """Return True if the drive of a tendon closes the position loop, while the tendon takes up no slack."""
+    """Return True if the drive of a tendon closes the position loop itself, and the tendon takes up no slack."""
     return is_loop_closed_by_drive(x, c, n) and not _takes_up_slack(x, c, n)
 
 
 @kernel_helper
 def _take_up_speed(rate: float) -> float:
-    """Return the speed of a spool that takes up slack, for a rate of the excursion on the trajectory [m/s]."""
+    """Return the speed [m/s] at which a spool takes up slack, given the rate of its tendon on the trajectory [m/s]."""
     return max(rate, 0.0) + TAKE_UP_SPEED_M_S
 
 
@@ -474,7 +489,7 @@ def _goal_along_tendon(c: ConstantTables, n: int, trajectory: Matrix) -> tuple[f
 
 @kernel_helper
 def _goal_of_carriers(c: ConstantTables, n: int, trajectory: Matrix) -> tuple[float, float]:
-    """Return the parts of a tendon's rate [m/s] and acceleration [m/s2] that the trajectories of carriers cause."""
+    """Return the rate [m/s] and acceleration [m/s2] of a tendon that the trajectories of carrying digits cause."""
     if not c.run_int[h.HAS_CARRIER_ARMS]:
         return 0.0, 0.0
     return carrier_excursion(c, n, trajectory[1]), carrier_excursion(c, n, trajectory[2])
@@ -482,13 +497,13 @@ def _goal_of_carriers(c: ConstantTables, n: int, trajectory: Matrix) -> tuple[fl
 
 @kernel_helper
 def _force_for_carriers(c: ConstantTables, n: int, rate: float, acceleration: float) -> float:
-    """Return the motor force with which a tension-controlled tendon follows its digit's carriers [N].
+    """Return the motor force with which a tension-controlled tendon follows the digits that carry its digit [N].
 
     Args:
         c: constants of the hand.
         n: index of the tendon.
-        rate: rate of the carriers along the tendon [m/s].
-        acceleration: acceleration of the carriers along the tendon [m/s2].
+        rate: rate of the tendon that the carrying digits cause [m/s].
+        acceleration: acceleration of the tendon that the carrying digits cause [m/s2].
     """
     if not c.run_int[h.HAS_CARRIER_ARMS]:
         return 0.0
@@ -527,7 +542,7 @@ def _motion_force(
     if _takes_up_slack(x, c, n):
         rate = _take_up_speed(rate)
     # If the drive closes the position loop, its position command includes the planned stretch, so
-    # this loop controls the tension too.
+    # the loop in the drive controls the tension too.
     inner_gain = 0.0 if _is_moved_by_drive(x, c, n) else c.run[h.TENSION_FEEDBACK]
     return (
         tension
@@ -546,7 +561,7 @@ def _motion_force(
 def _tension_force(
     x: StateTables, c: ConstantTables, n: int, limit: float
 ) -> tuple[float, float, float]:
-    """Return motor force, setpoint and integral of the tension loop [N].
+    """Return the motor force of the tension loop, its setpoint and its integral [N].
 
     Args:
         x: state tables.
@@ -615,8 +630,8 @@ def _relaxing_force_limit(
 def _motor_friction(x: StateTables, c: ConstantTables, n: int, command_force: float) -> float:
     """Return the average Coulomb friction of the motor in the coming period [N].
 
-    It is computed by the implicit midpoint rule, so that friction can stop a rotor within a period,
-    but cannot reverse it.
+    The implicit midpoint rule ensures that friction can stop a rotor within a period, but cannot
+    reverse its motion.
     """
     coasting = motor_speed(x, c, n) + c.tendon[h.HALF_PERIOD_SPEED, n] * (
         command_force - x.tendon[s.TENSION, n]

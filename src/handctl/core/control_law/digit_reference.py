@@ -1,4 +1,4 @@
-"""Reference of each digit in a tick, and the joint torques and tensions that its motion requires."""
+"""Reference motion of each digit in a tick, and the joint torques and tensions that this motion requires."""
 
 import math
 
@@ -26,7 +26,9 @@ NO_TRAJECTORY, MINIMUM_JERK, SAMPLED, STREAMED = 0, 1, 2, 3
 
 @kernel_helper
 def follow_trajectories(x: StateTables, c: ConstantTables, is_time_frozen: bool) -> None:
-    """Write position, rate and acceleration of every coordinate on its trajectory, 0 if it has no trajectory.
+    """Write position, rate and acceleration of each coordinate on its trajectory.
+
+    Without trajectory, write 0.
 
     Args:
         x: state tables.
@@ -182,9 +184,9 @@ def write_required_tensions(x: StateTables, c: ConstantTables) -> int:
 
     Returns:
         A number with a bit for each digit whose tensions are out of bounds, or not unique. For
-        these digits the bounded least-squares problem of ``tension_allocation`` must be solved. If a digit
-        has a single tendon, whose tension is out of bounds, the bound is the best tension. Such a
-        digit has no bit.
+        these digits the bounded least-squares problem of ``tension_allocation`` must be solved. If
+        the only tendon of a digit has a tension out of bounds, the bound itself is the best
+        tension. The bit of this digit is 0.
     """
     undecided = 0
     for d in range(x.digit.shape[1]):

@@ -1,11 +1,13 @@
-"""Predicted tension of a moving digit within its friction band, as an input of the tension filter.
+"""Prediction of a moving digit's tension within its friction band.
+
+The prediction is an input of the tension filter.
 
 Because of friction, the tension of a moving digit is in a band around the tension that springs and
 gravity require. The tension is at the upper edge of the band while the tendon is wound, and at the
-lower edge while it is paid out. At a reversal, the digit sticks while the motor moves. The tension
-then changes from one edge to the other, by the stiffness of the tendon, in about ten milliseconds.
-This change starts when the tendon reverses, which may be earlier or later than the reversal of the
-trajectory. At rest, the digit creeps until friction carries no load. Source: Prandtl's
+lower edge while it is paid out. At a reversal, the digit sticks while the motor moves. The motor
+stretches or releases the tendon, and the tension changes from one edge to the other in about ten
+milliseconds. This change starts with the reversal of the tendon. The trajectory may reverse earlier
+or later. At rest, the digit creeps until friction carries no load. Source: Prandtl's
 elastic-plastic element, with a viscous slider below ``CAPSTAN_FRICTION_SPEED_M_S``.
 """
 
@@ -22,7 +24,7 @@ from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED_M_S
 MIN_SLIDING_SPEED_M_S = 1.3 * CAPSTAN_FRICTION_SPEED_M_S
 """Speed from which the viscous slider has full friction [m/s].
 
-The line up to this speed approximates the tanh.
+Below this speed, friction rises linearly. The line approximates the tanh of the friction model.
 """
 MIN_FRICTION_N = 1e-3
 """Smallest assumed friction [N], so that the friction band has a positive width."""
@@ -34,7 +36,7 @@ MAX_EFFICIENCY = 1.0 - 1e-9
 def predict_moving_tension(
     x: StateTables, c: ConstantTables, n: int, rate: float, efficiency: float
 ) -> None:
-    """Write the tension of a moving tendon a period from now, its rate of change, and the development of friction.
+    """Predict the tension of a moving tendon at the next tick, its rate of change, and how far friction has developed.
 
     Args:
         x: state tables, with ``PLANNED_TENSION`` of the last tick and ``FILTER_FORCE`` of this
@@ -84,16 +86,16 @@ def tension_after_period(
     stiffness: float,
     crept_length: float,
 ) -> float:
-    """Return the tension of a tendon a period from now [N].
+    """Predict the tension of a tendon at the next tick [N].
 
     Args:
         present_tension: present tension [N].
-        load: tension that the digit will need one period from now, if it had no friction [N].
+        load: tension that the digit would need at the next tick without friction [N].
         efficiency: tension at the joints as a fraction of the tension at the load cell, while the
             tendon is wound.
         wound_length: length that the spool winds in the period [m].
         stiffness: stiffness of the tendon [N/m].
-        crept_length: largest motion of a creeping tendon in the period [m].
+        crept_length: largest distance by which the tendon can creep in the period [m].
     """
     creep = stiffness * crept_length / (load * (1.0 - efficiency) + MIN_FRICTION_N)
     # The viscous slider is computed by an implicit Euler step, which is stable for any period.
@@ -118,7 +120,8 @@ def _predict_pair_tension(
         x: state tables.
         c: constants of the hand.
         n: index of the spool pair.
-        coming_tension: net tension that the digit requires without friction a period from now [N].
+        coming_tension: net tension that the digit would require at the next tick without friction
+            [N].
         efficiency: tension at the joints as a fraction of the tension at the load cell, while a
             tendon is wound.
         wound_length: length that the spool winds in the period [m].

@@ -1,4 +1,7 @@
-"""Transfer of the goals of all digits into the state block, which happens only when goals change."""
+"""Transfer of the goals of all digits into the state block.
+
+The transfer is necessary only after a change of the goals.
+"""
 
 import functools
 
@@ -58,7 +61,10 @@ def write_goals(
 
 
 def _kind_of_control(goal: DigitGoal) -> GoalKind:
-    """Return the kind of control of a goal: LIMP if its trajectory or tension is missing."""
+    """Return the kind of control of a goal.
+
+    The kind is LIMP if the goal lacks its trajectory or its tension.
+    """
     if (goal.kind == GoalKind.MOTION and goal.trajectory is None) or (
         goal.kind == GoalKind.TENSION and goal.tension is None
     ):
@@ -69,7 +75,7 @@ def _kind_of_control(goal: DigitGoal) -> GoalKind:
 def sample_trajectories(
     model: HandModel, layout: BlockLayout, block: BlockArray, goals: tuple[DigitGoal, ...], t: float
 ) -> None:
-    """Write position, rate and acceleration at time t [s] of trajectories that compiled code cannot evaluate."""
+    """Write the motion at time t [s] on all trajectories that compiled code cannot evaluate."""
     for trajectory, since, places in sampled_goals(model, goals):
         layout.table(block, "coordinate")[s.TRAJECTORY : s.TRAJECTORY + 3, places] = (
             trajectory.motion_at(t - since)
@@ -80,7 +86,7 @@ def sample_trajectories(
 def sampled_goals(
     model: HandModel, goals: tuple[DigitGoal, ...]
 ) -> tuple[tuple[Trajectory, float, slice], ...]:
-    """Return trajectory, start time [s] and slice of coordinates of each goal whose trajectory Python samples."""
+    """Return trajectory, start time [s] and slice of coordinates of each goal whose trajectory needs Python."""
     rows = zip(goals, model.digit_coordinates, strict=True)
     return tuple(
         (goal.trajectory, goal.since, places)

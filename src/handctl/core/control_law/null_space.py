@@ -25,9 +25,9 @@ Matrix = NDArray[np.float64]
 INTEGRAL_LIMIT_N = 8.0
 """Limit of the integral of the tension error, against windup [N]."""
 MAX_ADDED_BALANCE_N = 20.0
-"""Largest tension that is added as balance when the motion feedback unloads a tendon [N].
+"""Largest balance tension, which makes no torque, that is added when the motion feedback unloads a tendon [N].
 
-Friction of the pulleys grows with these tensions. Larger tensions would lock the joints that the
+Friction of the pulleys grows with balance tensions. Larger ones would lock the joints that the
 feedback has to move.
 """
 
@@ -36,20 +36,20 @@ feedback has to move.
 def raise_tensions_to_floor(
     x: StateTables, c: ConstantTables, limit: Vector, terms: Matrix, internal: Matrix
 ) -> None:
-    """Raise the tension goals of moving surplus tendons above the floor, and write the null-space forces.
+    """Raise the tension goals of surplus tendons in moving digits above the floor, and write the null-space forces.
 
-    The motion feedback may reduce the force on a tendon by more than its tension goal is above the
-    floor. Then a multiple of the digit's balance tensions is added to all its goals, which does not
-    change the joint torque. If the feedback would need more than the allowed multiple, the feedback
-    is reduced.
+    The motion feedback may reduce the force on a tendon to less than the floor. Then a multiple of
+    the balance tensions is added to the goals of all tendons of the digit. Balance tensions make no
+    joint torque. If the feedback would need more than the allowed multiple, the feedback is
+    reduced.
 
     Args:
         x: state tables.
         c: constants of the hand.
         limit: (N,) present tension limits [N].
         terms: (2, N) tension goal and feedback of motion [N], modified in place.
-        internal: (2, N) result: force by the error in the null space, and the integral of this
-            error [N].
+        internal: (2, N) result: force that the tension error in the null space causes, and the
+            integral of this error [N].
     """
     count = x.tendon.shape[1]
     error = np.zeros(count)
@@ -102,7 +102,7 @@ def _largest_balance_factor(
 def _fraction_of_feedback(
     c: ConstantTables, first: int, end: int, bound: float, terms: Matrix, feedback: Vector
 ) -> float:
-    """Return the fraction of the feedback that leaves all tendons of a digit at the floor or above.
+    """Return the fraction of the feedback with which all tendons of a digit stay at or above the floor.
 
     Args:
         c: constants of the hand.

@@ -1,6 +1,7 @@
 """Tensions at the joints that the goals require.
 
-Compiled code computes them, or else the bounded problem is solved in Python.
+Compiled code computes these tensions for most digits. For the others, Python solves a bounded
+least-squares problem.
 """
 
 from dataclasses import replace
@@ -96,11 +97,11 @@ def _with_present_arms(digit: DigitModel, constants: HandConstants) -> DigitMode
 def _tensions_with_friction(
     model: HandModel, digit: DigitModel, required: Vector, trajectory: Vector
 ) -> Vector:
-    """Return the tensions at the joints (n_t,) of a digit whose tendons act against each other [N].
+    """Return the tensions at the joints [N] (n_t,) of a digit whose tendons act against each other.
 
     Each pulley of a tendon has its own friction. In a digit without springs, the torques of all
-    tendons must be in balance at each joint. So the problem is solved with moment arms that are
-    reduced by friction.
+    tendons must be in balance at each joint. Therefore the moment arms in the problem are reduced
+    by friction.
 
     Args:
         model: model of the hand.
@@ -122,7 +123,7 @@ def _tensions_with_friction(
     reduced = (arms * factors) @ digit.coupling
     tension, _ = allocate_tension(reduced, required @ digit.coupling, low, high)
     # The control law divides by the mean efficiency over the pulleys, so the tensions are
-    # multiplied by it here.
+    # multiplied by this efficiency here.
     weights = model.pulley_weights[tendons, digit.joints]
     if digit.has_varying_arm:
         weights = np.abs(arms) / np.abs(arms).sum(axis=1, keepdims=True)

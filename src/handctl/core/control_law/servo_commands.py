@@ -13,19 +13,21 @@ stiffness of the tendon is k, and f_hat is its estimated tension:
     r p_d = s_d + f_0 / k + o
     r (p_d - p) = (s_d - s) + (f_0 - f_hat) / k      by f_hat = k (r p - s - o)
 
-The controller does not know the torque that the drive will make. It predicts the mean torque of the
-coming period from the estimated p and v, half a period ahead, and limits this torque as in torque
-control. The commanded position is then chosen so that the drive would make the limited torque. So
-the commanded position never leads the motor by more than the torque limits allow.
+The controller does not know the torque that the drive will make. From p and v, which it estimates
+half a period ahead, the controller predicts the mean torque of the coming period. It limits this
+torque as in torque control. The commanded position is then chosen so that the drive would make the
+limited torque. The torque limits therefore also limit the distance of the commanded position from
+the motor.
 
-Most drives keep the commanded position until the next command. Their position contains the planned
-motion of half a period. Other drives move the position with the commanded velocity, and get the
-position for the start of the period. If the host fails, such a drive moves the position until its
-watchdog fires. Therefore its command contains a torque limit slightly above the predicted torque.
+Most drives keep the commanded position until the next command. The position in a command to these
+drives includes the planned motion of half a period. Other drives move the commanded position on at
+the commanded velocity. A command to such a drive contains the position at the start of the period.
+If the host fails, such a drive moves the position until its watchdog fires. Therefore its command
+contains a torque limit slightly above the predicted torque.
 
 In commands for a digit that moves freely under the program, kp and kd are above 0. In all other
-cases they are 0, and t is the whole torque. These cases are a digit that touches an object,
-relaxes, is held by safety, or takes up slack, and a tick without a measured motor position.
+cases they are 0, and t is the whole torque. In these cases, the digit touches an object, relaxes,
+is held by safety, or takes up slack, or the tick has no measured motor position.
 """
 
 import math
@@ -51,7 +53,7 @@ loops oscillated. Examples are loops with 0.5 rad on the hand ``jamia`` at 100 H
 COMMAND_ROWS = 6
 """Number of rows of a command: position, velocity, kp, kd, torque, limit."""
 LIMIT_MARGIN_N = 10.0
-"""Margin of the torque limit in a command above the predicted motor force [N].
+"""Force [N] by which the torque limit in a command exceeds the predicted motor force.
 
 In free motions, the force changes by less than 1 N within a period.
 """
@@ -61,7 +63,8 @@ In free motions, the force changes by less than 1 N within a period.
 def begin_servo_commands(x: StateTables, c: ConstantTables) -> None:
     """Store the commands of the last tick, and set the commands of this tick to 0.
 
-    The position of a drive that moves it is stored as the drive has it now.
+    Some drives move the commanded position on by themselves. For such a drive, the position that it
+    has reached by now is stored.
     """
     elapsed = c.run[h.PERIOD] * (1 + x.run_int[s.MISSED_TICKS])
     for n in range(x.servo.shape[1]):
@@ -74,7 +77,7 @@ def begin_servo_commands(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def command_torque_only(x: StateTables, n: int) -> None:
-    """Replace the command of a drive by a torque command, in a hand with at least one position loop in a drive."""
+    """Replace the command of a drive by a pure torque command, in a hand where some drive closes a position loop."""
     x.servo[s.SERVO_KP, n] = x.servo[s.SERVO_KD, n] = 0.0
     x.servo[s.SERVO_TORQUE, n] = x.tendon[s.TORQUE, n]
 
@@ -100,7 +103,7 @@ def is_loop_closed_by_drive(x: StateTables, c: ConstantTables, n: int) -> bool:
 
 @kernel_helper
 def servo_stiffness(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the stiffness kp of a drive's loop for the present goal, rounded to the command's resolution [N m/rad]."""
+    """Return the stiffness kp [N m/rad] of a drive's position loop for the present goal, as the command encodes it."""
     step = c.tendon[h.SERVO_KP_STEP, n]
     wanted = x.tendon[s.STIFFNESS_FRACTION, n] * max(c.tendon[h.SERVO_STIFFNESS, n], step)
     return step * math.floor(min(wanted, c.tendon[h.SERVO_KP_MAX, n]) / step + 0.5)
@@ -108,7 +111,7 @@ def servo_stiffness(x: StateTables, c: ConstantTables, n: int) -> float:
 
 @kernel_helper
 def servo_damping(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the damping kd of a drive's loop for the present goal, rounded to the command's resolution [N m s/rad]."""
+    """Return the damping kd [N m s/rad] of a drive's position loop for the present goal, as the command encodes it."""
     step = c.tendon[h.SERVO_KD_STEP, n]
     wanted = x.tendon[s.DAMPING_FRACTION, n] * c.tendon[h.SERVO_DAMPING, n]
     return step * math.floor(min(wanted, c.tendon[h.SERVO_KD_MAX, n]) / step + 0.5)
@@ -116,9 +119,10 @@ def servo_damping(x: StateTables, c: ConstantTables, n: int) -> float:
 
 @kernel_helper
 def servo_speed_force(x: StateTables, c: ConstantTables, n: int, rate: float) -> float:
-    """Return the mean force that the speed error causes in a drive's loop over the coming period [N].
+    """Return the mean force that the speed error causes in a drive's position loop over the coming period [N].
 
-    The speed error also changes the position error within the period, on average for half a period.
+    Within the period, the speed error also adds to the position error. On average, the position
+    error grows by the speed error times half a period.
 
     Args:
         x: state tables.
@@ -138,7 +142,7 @@ def servo_speed_force(x: StateTables, c: ConstantTables, n: int, rate: float) ->
 def servo_force(
     x: StateTables, c: ConstantTables, n: int, excursion: float, rate: float, tension: float
 ) -> float:
-    """Return the predicted mean force of the drive's loop over the coming period [N].
+    """Return the predicted mean force of the drive's position loop over the coming period [N].
 
     Args:
         x: state tables.
@@ -180,8 +184,8 @@ def write_servo_command(
     travel = x.tendon[s.TRAVEL, n]
     speed = rate
     if c.run_int[h.HAS_CARRIER_ARMS]:
-        # Commanded position and speed follow the estimated motion of the carriers, so that tracking
-        # errors of carriers have no effect.
+        # Commanded position and speed follow the estimated motion of carrying digits, so that
+        # tracking errors of these digits have no effect.
         travel += carrier_excursion(c, n, x.joint[s.Q])
         speed += carrier_excursion(c, n, x.joint[s.DQ])
     ahead = 0.0 if c.tendon_int[h.DRIVE_MOVES_TARGET, n] else 0.5 * c.run[h.PERIOD] * speed
@@ -199,10 +203,11 @@ def write_servo_command(
 
 @kernel_helper
 def predict_reports(x: StateTables, c: ConstantTables) -> None:
-    """Write the force that each drive of the servo table should report in this tick [N].
+    """Write the force [N] that the report of each drive in this tick should show.
 
-    A drive reports position, speed and torque of one instant, at which it obeyed the command before
-    the last. The expected torque follows from this command and the reported position and speed.
+    A report contains position, speed and torque at one instant. At this instant, the drive still
+    obeyed the command before the last. The expected torque follows from this command and the
+    reported position and speed.
     """
     for n in range(x.servo.shape[1]):
         torque = x.servo[s.SERVO_BEFORE + 4, n]

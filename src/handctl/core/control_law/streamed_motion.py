@@ -1,14 +1,15 @@
 """Motion along streamed targets: interpolation to the latest target, then limits on speed and acceleration.
 
-A segment is a polynomial of time for each coordinate. It leads from the reference at the arrival of
-a target to this target. After the end of a segment, the reference stays at the target, because
-targets are not extrapolated.
+A segment is a polynomial of time for each coordinate. A segment leads from the reference at the
+arrival of a target to this target. After the end of a segment, the reference stays at the target,
+because targets are not extrapolated.
 
 The reference follows the segment exactly if speed and acceleration stay within their limits.
-Otherwise it approaches the target as fast as the limits allow, so that it arrives with the rate of
-the targets. The range of a joint limits the speed in a similar way, so that a motion stops before
-the end of the range. The reference never leads the digit by more than ``MAX_LEAD_RAD``. It waits for a
-digit that is held, and follows a digit that is pushed away.
+Otherwise the reference approaches the target as fast as the limits allow, and arrives there with
+the rate of the targets. The range of a joint limits the speed in a similar way, so that a motion
+stops before the end of the range. The reference never leads the digit by more than
+``MAX_LEAD_RAD``. The reference waits for a digit that is held, and follows a digit that is pushed
+away.
 """
 
 import math
@@ -28,14 +29,15 @@ If an object holds the digit, the reference waits at this distance, so that the 
 when the object releases it.
 """
 MIN_STIFFNESS = 0.05
-"""Smallest stiffness fraction by which ``MAX_LEAD_RAD`` is divided.
+"""Smallest divisor of ``MAX_LEAD_RAD``.
 
-A softer digit may be pushed away further.
+Otherwise, the divisor is the stiffness fraction of the digit. A softer digit may be pushed away
+further.
 """
 LIMIT_TOLERANCE = 1e-9
 """Relative tolerance of the limits, for rounding errors."""
 CLIP_TOLERANCE = 1e-9
-"""If a value differs by more than this from the requested value, it counts as clipped [rad, N]."""
+"""Difference between requested and used value above which the request counts as clipped [rad, N]."""
 
 
 @kernel("block", "layout", "vector", "vector", "real", "real", "real", "real", "count")
@@ -54,7 +56,7 @@ def begin_segments(
 
     Args:
         block: state block, modified in place.
-        at: ``Layout.places`` of the state block.
+        at: ``BlockLayout.places`` of the state block.
         target_coordinates: (C,) requested coordinates [rad].
         held_coordinates: (C,) the nearest coordinates that taut tendons can hold [rad].
         since: start of the motion [s].
@@ -192,7 +194,7 @@ def _allowed_rates(
 ) -> tuple[float, float]:
     """Return the lowest and the highest allowed rate of a coordinate's reference [rad/s].
 
-    They follow from the speed limit, from the range of the coordinate, and from the distance
+    Both rates follow from the speed limit, from the range of the coordinate, and from the distance
     between reference and digit.
 
     Args:
@@ -226,7 +228,7 @@ def _allowed_rates(
 
 @kernel_helper
 def _estimated_coordinate(x: StateTables, c: ConstantTables, d: int, k: int) -> tuple[float, float]:
-    """Return the estimate of a digit's coordinate [rad] and of its rate [rad/s], from the joints that it moves."""
+    """Return the estimated position [rad] and rate [rad/s] of a coordinate, from the joints that it moves."""
     position = rate = total = 0.0
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
         coupling = c.joint_coordinate[h.COUPLING, j, k]
@@ -238,7 +240,10 @@ def _estimated_coordinate(x: StateTables, c: ConstantTables, d: int, k: int) -> 
 
 @kernel_helper
 def _speed_to(distance: float, gain: float, period: float) -> float:
-    """Return the largest speed towards a point at a signed distance [rad] from which a motion stops there [rad/s]."""
+    """Return the largest speed towards a point at which a motion can still stop there [rad/s].
+
+    The distance is signed.
+    """
     return math.copysign(max_stoppable_speed(abs(distance), gain, period), distance)
 
 
@@ -246,7 +251,8 @@ def _speed_to(distance: float, gain: float, period: float) -> float:
 def max_stoppable_speed(distance: float, gain: float, period: float) -> float:
     """Return the largest speed from which a motion stops within a distance, in steps of a period [rad/s].
 
-    A speed w = n g + r, 0 <= r < g, falls to 0 over the distance ((n + 1) w - g n (n + 1) / 2) T.
+    A motion with the speed w = n g + r, 0 <= r < g, covers the distance ((n + 1) w - g n (n + 1) /
+    2) T until it stops.
 
     Args:
         distance: distance to the stop [rad]. 0 or less allows no speed.

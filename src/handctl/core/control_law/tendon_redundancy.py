@@ -1,9 +1,10 @@
 """Digits without return springs, and digits with more tendons than coordinates.
 
 Antagonistic tendons return such a digit. Its tendons act against each other: a vector of tensions
-in the null space of (R B)^T, all above the floor, makes no torque. These are the balance tensions
-of the digit. For n coordinates, a digit with n + 1 tendons has a null space of one dimension, and a
-digit with 2 n tendons has one of n dimensions. Source: Lee & Tsai (1991), Salisbury & Craig (1982).
+in the null space of (R B)^T, all above the floor, makes no torque. Such tensions are the balance
+tensions of the digit. For n coordinates, a digit with n + 1 tendons has a null space of one
+dimension, and a digit with 2 n tendons has one of n dimensions. Source: Lee & Tsai (1991),
+Salisbury & Craig (1982).
 """
 
 from dataclasses import dataclass

@@ -75,7 +75,7 @@ MAX_CACHED_PROBLEMS = 64
 def _cached_problem(moment_arms: Vector) -> _AllocationProblem:
     """Return the quadratic program for moment arms.
 
-    The programs of read-only arms are cached by their identity.
+    The program for a read-only array of arms is cached under the identity of this array.
     """
     result = _cached_problems.get(id(moment_arms))
     if result is not None and result[0] is moment_arms:
@@ -102,9 +102,9 @@ def solve_bounded(
         torque: see ``tensions_for_torque``.
         floor: see ``tensions_for_torque``.
         ceiling: see ``tensions_for_torque``.
-        preferred_tension: (n_t,) start tensions [N], for example the solution without bounds. The bounds that
-            these tensions violate are the solver's first active set, which halves the number of its
-            steps.
+        preferred_tension: (n_t,) start tensions [N], for example the solution without bounds. The
+            solver starts with the bounds that these tensions violate as its active set. This start
+            halves the number of its steps.
     """
     from daqp import solve
 

@@ -29,8 +29,9 @@ class Trajectory(Protocol):
 class BlendTrajectory:
     """Part of a move that continues an earlier motion and fades.
 
-    It is the sum of two quintics. The first quintic has a rate of 1 at the start, and the second an
-    acceleration of 1. All other values, rates and accelerations at the start and at the end are 0.
+    The part is the sum of two quintics. The first quintic has a rate of 1 at the start, and the
+    second an acceleration of 1. All other values, rates and accelerations at the start and at the
+    end are 0.
 
     Attributes:
         speed: (n,) rate at t = 0 [rad/s].
@@ -101,10 +102,12 @@ class StreamedTrajectory:
 
 @dataclass(frozen=True, slots=True)
 class CurveTrajectory:
-    """A cubic spline through points, at rest at both ends: one for all coordinates of a digit, or one for each of them.
+    """A cubic spline through points, at rest at both ends.
+
+    All coordinates of a digit share a spline, or each has its own.
 
     Attributes:
-        times: (k,) times of the points, rising from 0 [s].
+        times: (k,) times of the points [s], in rising order from 0.
         coefficients: (4, k - 1) coefficients of the cubic in each piece, highest power first
             [rad/s^3 .. rad], or (4, k - 1, n) with a cubic for each coordinate.
         coordinates: number of the digit's coordinates.
@@ -247,6 +250,6 @@ PEAK_SPEED_RATIO = 1.875
 def minimum_jerk_duration(distance: float, speed: float, shortest: float) -> float:
     """Return the duration [s] of a minimum-jerk move over ``distance`` [rad] with peak speed ``speed`` [rad/s].
 
-    It is at least ``shortest`` [s].
+    The result is at least ``shortest`` [s].
     """
     return max(PEAK_SPEED_RATIO * abs(distance) / speed, shortest)

@@ -35,7 +35,10 @@ from handctl.safety.faults.bus import (
 )
 
 Evidence = NDArray[np.float64]
-"""Result table of all detectors (faults, instances): a number that shows each fault, NaN where the fault is absent."""
+"""Result table of all detectors, (faults, instances).
+
+An element is a number that shows the fault, or NaN if the fault is absent.
+"""
 
 
 @kernel_helper
@@ -61,7 +64,7 @@ def detect_bus_faults(x: StateTables, c: ConstantTables, armed: bool, evidence: 
 def _detect_overdue_feedback(x: StateTables, c: ConstantTables, evidence: Evidence) -> None:
     """Find motors with overdue feedback.
 
-    In a tick that the host missed, no feedback was requested.
+    A tick that the host missed does not make feedback overdue, because the host requested none.
     """
     youngest = motor_ticks_overdue(x, c, 0, x.run_int[s.T_NS])
     for n in range(x.tendon.shape[1]):
@@ -78,7 +81,7 @@ def _detect_overdue_feedback(x: StateTables, c: ConstantTables, evidence: Eviden
 
 @kernel_helper
 def _detect_lost_replies(x: StateTables, evidence: Evidence) -> None:
-    """Find nodes of which many replies are missing."""
+    """Find nodes that failed to send many of their replies."""
     for node in range(x.node_int.shape[1]):
         number = count_lost_replies(x, node)
         if number > HOLD_LOST_FRAMES:

@@ -106,7 +106,7 @@ def count_set_bits(bits: int) -> int:
     """Return the number of bits that are set in a word."""
     number = 0
     while bits:
-        # This clears the lowest set bit.
+        # The AND clears the lowest set bit.
         bits &= bits - 1
         number += 1
     return number
@@ -114,7 +114,7 @@ def count_set_bits(bits: int) -> int:
 
 @kernel_helper
 def count_lost_replies(x: StateTables, node: int) -> int:
-    """Return in how many of the last ``LOSS_WINDOW_TICKS`` ticks a node sent no reply."""
+    """Return the number of ticks, among the last ``LOSS_WINDOW_TICKS``, in which a node sent no reply."""
     return count_set_bits(x.node_int[s.LOST_REPLIES, node]) + count_set_bits(
         x.node_int[s.LOST_REPLIES + 1, node]
     )

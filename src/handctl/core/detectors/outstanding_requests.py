@@ -1,10 +1,11 @@
 """Requests that motors have not yet answered. A late reply answers an old request, so it is not counted as a duplicate.
 
-The host sends a request to each motor in every tick. A missing reply may be lost. It may also come
-later, together with other replies. Or all replies come a tick late because a computer is busy. At
-first the host cannot distinguish these cases, so a request stays outstanding until its reply comes,
-or for ``LOSS_WINDOW_TICKS`` ticks. The last request to a motor stays outstanding without a time limit. If more
-replies come than requests are outstanding, a reply is a duplicate, or it comes from another node.
+The host sends a request to each motor in every tick. A missing reply may be lost. The missing reply
+may also come later, together with other replies. Or all replies come a tick late because a computer
+is busy. At first the host cannot distinguish these cases, so a request stays outstanding until its
+reply comes, or for ``LOSS_WINDOW_TICKS`` ticks. The last request to a motor stays outstanding
+without a time limit. If more replies come than requests are outstanding, a reply is a duplicate, or
+it comes from another node.
 """
 
 from handctl.compiled import kernel_helper
@@ -17,7 +18,7 @@ from handctl.safety.faults.bus import LOSS_WINDOW_TICKS
 MAX_REQUESTS = 8
 """Largest number of outstanding requests of a motor.
 
-A motor with more of them is silent, and its older requests are dropped.
+A motor with more outstanding requests is silent, and its older requests are dropped.
 """
 PHASE_READY = 2
 """Value of ``drives.contract.DrivePhase.READY``."""
@@ -31,8 +32,8 @@ def close_answered_requests(x: StateTables, c: ConstantTables) -> bool:
 
     Returns:
         True if a motor or the sensor node sent more replies than it had outstanding requests.
-        ``EXCESS_REPLIES`` of such a motor is set to the number of its outstanding requests plus 1.
-        It is set to 0 for all other motors.
+        ``EXCESS_REPLIES`` of a motor with such replies is set to the number of its outstanding
+        requests plus 1. For all other motors, ``EXCESS_REPLIES`` is set to 0.
     """
     any_excess = False
     for n in range(x.tendon.shape[1]):

@@ -3,8 +3,9 @@
 The reading of a load cell has noise of several counts. If each reading of a channel equals its
 reading a fixed number of ticks ago, the channel sends old readings. If a delay of n ticks starts
 without a gap, n readings are sent twice. A channel with a constant reading repeats its readings
-too, and so does a control loop in a limit cycle of a few counts. These repetitions are no fault
-here. The detector ``stuck_sensors`` judges constant readings.
+too. So does a channel whose control loop is in a limit cycle of a few counts. Repetitions of
+constant readings are no fault for this detector. The detector ``stuck_sensors`` judges constant
+readings.
 """
 
 import math

@@ -1,4 +1,6 @@
-"""Low-passed residuals of each tendon: motor force minus tension, inertia and friction, and similar differences.
+"""Low-passed residuals of each tendon.
+
+The main residual is the motor force minus tension, inertia and friction.
 
 The rotor obeys m a = F - T - b v - c sign(v), with its mass m, acceleration a and speed v at the
 spool, the motor force F, the tension T, the viscous friction b and the Coulomb friction c. If the
@@ -25,7 +27,7 @@ BALANCE, MOTOR_FORCE, COMMAND_DIFFERENCE, TENSION, QUICK_FORCE, SLIP, JERK, EXCE
 TIME_CONSTANTS_S = (0.2, 0.2, 0.08, 0.02, 0.02, 0.3, 0.1, 5.0)
 """Time constant of the low-pass filter of each row [s]."""
 GAIN_FRACTION = 0.1
-"""Error of the motor force, as a fraction, by the tolerance of the torque constant K_t that is usual for motors."""
+"""Relative error of the motor force that the usual tolerance of a motor's torque constant K_t causes."""
 FULL_FRICTION_SPEED_M_S = 5e-3
 """Tendon speed above which friction is fully developed [m/s]."""
 
@@ -57,8 +59,8 @@ def update_residuals(x: StateTables, c: ConstantTables, missed: int, tared: bool
             x.tendon[s.RESIDUAL + TENSION, n] = 0.0 if math.isnan(monitored) else monitored
             x.tendon[s.RESIDUAL + QUICK_FORCE, n] = 0.0 if math.isnan(made) else made
         turned = position - x.tendon[s.LAST_POSITION, n]
-        # Friction is proportional to tanh(1000 v). It is fully developed above some millimetres per
-        # second, and does not chatter at rest.
+        # Friction is proportional to tanh(1000 v). Above some millimetres per second, friction is
+        # fully developed. At rest, its sign does not chatter.
         drag = c.tendon[h.MOTOR_DAMPING, n] * speed + c.tendon[h.MOTOR_COULOMB, n] * math.tanh(
             speed * 1e3
         )
@@ -73,7 +75,8 @@ def update_residuals(x: StateTables, c: ConstantTables, missed: int, tared: bool
         now[QUICK_FORCE] = made
         now[SLIP] = x.tendon[s.SLIP, n]
         now[JERK] = square(turned - x.tendon[s.LAST_POSITION_STEP, n])
-        # Friction has the sign of the speed, so excess friction is the balance times this sign.
+        # Friction has the sign of the speed, so excess friction is the balance residual times this
+        # sign.
         now[EXCESS_FRICTION] = (
             math.copysign(1.0, speed) * balance
             if abs(speed) > FULL_FRICTION_SPEED_M_S

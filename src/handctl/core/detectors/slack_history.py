@@ -38,8 +38,8 @@ def update_slack_history(x: StateTables, c: ConstantTables) -> None:
             x.tendon_int[s.SLACK_TICKS, n] = 0
         elif x.tendon_int[s.TICKS_SINCE_TAUT, n] >= 0:
             x.tendon_int[s.TICKS_SINCE_TAUT, n] += 1
-            # As long as less than twice the pretension is commanded, no tendon of a spool pair
-            # counts as slack, because both are taut at any smaller net tension.
+            # Both tendons of a spool pair are taut at any net tension below twice the pretension.
+            # So no tendon of the pair counts as slack while less is commanded.
             loose = tension < SLACK_N and commanded > max(TAUT_N, 2.0 * c.tendon[h.PRETENSION, n])
             x.tendon_int[s.SLACK_TICKS, n] = x.tendon_int[s.SLACK_TICKS, n] + 1 if loose else 0
         is_taut = tension > TAUT_N or (x.tendon_int[s.IS_TAUT, n] == 1 and tension > SLACK_N)

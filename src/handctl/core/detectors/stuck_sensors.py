@@ -1,9 +1,9 @@
 """Detection of stuck readings. A reading is stuck if it is constant while a correlated reference signal moves.
 
 A constant reading is no fault while its reference is at rest. A motor's encoder has two references:
-the goal of the tendon's excursion, and its tension. The reference of a load cell is the motor
-force. The reference of a joint encoder is the joint angle that is computed from the positions of
-the spools.
+the goal of the tendon's excursion, and the tension of the tendon. The reference of a load cell is
+the motor force. The reference of a joint encoder is the joint angle that is computed from the
+positions of the spools.
 """
 
 import math
@@ -26,12 +26,14 @@ ARRIVAL_DISTANCE_M = 0.2e-3
 GOAL_JUMP_M = 2.0 * ARRIVAL_DISTANCE_M
 """Step of the filtered goal in a tick above which the step counts as a jump, and not as a motion of the digit [m]."""
 PRESSING_TENSION_N = 8.0
-"""Tension in excess of its goal above which a streamed digit counts as held by an object [N]."""
+"""Excess of a tension over its goal above which a streamed digit counts as held by an object [N]."""
 
 
 @kernel_helper
 def update_stuck_counts(x: StateTables, c: ConstantTables, tared: bool) -> None:
-    """Update the number of constant readings of each sensor. A missing reading changes no number.
+    """Update the number of constant readings of each sensor.
+
+    A missing reading leaves the number unchanged.
 
     Args:
         x: state tables.
@@ -39,8 +41,8 @@ def update_stuck_counts(x: StateTables, c: ConstantTables, tared: bool) -> None:
         tared: True if the load cells' zero is known.
     """
     for n in range(x.tendon.shape[1]):
-        # The position of the encoder is tested, and not the travel. The travel also changes with
-        # the angle of a carrying joint.
+        # The test uses the position of the encoder, because the travel also changes with the angle
+        # of a carrying joint.
         value = x.tendon[s.MEASURED_POSITION, n] * c.tendon[h.SPOOL_RADIUS, n]
         last = x.tendon[s.STUCK_TEST_POSITION, n]
         moved = not math.isnan(value) and value != last
@@ -77,7 +79,7 @@ def update_stuck_counts(x: StateTables, c: ConstantTables, tared: bool) -> None:
 
 @kernel_helper
 def reference_tension(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the tension of a tendon as a reference for its motor's encoder [N], NaN if other motors change it too.
+    """Return the tension [N] with which a motor's encoder is compared, NaN if other motors change this tension too.
 
     In a digit with surplus tendons an antagonist can stretch a tendon whose own motor is at rest.
     """
@@ -98,7 +100,7 @@ def are_all_tendons_taut(x: StateTables, c: ConstantTables, j: int) -> bool:
 
 @kernel_helper
 def joint_angle_by_spools(x: StateTables, c: ConstantTables, j: int) -> float:
-    """Return the joint angle by the positions of the spools [rad], NaN if a tendon that moves the joint is slack."""
+    """Return a joint angle computed from spool positions [rad], NaN if a tendon that moves the joint is slack."""
     if not are_all_tendons_taut(x, c, j):
         return math.nan
     angle = c.joint[h.ANGLE_OFFSET, j]
@@ -113,21 +115,21 @@ def joint_angle_by_spools(x: StateTables, c: ConstantTables, j: int) -> float:
 
 @kernel_helper
 def motion_since_reading(reference: float, anchor: float) -> float:
-    """Return how far a reference has moved since the sensor's reading became constant, 0 if unknown."""
+    """Return how far the reference of a sensor has moved since the sensor's reading became constant, 0 if unknown."""
     apart = abs(reference - anchor)
     return 0.0 if math.isnan(apart) else apart
 
 
 @kernel_helper
 def filter_goals(x: StateTables, c: ConstantTables) -> None:
-    """Filter the goal of each motor to the speed of a motor, so that no motor counts as stuck when its goal jumps.
+    """Filter the goal of each motor, because no motor can follow a jump of its goal at once.
 
     While the encoder's reading changes, the filtered goal equals the goal. The detector judges the
     motion of the filtered goal since the reading became constant, because friction may stop the
     motor before the goal. When a motor has reached its goal, the filtered goal is set to the
-    estimated excursion. A jump of the filtered goal by this setting is not judged. The goal of a
-    streamed digit that presses on an object is not judged either, because a client may send targets
-    beyond an object that the client does not know.
+    estimated excursion. The detector does not judge the jump of the filtered goal that this setting
+    causes. The goal of a streamed digit that presses on an object is not judged either, because a
+    client may send targets beyond an object that the client does not know.
     """
     fraction = 1.0 - math.exp(-c.run[h.PERIOD] / MOTOR_FOLLOWING_TIME_CONSTANT_S)
     min_step = SLOW_GOAL_M_S * c.run[h.PERIOD]
@@ -151,7 +153,7 @@ def filter_goals(x: StateTables, c: ConstantTables) -> None:
             x.tendon[s.FILTERED_GOAL, n] = present
             if abs(present - before) > GOAL_JUMP_M:
                 # The filtered goal jumps to the estimated excursion. No motor had to follow this
-                # jump, so the anchor moves too.
+                # jump, so the anchor, from which motion is counted, jumps too.
                 x.tendon[s.MOTOR_ANCHOR, n] += present - before
         elif _is_digit_pressing(x, c, n):
             x.tendon[s.MOTOR_ANCHOR, n] += x.tendon[s.FILTERED_GOAL, n] - before

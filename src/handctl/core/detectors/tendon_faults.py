@@ -109,9 +109,9 @@ def detect_tendon_faults_under_torque(
 def _planned_speed(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the speed of a tendon on the streamed trajectory of its joints [m/s].
 
-    It is 0 for a digit without a stream. The moves of tasks are slow, and the spool of a torn
-    tendon still follows them. If the speed of these moves were subtracted too, a torn tendon would
-    be found half a second later, as a slack tendon (fault T02b).
+    For a digit without a stream, the speed is 0. The moves of tasks are slow, and the spool of a
+    torn tendon still follows them. If the speed of these moves were subtracted too, a torn tendon
+    would be found half a second later, as a slack tendon (fault T02b).
     """
     speed = 0.0
     if not is_tendon_streamed(x, c, n):
@@ -125,7 +125,7 @@ def _planned_speed(x: StateTables, c: ConstantTables, n: int) -> float:
 
 @kernel_helper
 def _detect_slack(x: StateTables, c: ConstantTables, n: int, evidence: Evidence) -> None:
-    """Find a tendon that lost its tension: snapped if its spool runs, slack if tension is commanded."""
+    """Find a tendon without its commanded tension: slack (T02) after a time, snapped (T01) if its spool runs."""
     period = c.run[h.PERIOD]
     commanded = x.tendon[s.COMMANDED_TENSION, n]
     speed = x.tendon[s.SPEED, n]

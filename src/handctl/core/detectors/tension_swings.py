@@ -1,8 +1,9 @@
 """Detection of a tension that oscillates about the commanded tension, by torque ripple or by an unstable control loop.
 
 A torque ripple of 0.1 N m near the resonance of rotor and tendon (about 20 Hz) makes the tension
-oscillate by tens of newtons. No other detector has a threshold that finds this. Cogging torque does
-not appear in the motor current, so fault N14 (reported against commanded torque) cannot detect it.
+oscillate by tens of newtons. The thresholds of the other detectors do not find this oscillation.
+Cogging torque does not appear in the motor current, so the comparison of reported with commanded
+torque (fault N14) cannot detect it.
 """
 
 import math
@@ -17,7 +18,7 @@ from handctl.safety.faults.node import SWING_N
 SLOW_PART_TIME_CONSTANT_S = 0.02
 """Time constant of the slow part that is subtracted from the tension error [s].
 
-It belongs to ``SWING_HZ``.
+The time constant belongs to the frequency ``SWING_HZ``.
 """
 MEAN_SQUARE_TIME_CONSTANT_S = 0.025
 """Time constant of the mean square of the remaining, fast part [s]."""

@@ -1,4 +1,4 @@
-"""Test whether a drive obeys, by the correlation of its reported torque with its commanded torque.
+"""Test whether a drive obeys its commands, by the correlation of its reported torque with its commanded torque.
 
 A drive that obeys reports the commanded torque, including the small changes that noise adds to
 every command. The changes in the reports differ from those in the commands in three cases: the
@@ -14,15 +14,16 @@ present if the drive reports less than 0.4 of the command's changes, with a marg
 deviations of this estimate. The sample covariance of uncorrelated increments has the variance S_aa
 S_bb / n. Source: Bartlett's formula for white noise.
 
-The increments of a contact are a hundred times as large as those of a hold. Unlimited, they would
+At a contact, increments are a hundred times as large as during a hold. Without a limit, they would
 dominate the products for seconds after the contact. All increments are therefore limited to two
-counts of the torque. For an obeying drive the limited increments have the same signs.
+counts of the torque. If a drive obeys, the limited increments of command and report have equal
+signs.
 
-A pair of increments is counted after ``SETTLED_TICKS`` ticks in a row with a reply in time. After a
-pause, a drive replies to every queued command before it obeys the last one, so its next report
-belongs to an older command. On a slow bus a report may come a tick late. It then belongs to the
-command of a tick earlier. The test uses the larger of the two correlations, with and without this
-delay.
+A pair of increments counts only after ``SETTLED_TICKS`` ticks in a row, each with a reply in time.
+After a pause, a drive replies to every queued command before it obeys the last one, so its next
+report belongs to an older command. On a slow bus, a report may come a tick late, and then belongs
+to a command one tick older. The test computes the correlation with and without this delay, and uses
+the larger one.
 """
 
 import math
@@ -42,14 +43,14 @@ from handctl.safety.faults.node import (
 )
 
 MIN_FILLING = 0.9
-"""Response of the low-pass filter to a constant 1 above which the test is made.
+"""Response of the low-pass filter to a constant input of 1, above which the test is made.
 
-Its memory is then 90 % filled.
+The memory of the filter is then 90 % filled.
 """
 COVARIANCE_MARGIN_SIGMAS = 4.0
 """Margin of the test, in standard deviations of the estimated covariance."""
 SETTLED_TICKS = 3
-"""Ticks in a row with a reply in time after which a report is attributed to a command.
+"""Number of ticks in a row, each with a reply in time, after which reports are matched with commands.
 
 A command takes effect a tick later, and an increment needs two commands.
 """
@@ -60,15 +61,18 @@ Smaller increments consist mostly of rounding errors. If one count of a drive's 
 half of that count is used.
 """
 LARGEST_INCREMENT = 4.0
-"""Limit of an increment, as a multiple of the smallest one. Noise makes increments of about this size in a hold."""
+"""Limit of an increment, as a multiple of the smallest increment for the test.
+
+Noise reaches about this limit in a hold.
+"""
 SERVO_COUNTS = 0.75
 """Smallest increment (rms) for a drive that closes the position loop, in counts of position and speed.
 
-The report contains a rounded position and speed, but the drive computes with unrounded values. They
-differ by 0.3 counts (rms).
+The report contains a rounded position and speed, but the drive computes with unrounded values.
+Rounded and unrounded values differ by 0.3 counts (rms).
 """
 MIN_SERVO_SHARE = 0.01
-"""If a drive closed its position loop in a larger fraction of the recent ticks, ``SERVO_COUNTS`` applies."""
+"""Fraction of recent ticks in which a drive closed its position loop, above which ``SERVO_COUNTS`` applies."""
 (
     COMMAND_SQUARED_ROW,
     COMMAND_REPORT_ROW,
@@ -78,8 +82,8 @@ MIN_SERVO_SHARE = 0.01
 ) = range(5)
 """Rows of ``state_block.REPORT_MOMENTS``, low-passed products of increments.
 
-They are: command squared, command times report, the earlier command times report (for a report that
-comes a tick late), report squared, and the response of the filter to a constant 1.
+The rows are: command squared, command times report, the earlier command times report (for a report
+that comes a tick late), report squared, and the response of the filter to a constant 1.
 """
 
 
@@ -124,8 +128,8 @@ def update_correlation(x: StateTables, c: ConstantTables, missed: int) -> None:
             _low_pass_moment(x, n, FILTER_RESPONSE_ROW, fraction, 1.0)
         x.tendon[s.REPORT_ON_TIME, n] = settled
         if c.tendon_int[h.DRIVE_CLOSES_LOOP, n]:
-            # For such a drive, the force predicted for this report replaces the command, so the
-            # stored history is shifted by a tick.
+            # For a drive that closes its position loop, the force predicted for this report
+            # replaces the command, so the stored history is shifted by a tick.
             x.tendon[s.REPORT_FORCES, n] = first
             x.tendon[s.REPORT_FORCES + 1, n] = second
         else:

@@ -1,9 +1,9 @@
 """Detection of blocked digits: digits in an unplanned contact with a stop or an object.
 
-A digit is blocked if its unexplained tension exceeds any error of the model. ``programs.task_program`` has
-a finer test for closing digits. The tension filter must know which digits are blocked, because it
-assumes that a free digit follows its tendon. With this assumption, the control loop would oscillate
-against a blocked digit.
+A digit is blocked if its unexplained tension exceeds any error of the model.
+``programs.task_program`` has a finer test for closing digits. The tension filter must know which
+digits are blocked, because it assumes that a free digit follows its tendon. If the filter assumed
+this of a blocked digit, the control loop would oscillate.
 """
 
 from handctl.compiled import kernel_helper
@@ -22,14 +22,14 @@ BLOCKED_ABOVE_N = 6.0
 In this mean, the tension of a tendon that opens the digit has the opposite sign.
 
 In fast free motion, with friction that differs from the model by 50 %, the mean reaches 3.6 N. The
-tension is not converted to a force at the tip, because the tip of a fully flexed digit has no
-lever.
+tension is not converted to a force at the tip, because a force at the tip of a fully flexed digit
+has no lever about its joints.
 """
 MAX_PRESS_N = 30.0
 """Largest tension of a blocked digit in excess of the tension that the trajectory requires [N].
 
-Without this limit, the motion loop would wind the tendon of a blocked digit up to the limits of
-safety.
+Without this limit, the motion loop would raise the tension of a blocked digit up to the safety
+limits.
 """
 
 

@@ -1,4 +1,4 @@
-"""Force at the tip of a closing digit, which shows a contact, and opening of a digit that holds an object.
+"""Force at the tip of a closing digit, as a sign of contact, and opening of a digit that holds an object.
 
 While a digit closes, the unexplained tensions of its tendons are converted into a force at its tip.
 Each tendon is weighted by its load under a unit force at the tip. A proximal tendon has the largest
@@ -47,7 +47,7 @@ SLOW_GRIP_TIME_CONSTANT_S = 0.2
 def update_tip_forces(x: StateTables, c: ConstantTables) -> None:
     """Update the tip forces of closing digits.
 
-    Reset those of all other digits, but keep their drift.
+    Reset the tip forces of all other digits, but keep their drift.
     """
     closing = False
     for d in range(x.digit.shape[1]):
@@ -104,9 +104,9 @@ def _fit_tip_force(x: StateTables, c: ConstantTables, d: int, lever: Vector) -> 
 
 @kernel_helper
 def average_grip_travel(x: StateTables, c: ConstantTables) -> None:
-    """Update both averages of wound length minus stretch.
+    """Update the fast and the slow average of wound length minus stretch.
 
-    The slow one equals the fast one until slip is judged.
+    Both averages are equal until slip is judged.
     """
     judged = x.run[s.GOAL_TIME] + c.run[h.PERIOD] >= x.run[s.SLIP_JUDGED_FROM]
     for n in range(x.tendon.shape[1]):

@@ -25,7 +25,10 @@ STATE_COUNT = 7
 CELL_ERROR = 5
 """Index of the load-cell error among the states of a tendon."""
 MISSING_VARIANCE_FACTOR = 1e12
-"""Factor on the variance of a missing measurement. It makes the Kalman gain practically zero."""
+"""Factor on the variance of a missing measurement.
+
+This factor makes the Kalman gain practically zero.
+"""
 STEADY_FRACTION = 0.02
 """If each variance differs from its steady value by at most this fraction, the covariance counts as steady."""
 HELD_TORQUE_S = 0.05
@@ -93,8 +96,8 @@ def correct_covariance(
     for i in range(STATE_COUNT):
         for j in range(STATE_COUNT):
             rest[i, j] = (1.0 if i == j else 0.0) - (gain[i, 0] * H[0, j] + gain[i, 1] * H[1, j])
-    # Joseph form (I - K H) P (I - K H)^T + K R K^T. It is symmetric and positive for any gain, also
-    # for a gain that does not correct the cell error (Schmidt's consider filter).
+    # Joseph form (I - K H) P (I - K H)^T + K R K^T. The Joseph form is symmetric and positive for
+    # any gain, even for a gain that does not correct the cell error (Schmidt's consider filter).
     joseph = _multiply_by_transposed(_multiply_matrices(rest, P), rest)
     for i in range(STATE_COUNT):
         for j in range(STATE_COUNT):
@@ -152,7 +155,7 @@ def predicted_tension_sigma(x: StateTables, c: ConstantTables, n: int) -> float:
 
 @kernel_helper
 def _present_covariance(x: StateTables, c: ConstantTables, n: int, kind: int) -> Matrix:
-    """Return the covariance (7, 7) of a tendon's predicted states: the propagated or else the steady covariance."""
+    """Return the covariance (7, 7) of a tendon's predicted states, propagated or else steady."""
     P = _copy_design_matrix(c, n, kind, h.P_AT)
     if x.run_int[s.COVARIANCE_PROPAGATED]:
         for i in range(STATE_COUNT):

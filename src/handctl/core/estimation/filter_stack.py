@@ -15,7 +15,7 @@ STATE_COUNT = 7
 INPUT_COUNT = 2
 MEASUREMENT_COUNT = 3
 X, V, S, W, D, E, O = range(STATE_COUNT)  # noqa: E741 - the names of the states, as below
-"""States of a tendon.
+"""States of a tendon in the tension filter.
 
 They are travel [m] and speed [m/s] at the spool, excursion [m] and its rate [m/s], disturbance
 force on the motor [N], load-cell error [N], stretch offset [m].
@@ -33,12 +33,14 @@ class TendonRegime(enum.IntEnum):
     HELD = 1
     """The tendon is taut.
 
-    The digit rests on an object or open stop of unknown stiffness, and hardly moves.
+    The digit rests on an object, or on its stop at full opening. The digit hardly moves, and the
+    stiffness of the contact is unknown.
     """
     SLACK = 2
     """The tendon is slack.
 
-    The motor moves alone, springs hold the digit open, and the load cell shows its error.
+    The motor moves alone, springs hold the digit open, and the load cell measures only its own
+    error.
     """
 
 
@@ -55,7 +57,8 @@ class FilterBlock:
         R: variances of encoder and load cell, (2,).
         P: covariance of the prediction in steady state, (7, 7).
         cell_error_observable: True if the load-cell error is observable.
-        cell_error_variance: part of ``tension_variance`` by an unobservable load-cell error [N^2].
+        cell_error_variance: part of ``tension_variance`` that an unobservable load-cell error
+            causes [N^2].
         tension_row: tension per state, (7,).
         tension_variance: variance of the predicted tension [N^2].
         innovation_information: inverse covariance of encoder and load-cell innovations, (2, 2).
@@ -106,8 +109,9 @@ class FilterDesign:
     Attributes:
         blocks: filter of each tendon and kind, ``blocks[tendon][kind]``. The kind is the regime,
             plus 3 for a filter with added process noise.
-        transition: function that returns the transition of all tendons for their N kinds, given as
-            the bytes of int64 numbers. Its results are cached, because kinds change in few ticks.
+        transition: function that returns the transition of all tendons. Its argument is the kinds
+            of the N tendons, as bytes of int64 numbers. Its results are cached, because kinds
+            rarely change.
     """
 
     blocks: tuple[tuple[FilterBlock, ...], ...]

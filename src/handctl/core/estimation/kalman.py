@@ -3,9 +3,9 @@
 One linear filter has the states of all tendons. ``correct_filter`` corrects the states by the
 measurements. ``filterpy`` predicts the states to the present (in ``controller.tick``).
 ``derive_estimate`` derives the estimate from the states. A missing or saturated measurement has no
-innovation. After it, the covariance is propagated until it is steady again. A single outlier of a
-load cell is rejected. The measurements that a tick receives were taken one period earlier, just
-before the command of the previous tick took effect.
+innovation. After such a measurement, the covariance is propagated until it is steady again. A
+single outlier of a load cell is rejected. The measurements that a tick receives were taken one
+period earlier, just before the command of the previous tick took effect.
 """
 
 import math
@@ -44,16 +44,16 @@ FREE_REGIME = 0
 HELD_REGIME = 1
 SLACK_REGIME = 2
 STOP_BAND_REST_M = 2e-5
-"""Largest distance of the excursion from the open stop at which a digit comes to rest on the stop [m]."""
+"""Distance of the excursion from the stop of the open digit below which an arriving digit counts as at rest [m]."""
 STOP_BAND_STAY_M = 1e-4
-"""Largest distance of the excursion from the open stop at which a resting digit stays on the stop [m]."""
+"""Distance of the excursion from the stop of the open digit up to which a digit at rest stays at rest [m]."""
 STOP_PULL_REST = 0.8
-"""Pull of a tendon below which its digit comes to rest on the open stop, as a fraction of the springs' force.
+"""Pull of a tendon below which its digit comes to rest on the stop of the open digit, relative to the springs' force.
 
 The fraction is so small that friction cannot hold the digit just above the stop.
 """
 STOP_PULL_STAY = 1.05
-"""Pull of a tendon below which its digit stays on the open stop, as a fraction of the springs' force."""
+"""Pull of a tendon below which its digit stays on the stop of the open digit, relative to the springs' force."""
 SLACK_LENGTH_M = 2e-4
 """Length of slack above which a load cell certainly measures no tension, but only its error [m]."""
 OUTLIER_GATE_SIGMAS = 5.0
@@ -68,12 +68,12 @@ STEP_FRACTION = 0.8
 NIS_AVERAGING_TIME_S = 1.0
 """Averaging time of the normalised innovation squared (NIS) that judges the model [s].
 
-Its ideal mean is 2.
+The ideal mean of NIS is 2.
 """
 INCONSISTENT_NIS = 8.0
-"""Mean NIS of a tendon above which its model counts as inconsistent."""
+"""Mean normalised innovation squared (NIS) of a tendon above which the model of the tendon counts as inconsistent."""
 CONSISTENT_NIS = 4.0
-"""Mean NIS of a tendon below which its model counts as consistent again."""
+"""Mean normalised innovation squared (NIS) of a tendon below which the model counts as consistent again."""
 NOISE_NIS_S = 0.25
 """Averaging time of the NIS that decides about added process noise [s]."""
 NOISE_NIS_LIMIT = 3.2
@@ -117,8 +117,8 @@ def correct_filter(x: StateTables, c: ConstantTables, missed: int) -> None:
     """
     count = x.tendon.shape[1]
     for n in range(count):
-        # The kind of design may change below. The measurements are still judged by the kind with
-        # which they were predicted.
+        # The kind of design may change below. The measurements are still judged by the kind of
+        # design that predicted them.
         x.tendon_int[s.FILTER_KIND, n] = x.tendon_int[s.FILTER_KIND_BEFORE, n] = filter_kind(x, n)
     z = _usable_measurements(x)
     innovation = _innovations(x, c, z)
@@ -186,7 +186,7 @@ def _innovations(x: StateTables, c: ConstantTables, z: Matrix) -> Matrix:
 
 @kernel_helper
 def _is_measurement_missing(x: StateTables, c: ConstantTables, z: Matrix) -> bool:
-    """Return True if a measurement is missing that the steady gains assume.
+    """Return True if a measurement that the steady gains assume is missing.
 
     For a slack tendon, these gains assume no load-cell reading.
     """
@@ -277,8 +277,8 @@ def _normalised_innovation_squared(
 ) -> float:
     """Return the normalised innovation squared of encoder and load cell, NaN if either is missing.
 
-    For a tendon without load cell (``without_cell``), the result is twice the value of the encoder alone.
-    Its ideal mean is then also 2.
+    For a tendon without load cell (``without_cell``), the result is twice the value of the encoder
+    alone. The ideal mean of this value is 2, as with a load cell.
     """
     if without_cell:
         return 2.0 * information[0] * innovation[0] * innovation[0]
@@ -352,7 +352,7 @@ def _judge_noise(x: StateTables, c: ConstantTables) -> None:
 def filtered_tension(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the tension of a tendon at its load cell, computed from the filter's states [N].
 
-    It may be negative.
+    The computed tension may be negative.
     """
     tension = 0.0
     kind = x.tendon_int[s.FILTER_KIND, n]
@@ -382,14 +382,14 @@ def write_free_angles(x: StateTables, c: ConstantTables, row: int, result: Vecto
 
 @kernel_helper
 def _load_forces(x: StateTables, c: ConstantTables) -> Matrix:
-    """Return resistance, speed-signed pull and pull of all tendons, (3, N) [N].
+    """Return three forces of each tendon, (3, N) [N]: resistance, speed-signed pull and pull.
 
-    Resistance is the tension at the joints in balance with springs and gravity. Pull is the
-    estimated tension at the joints, less friction. For a moving tendon, the control law knows how
-    far its friction has developed. For other tendons, friction is computed from the speed at the
-    spool. The estimated speed of a digit is not used, because the sign of this rough estimate would
-    chatter. The speed-signed pull always uses the speed at the spool. It is the first sign that a
-    digit leaves a stop.
+    Resistance is the tension at the joints that balances springs and gravity. Pull is the estimated
+    tension at the joints, after the loss by friction. For a moving tendon, the control law knows
+    how far the friction of the tendon has developed. For other tendons, friction is computed from
+    the speed at the spool. The estimated speed of a digit is not used, because the sign of this
+    rough estimate would chatter. For the speed-signed pull, friction is always computed from the
+    speed at the spool. This pull is the first sign that a digit leaves a stop.
     """
     count = x.tendon.shape[1]
     joints = x.joint.shape[1]
@@ -419,7 +419,7 @@ def _load_forces(x: StateTables, c: ConstantTables) -> Matrix:
 def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
     """Update the regime of each tendon, and set the stretch offset of a newly taut tendon.
 
-    The regime depends on slack, on the open stop and on contact. The result is that of
+    The regime depends on slack, on the open stop and on contact. Return the result of
     ``_load_forces`` after this update.
     """
     force = _load_forces(x, c)
@@ -442,7 +442,8 @@ def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
         else:
             points = regime_evidence(regime, points, tension, cell, x.tendon[s.CELL_ERROR, n], near)
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
-            # The spool turns the joint in both directions. One of the two tendons is always taut.
+            # The spool of a pair turns the joint in both directions. One tendon of the pair is
+            # always taut.
             points = 0
             regime = FREE_REGIME
         elif is_regime_over(regime, points, blind):
@@ -467,8 +468,8 @@ def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
         x.tendon_int[s.ON_OPEN_STOP, n] = stopped
         if regime != SLACK_REGIME:
             if stopped and not was:
-                # The digit has come to rest on its open stop. The excursion is then known, and the
-                # difference is added to the stretch offset.
+                # The digit has come to rest on its open stop. The excursion is then known. The
+                # error of its estimate is added to the stretch offset.
                 opened = c.tendon[h.OPEN_EXCURSION, n]
                 x.tendon[s.STRETCH_OFFSET, n] += x.tendon[s.EXCURSION, n] - opened
                 x.tendon[s.EXCURSION, n] = opened
@@ -490,14 +491,14 @@ def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
 
 @kernel_helper
 def is_in_contact(x: StateTables, d: int) -> bool:
-    """Return True if a digit is blocked, or if the program knows that it touches an object while torque may act."""
+    """Return True if a digit is blocked, or if, by the program, it touches an object while torque may act."""
     acting = 3 <= x.run_int[s.MODE] <= 5  # ARMING, ACTIVE, RELAX
     return (acting and x.digit_int[s.PLANNED_CONTACT, d] == 1) or x.digit_int[s.BLOCKED, d] == 1
 
 
 @kernel_helper
 def _is_at_stop(was_at_stop: bool, excursion: float, force: float, resistance: float) -> bool:
-    """Return True if its springs hold a digit on the open stop against the pull of its tendon."""
+    """Return True if springs hold a digit on its open stop against the pull of the tendon."""
     if was_at_stop:
         return excursion < STOP_BAND_STAY_M and force < resistance * STOP_PULL_STAY
     return excursion < STOP_BAND_REST_M and force < resistance * STOP_PULL_REST

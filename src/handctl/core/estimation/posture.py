@@ -41,20 +41,23 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 MODEL_ERROR_N = 0.5
-"""Standard deviation of the tension that the model expects in free motion [N].
+"""Standard deviation of the error of the tension that the model expects in free motion [N].
 
-It represents errors of friction and springs in the hand file.
+The expected tension is wrong if friction or springs differ from the hand file.
 """
 MODEL_ERROR_FRACTION = 0.15
-"""Standard deviation of the tension that the model expects, as a fraction of the unexplained tension."""
+"""Standard deviation of the error of the expected tension, as a fraction of the unexplained tension."""
 STIFFNESS_ERROR_FRACTION = 0.03
-"""Relative error of the tendons' stiffness, by which a part of the stretch is estimated as excursion."""
+"""Relative error of the tendons' stiffness.
+
+Because of this error, the filter takes a part of the stretch for excursion.
+"""
 FRICTION_FRACTION = 0.5
-"""Standard deviation of the turn that friction causes, as a fraction of the turn by fully developed friction."""
+"""Standard deviation of the turn by friction, as a fraction of the turn that fully developed friction causes."""
 MIN_SQUARED_LEVER_M2 = 1e-8
 """Smallest sum of squared levers of a place of contact [m^2].
 
-It prevents a division by 0 for a place without levers.
+This value prevents a division by 0 for a place of contact without levers.
 """
 MAX_READING_AGE_S = 0.1
 """Largest age at which a joint encoder's reading is used [s]."""
@@ -66,11 +69,14 @@ The rate is that of a free digit.
 MIN_TURN_RAD = 1e-9
 """Smallest divisor where a turn is limited to the ranges of the joints [rad]."""
 CONTACT_FADE_S = 0.15
-"""Time constant with which the effect of a contact fades [s], because friction holds the joints after its end."""
+"""Time constant with which the effect of a contact fades [s].
+
+Friction holds the joints after the contact has ended.
+"""
 POSTURE_UPDATE_PERIOD_S = 8e-3
 """Time between two estimates of the turn in the null space [s]."""
 TURN_SMOOTHING_S = 20e-3
-"""Time constant of the low-pass filter for the turn by contact [s]."""
+"""Time constant of the low-pass filter for the turn that a contact causes [s]."""
 
 
 @kernel_helper
@@ -110,7 +116,7 @@ def estimate_joint_angles(x: StateTables, c: ConstantTables, k: int, t_ns: int) 
 
 @kernel_helper
 def _excursion_deviations(x: StateTables, c: ConstantTables) -> tuple[Matrix, Vector]:
-    """Return the deviations (J, N) of the joint angles by the error of each excursion [rad], and the variances (J,)."""
+    """Return how far the error of each excursion turns the joints, (J, N) [rad], and the variances (J,)."""
     joints = x.joint.shape[1]
     tendons = x.tendon.shape[1]
     spread = np.zeros((joints, tendons))
@@ -123,8 +129,8 @@ def _excursion_deviations(x: StateTables, c: ConstantTables) -> tuple[Matrix, Ve
             c.tendon[h.TENDON_STIFFNESS, n]
         )
         if c.run_int[h.HAS_CARRIER_ARMS]:
-            # Add the error by the angles of carriers. The tendons of carriers come first, so
-            # ``total`` contains this error already.
+            # Add the error from the angles of carrying digits. The tendons of carrying digits come
+            # first, so ``total`` contains this error already.
             for j in range(joints):
                 variance += square(c.tendon_joint[h.CARRIER_ARMS, n, j]) * total[j]
         excursion = math.sqrt(variance)
@@ -136,7 +142,7 @@ def _excursion_deviations(x: StateTables, c: ConstantTables) -> tuple[Matrix, Ve
 
 @kernel_helper
 def _covariance_columns(x: StateTables, c: ConstantTables) -> Matrix:
-    """Return deviations (2 H + 2, J) of the joint angles in the null space [rad], and write the turn by contact.
+    """Return deviations (2 H + 2, J) of the joint angles in the null space [rad], and write the turn by a contact.
 
     The covariance of the angles is the sum of the products of these deviations. H is the number of
     places of contact. The levers are computed at the angles of the last estimate, so each tick is
@@ -272,7 +278,7 @@ def _write_digit_turn(
 
 @kernel_helper
 def _range_fraction(x: StateTables, c: ConstantTables, d: int, turn: Vector, sign: float) -> float:
-    """Return the fraction, 0 to 1, of a turn (J,) [rad] by which the joints of a digit can turn within their ranges.
+    """Return the largest fraction, 0 to 1, of a turn (J,) [rad] that leaves a digit's joints within their ranges.
 
     The turn starts at the angles of the free digit.
     """
@@ -287,7 +293,7 @@ def _range_fraction(x: StateTables, c: ConstantTables, d: int, turn: Vector, sig
 
 @kernel_helper
 def _write_free_errors(x: StateTables, c: ConstantTables, turn: Matrix) -> None:
-    """Write how far friction, and springs with gravity, turn free digits out of the coupling, (2, J) [rad]."""
+    """Write how far friction, and springs with gravity, turn free digits out of their coupling, (2, J) [rad]."""
     joints = x.joint.shape[1]
     torque = np.zeros((2, joints))
     write_static_torque(c, x.joint[s.Q], torque[1])
@@ -313,7 +319,8 @@ def _fuse_encoders(
 ) -> None:
     """Correct the joint angles by the joint encoders, one after the other.
 
-    This is exact, because the noise of each encoder is independent of the others.
+    One correction after the other gives the exact result, because the noises of the encoders are
+    independent.
 
     Args:
         x: state tables.
@@ -365,7 +372,7 @@ def _fuse_encoders(
 
 @kernel_helper
 def estimate_tip_forces(x: StateTables, c: ConstantTables) -> None:
-    """Write the tip-equivalent forces of all digits, and their standard deviations by errors of angles and tensions.
+    """Write the tip-equivalent force of each digit, and its standard deviation from errors of angles and tensions.
 
     The tip-equivalent force acts at the tip, along the y axis of the last link, and makes the
     torque of the contact. The tension of a finger with one tendon does not depend on the place of

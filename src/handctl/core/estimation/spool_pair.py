@@ -17,7 +17,7 @@ from handctl.compiled import kernel_helper
 
 @kernel_helper
 def net_tension_at_joint(net: float, pretension: float, passed_fraction: float) -> float:
-    """Return the net tension at a joint, less the friction of the pulleys [N].
+    """Return the net tension at a joint, after the friction of the pulleys [N].
 
     Args:
         net: net tension at the spool [N].

@@ -1,4 +1,4 @@
-"""Known forces of a hand at rest: joint torques of springs and gravity, and tensions less pulley friction."""
+"""Known forces of a hand at rest: joint torques of springs and gravity, and tensions after pulley friction."""
 
 import math
 
@@ -56,7 +56,7 @@ def wrap_of_joint(c: ConstantTables, j: int, q: float) -> float:
 def pulley_torque(
     c: ConstantTables, n: int, arm: float, tension: float, friction_state: float, wrap_angle: float
 ) -> float:
-    """Return the torque of tendon n about the joint of a pulley, less the effect of friction [N m].
+    """Return the torque of tendon n about the joint of a pulley, with the effect of friction [N m].
 
     Args:
         c: constants of the hand.
@@ -79,9 +79,9 @@ def pulley_torque(
 def subtract_passing_torque(
     c: ConstantTables, q: Vector, tension: Vector, friction_state: Vector, torque: Vector
 ) -> None:
-    """Subtract the torques of passing tendons from the joint torques (J,) that the tendons of carriers must make.
+    """Subtract the torques of passing tendons from the joint torques (J,) that tendons of carrying digits must make.
 
-    A passing tendon belongs to a digit, and passes a joint of the carrier of this digit, for
+    A passing tendon belongs to a digit, and passes a joint of a digit that carries this digit, for
     example the wrist.
 
     Args:
@@ -147,7 +147,7 @@ def write_tensions_for_torque(c: ConstantTables, torque: Vector, tension: Vector
 def write_tensions_at_joints(
     c: ConstantTables, q: Vector, tension: Vector, friction_state: Vector, result: Vector
 ) -> None:
-    """Write the tensions at the joints, less friction.
+    """Write the tensions at the joints, with the effect of friction.
 
     Without friction, the result would make the same joint torques as the tensions at the load cells
     make with friction.
@@ -218,7 +218,7 @@ def value_from_other_tendons(c: ConstantTables, n: int, values: Vector, offset: 
 
 @kernel_helper
 def winding_efficiency(c: ConstantTables, n: int, q: Vector) -> float:
-    """Return the tension at the joints of a winding tendon, as a fraction of the tension at the load cell.
+    """Return the fraction of a winding tendon's tension at the load cell that reaches the joints.
 
     The fraction is the mean over the pulleys, weighted by moment arms. While the tendon is paid
     out, the fraction is about the reciprocal of the result.

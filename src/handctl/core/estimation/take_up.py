@@ -12,7 +12,7 @@ SLACK_REGIME = 2
 SLACK_BELOW_N = 1.0
 """A tendon may be slack if its estimated tension and its load-cell reading are below this tension [N].
 
-It is two standard deviations of the load cell.
+This tension is two standard deviations of the load cell's noise.
 """
 SLACK_TICKS = 3
 """Number of ticks in a row below ``SLACK_BELOW_N`` after which a tendon counts as slack."""
@@ -77,9 +77,9 @@ def regime_evidence(
 
 
 TAUT_WITHOUT_CELL_N = 2.5
-"""Force missing at the motor of a slack tendon without load cell.
+"""Threshold [N] for the force that is missing at the motor of a slack tendon without load cell.
 
-A larger missing force counts as tension [N].
+A larger missing force counts as tension.
 """
 SLACK_TICKS_WITHOUT_CELL = 12
 """Number of ticks in a row with low estimated tension after which a tendon without load cell counts as slack."""

@@ -12,7 +12,9 @@ from handctl.hand.digit import DigitModel
 
 
 def joint_lever(digit: DigitModel, q: Vector) -> Vector:
-    """Return the levers about each joint of a force at the tip along the y axis of the last link: J^T n, (n,) [m].
+    """Return the levers of a tip force about the joints: J^T n, (n,) [m].
+
+    The force acts along the y axis of the last link.
 
     Args:
         digit: model of the digit.
@@ -25,7 +27,10 @@ def joint_lever(digit: DigitModel, q: Vector) -> Vector:
 
 
 def reduced_tip_lever(digit: DigitModel, q: Vector) -> Vector:
-    """Return the levers of such a force at the tip about the coordinates of the digit: B^T J^T n, (n_c,) [m]."""
+    """Return the levers of a tip force about the coordinates: B^T J^T n, (n_c,) [m].
+
+    See ``joint_lever``.
+    """
     return np.asarray(digit.coupling.T @ joint_lever(digit, q))
 
 

@@ -4,16 +4,17 @@ Filter, control law and allocation use the linear relation q = B (R B)^+ s of jo
 excursions s. For a digit with varying arms, the tables of ``constants`` that depend on R are
 evaluated at the angles of the free digit: q0 = B theta, for which the excursions e(q0) equal s.
 Around q0 the excursion is e(q0) + R (q - q0), so the linear relation has an offset. With constant
-arms, the offsets are 0 and the tables do not change. The tables depend only on the state block.
-They are evaluated before each use in a tick, so a tick that is computed again from a stored state
+arms, the offsets are 0 and the tables do not change. The tables depend only on the state block. The
+tables are evaluated before each use in a tick. So a tick that is computed again from a stored state
 gives the same result.
 
 The tendons of a finger pass the wrist that carries the finger. If a tendon does not pass through
 the axis of the wrist, the motion of the wrist winds this tendon, and its tension turns the wrist.
-Both effects are known from the estimated angle of the wrist and from the tension. The part of the
-travel that carriers such as the wrist wind is subtracted (``carrier_excursion``). So filter, goals
-and detectors treat the finger like a digit on a base at rest. The tendons of the wrist bear the
-torque of the tendons that pass the wrist (``statics.subtract_passing_torque``).
+The motion of the tendon and the torque on the wrist are known from the estimated angle of the wrist
+and from the tension. The part of the travel that carriers such as the wrist wind is subtracted
+(``carrier_excursion``). So filter, goals and detectors treat the finger like a digit on a base at
+rest. The tendons of the wrist bear the torque of the tendons that pass the wrist
+(``statics.subtract_passing_torque``).
 
 Source: Tsai, Robot Analysis (1999), structure matrix; Gauss-Newton method.
 """
@@ -37,7 +38,7 @@ Matrix = NDArray[np.float64]
 NEWTON_STEPS = 8
 """Largest number of Newton steps for a digit's joint angles in a tick.
 
-One or two steps are usual.
+Usually, one or two steps are enough.
 """
 NEWTON_TOLERANCE_RAD = 1e-6
 """Newton step below which the iteration ends [rad].
@@ -81,7 +82,7 @@ def joint_excursion(c: ConstantTables, n: int, j: int, q: float) -> float:
 
 @kernel_helper
 def carrier_excursion(c: ConstantTables, n: int, values: Vector) -> float:
-    """Return the part of tendon n's excursion, or of its rate, that the joints of its carriers cause [m, m/s].
+    """Return the part of tendon n's excursion [m] or rate [m/s] that the joints of carrying digits cause.
 
     Args:
         c: constants of the hand.
@@ -99,7 +100,7 @@ def carrier_excursion(c: ConstantTables, n: int, values: Vector) -> float:
 
 @kernel_helper
 def motor_speed(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the speed of a tendon at its spool [m/s], including the speed that the carriers of its digit cause."""
+    """Return the speed of a tendon at its spool [m/s], with the part that the digits carrying its digit cause."""
     speed = x.tendon[s.SPEED, n]
     if c.run_int[h.HAS_CARRIER_ARMS]:
         speed += carrier_excursion(c, n, x.joint[s.DQ])
@@ -232,8 +233,8 @@ def _write_weights(c: ConstantTables, d: int) -> None:
             c.joint_tendon[h.POSTURE_TORQUE, j, n] = torque
         mean = c.tendon[h.MEAN_BALANCE, n]
         if c.tendon_int[h.HAS_SURPLUS, n] and mean > 0.0:
-            # The new balance tension is the part of the mean one that makes no torque with the
-            # present moment arms.
+            # The balance tensions for the mean moment arms are known. The part of them that makes
+            # no torque with the present arms becomes the new balance.
             balance = mean - part_explained_by_motion(c, n, c.tendon[h.MEAN_BALANCE])
             c.tendon[h.BALANCE_TENSION, n] = c.tendon[h.RELAXED_TENSION, n] = max(
                 balance, MIN_BALANCE_FRACTION * mean

@@ -1,1 +1,4 @@
-"""Gains: their bounds, their files, and the designs of the tension filter and of the control loops from them."""
+"""Gains, their bounds and their files.
+
+The tension filter and the control loops are designed from the gains.
+"""

@@ -53,19 +53,19 @@ tension: if an offset of one millimetre decays in a minute, the tension changes 
 
 # Noise that is added while the model of a tendon does not fit its measurements, see ``kalman``.
 ADDED_DISTURBANCE_FACTOR = 5.0
-"""Factor by which the motor disturbance of a free tendon is larger while noise is added.
+"""Factor on the motor disturbance of a free tendon while noise is added to its filter.
 
-It represents motor friction that differs from the hand file.
+The added noise covers motor friction that differs from the hand file.
 """
 ADDED_HELD_DISTURBANCE_FACTOR = 2.0
-"""Factor by which the motor disturbance of a held tendon is larger while noise is added."""
+"""Factor on the motor disturbance of a held tendon while noise is added to its filter."""
 ADDED_TENSION_WALK = 8.0
-"""Added random walk of a free tendon's tension [N/s^0.5].
+"""Random walk [N/s^0.5] that is added to the tension of a free tendon.
 
-It represents joint friction that differs from the hand file.
+The walk covers joint friction that differs from the hand file.
 """
 ADDED_HELD_TENSION_WALK = 3.0
-"""Added random walk of a held tendon's tension [N/s^0.5]."""
+"""Random walk [N/s^0.5] that is added to the tension of a held tendon."""
 PLAN_FRACTION_WITH_NOISE = 0.25
 """Fraction of the planned change of tension that the filter expects while noise is added."""
 FRICTION_SIGMA_WITHOUT_CELL = 0.6
@@ -77,12 +77,12 @@ distribution has the standard deviation 1 / sqrt(3).
 FRICTION_TIME_WITHOUT_CELL_S = 0.3
 """Correlation time of a motor's friction, for tendons without load cell [s].
 
-It is about the time between reversals.
+This time is about the time between two reversals of the motor.
 """
 TAUT_REGIMES = (TendonRegime.FREE, TendonRegime.HELD)
 """Regimes with a second filter design, which has added noise.
 
-Their order is that of the kinds 3 and 4.
+The regimes are in the order of the design indices 3 and 4.
 """
 
 
@@ -138,8 +138,8 @@ def _continuous_model(
     A[V, V] -= space.motor_damping[i] / space.motor_mass[i]
     A[V, D] = B[V, 0] = 1.0 / space.motor_mass[i]
     if regime == TendonRegime.FREE:
-        # A free digit follows the rotor: it has the rotor's acceleration, and its rate decays to
-        # the rotor's speed.
+        # A free digit follows the rotor: the digit has the acceleration of the rotor, and its rate
+        # decays to the rotor's speed.
         A[W] = A[V]
         B[W] = B[V]
         A[W, V] += 1.0 / gains.free_time_s
@@ -235,13 +235,13 @@ def _design_filter_block(
 ) -> FilterBlock:
     """Return the filter of a tendon for one kind of design: a regime, and True if noise is added.
 
-    A tendon without load cell has only its motor encoder. Its tension then follows from the motor
-    force, with the large uncertainty of friction.
+    A tendon without load cell has only its motor encoder. The tension of such a tendon follows from
+    the motor force, with the large uncertainty of friction.
 
     The load-cell error is estimated only for a slack tendon, whose tension is known. In other
-    regimes, the error is not observable, so its estimate stays constant. Its growing variance is
-    then added to the variance of the tension, and the gains are those of a filter without this
-    state. Source: Schmidt (1966), consider states.
+    regimes, the error is not observable, so its estimate stays constant. The growing variance of
+    the error is then added to the variance of the tension. The gains are those of a filter without
+    this state. Source: Schmidt (1966), consider states.
 
     Encoder and load cell observe only the sum of excursion and offset. Joint encoders separate the
     two in ``joint_time_s``, and correct no other state. So the other gains do not depend on joint

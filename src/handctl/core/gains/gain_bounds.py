@@ -17,9 +17,10 @@ GAIN_SECTIONS = ("filter", "motion", "tension", "contact")
 TENDON_SECTION = "tendon"
 """Section of forces for single tendons, with keys such as ``tendon.wrist_flex.motion_force_N``."""
 LIVE_SECTIONS = ("motion", "tension", "contact", TENDON_SECTION)
-"""Sections that a running controller accepts.
+"""Sections whose values may change while the controller runs.
 
-The design of the filter takes too long for the ticks of a run.
+The section of the filter is missing, because the design of a filter takes longer than a tick
+allows.
 """
 
 
@@ -68,7 +69,7 @@ class TendonKey(NamedTuple):
 
 
 SHARED_KEYS = {"motion_force_N": "motion.force_N", "tension_force_N": "tension.force_N"}
-"""Key of the force for all tendons, by the field of ``TendonForces``."""
+"""Key of the force for all tendons, for each field of ``TendonForces`` that can replace this force."""
 
 
 def tendon_key(key: str) -> TendonKey | None:

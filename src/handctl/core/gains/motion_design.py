@@ -48,7 +48,8 @@ FULL_WEIGHT_PERIOD_S = 2e-3
 def largest_force_weight(force: float, period: float) -> float:
     """Return a force weight [N], reduced for control periods above ``FULL_WEIGHT_PERIOD_S`` [s].
 
-    The stiffness of a loop is proportional to the weight, and the bandwidth to its square root.
+    The stiffness of a loop is proportional to the weight. The bandwidth is proportional to the
+    square root of the weight.
     """
     return force * min(1.0, math.sqrt(FULL_WEIGHT_PERIOD_S / period))
 

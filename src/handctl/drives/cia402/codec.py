@@ -26,7 +26,8 @@ from typing import NamedTuple
 
 from handctl.drives.signals import CyclicMessage, Signal, SignalCoding, SignalQuantity
 
-# Identifiers. NMT and SYNC are complete identifiers. The node number is added to all others.
+# Identifiers. NMT and SYNC are complete identifiers. The node number is added to all other
+# identifiers.
 NMT = 0x000
 SYNC = 0x080
 EMERGENCY = 0x080
@@ -81,7 +82,7 @@ NEXT_CONTROLWORD = {
     SWITCHED_ON: ENABLE_OPERATION,
     OPERATION_ENABLED: ENABLE_OPERATION,
 }
-"""Control word for the next step towards the power state operation enabled, by the present power state.
+"""For each power state, the control word that leads one step towards the power state operation enabled.
 
 In other power states the host sends DISABLE_VOLTAGE.
 """
@@ -132,7 +133,7 @@ def feedback_message(
     torque = rated / 1000 * ratio
     return CyclicMessage("tpdo1", TPDO + node_id, 8, (
         # Bits 0..3 and 5..6 define the power state. Bit 4 (voltage) and the upper bits do not
-        # belong to it.
+        # belong to the power state.
         Signal("state", SignalQuantity.STATUS, 0, 4),
         Signal("voltage", SignalQuantity.UNUSED, 4, 1),
         Signal("stop", SignalQuantity.STATUS, 5, 2),

@@ -1,7 +1,7 @@
 """Discovery of CANopen drives by their heartbeats, and by their answers to an SDO read of the device type.
 
-No drive obeys the read of an object as a command. A scan reads nothing else except serial numbers
-and numbers of channels. The ``canopen`` library reads all other data of a drive, while no
+Reading an object of a drive commands nothing to the drive. A scan reads nothing else except serial
+numbers and numbers of channels. The ``canopen`` library reads all other data of a drive, while no
 controller runs (``runtime.diagnostics.canopen_identity``). Source: CiA 301 4.2.
 """
 
@@ -27,7 +27,7 @@ CIA404_PROFILE = 404
 CHANNEL_COUNT_OBJECT = (0x6131, 0)
 """Object with the number of channels of an amplifier.
 
-It is the length of the array of units. Source: CiA 404.
+The number of channels is the length of the array of units. Source: CiA 404.
 """
 SERIAL_NUMBER = (0x1018, 4)
 """Object with the serial number, missing in some drives."""

@@ -180,7 +180,7 @@ class Cia402Drive:
 
     @property
     def background_frames(self) -> tuple[tuple[int, bool, float], ...]:
-        """Return the heartbeats of drive and host, and the SDO transfers of the read-back of the enabled drive."""
+        """Return the frames with rates of their own: heartbeats of drive and host, and SDO read-back while enabled."""
         beats = (
             (1, False, MAX_MISSED_HEARTBEATS * 1e9 / self.life_sign_timeout_ns),
             (1, False, 1e9 / self.heartbeat_period_ns),
@@ -239,7 +239,7 @@ class Cia402Drive:
         )
 
     def steady_status(self, state: DriveState) -> int:
-        """Return the status in feedback of a drive that this host has enabled, otherwise NO_STEADY_STATUS."""
+        """Return the status that feedback shows after this host has enabled the drive, otherwise NO_STEADY_STATUS."""
         progress = progress_of(state)
         steady = state.phase == ENABLED and progress.enable_sent and progress.disabling_ns < 0
         return codec.ENABLED_STATUS if steady else NO_STEADY_STATUS
@@ -273,7 +273,8 @@ class Cia402Drive:
             return on_heartbeat(state, frame)
         if service == codec.SDO_REPLY:
             return self._on_sdo_reply(state, frame.data)
-        # The only service left is the emergency. Its code 0 reports that all errors have ended.
+        # The only service left is the emergency. Code 0 of an emergency reports that all errors
+        # have ended.
         code = int.from_bytes(frame.data[:2], "little")
         return state._replace(private=progress_of(state)._replace(code=code)) if code else state
 
@@ -320,8 +321,8 @@ class Cia402Drive:
     def _on_feedback(self, state: DriveState, frame: Frame) -> DriveState:
         """Return the state after a TPDO, with the values and the power state.
 
-        The mapping of the TPDO is unknown until the read-back is complete. Values from before are
-        not used.
+        The mapping of the TPDO is unknown until the read-back is complete. Values that arrive
+        before are not used.
         """
         progress = progress_of(state)
         if progress.cursor.step < len(self.steps):
@@ -458,8 +459,8 @@ class Cia402Drive:
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state, and the frames to set the node to the NMT state operational.
 
-        They are repeated until a status word arrives. If the operator has cleared a fault, the
-        frames reset it.
+        The frames are repeated until a status word arrives. If the operator has cleared a fault,
+        the frames reset it.
         """
         if progress.clearing and progress.power == codec.FAULT:
             # The control word alternates between two values, because only the rising edge of bit 7

@@ -2,8 +2,8 @@
 
 RPDO1 carries the target position (0x607A) or the target velocity (0x60FF). The maximum speed
 (0x6080) is read back before arming and while the drive is enabled, like the objects of torque mode.
-In position mode the drive supervises the following error (0x6065, 0x6066). If the shaft is blocked,
-the drive is therefore in fault.
+In position mode the drive supervises the following error (0x6065, 0x6066). A drive with a blocked
+shaft therefore goes into fault.
 
 The unit of object 0x60FF differs between makers. The option ``velocity_unit`` is rev_min (the
 default, as on EPOS4) or count_s. The unit of object 0x6080 is 1/min. Source: CiA 402-2.
@@ -30,7 +30,7 @@ _OPERATION_MODES = {
 VELOCITY_UNITS = ("rev_min", "count_s")
 """Values of the option ``velocity_unit`` in the hand file, the default first."""
 INTERPOLATION_PERIOD_MS = 5
-"""Interpolation period of the target position [ms]. It is the period of the commands on a bench."""
+"""Interpolation period of the target position [ms]. The commands on a bench have this period."""
 FOLLOWING_ERROR_RAD = 0.5
 """Largest following error that the drive accepts for any time [rad at the spool]."""
 FOLLOWING_ERROR_MS = 200
@@ -113,7 +113,7 @@ def make_mode_drive(
 
 
 def _motion_steps(mode: DriveMode, speed: int, window: int) -> tuple[setup.SetupStep, ...]:
-    """Return the objects for a mode besides the objects of torque mode, with the required values.
+    """Return the objects that a mode requires in addition to those of torque mode, with the required values.
 
     Args:
         mode: quantity that the drive controls.

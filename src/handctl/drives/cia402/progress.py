@@ -10,7 +10,7 @@ from handctl.drives.readback import ReadbackCursor, RecheckCursor
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
 
-# Error codes added by handctl. All are larger than the 16-bit error codes of emergencies.
+# Error codes added by handctl. These codes are larger than the 16-bit error codes of emergencies.
 DROPPED_OUT_ERROR = 0x1_0000
 SETTING_MISMATCH_ERROR = 0x1_0001
 DRIVE_LOST_ERROR = 0x1_0002

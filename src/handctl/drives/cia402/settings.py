@@ -1,4 +1,6 @@
-"""Objects of a CiA 402 drive that must have a certain value before arming. They are written and read back by SDO.
+"""Objects of a CiA 402 drive that must have a certain value before arming.
+
+SDO writes them and reads them back.
 
 RPDO1 has transmission type 255: a torque acts when it arrives, in the tick that has computed it, as
 in the other protocols. TPDO1 has transmission type 1: the drive samples and sends it at SYNC. If
@@ -27,7 +29,7 @@ PDO_DISABLED_BIT = 1 << 31
 HOST_NODE = 0x7F
 """Node number of this host. The drives supervise the heartbeat with this number."""
 END_OF_SUPERVISION = 0x1016, 1, (HOST_NODE << 16).to_bytes(4, "little")
-"""Index and sub-index of the object for the supervision of the host's heartbeat, and the value that ends it: time 0."""
+"""Object for the supervision of the host's heartbeat: index, sub-index, and the value 0 that ends the supervision."""
 
 
 SERIAL_NUMBER = 0x1018, 4
@@ -44,7 +46,7 @@ class ObjectCheck(enum.IntEnum):
     WRITE = 2
     """Write the object, then read it. The value must equal the required value."""
     WRITE_IF_PRESENT = 3
-    """Do as in WRITE. A drive without the object is accepted."""
+    """Write and read the object as in WRITE. A drive without the object is accepted."""
     READ_IF_PRESENT = 4
     """Read the object and accept any value. A drive without the object is accepted."""
     SAME_IF_PRESENT = 5
@@ -53,7 +55,7 @@ class ObjectCheck(enum.IntEnum):
     The value must equal the required value. A drive without the object is accepted.
     """
     LOW_WORD = 6
-    """Read the object. Its low 16 bits must equal the required value."""
+    """Read the object. The low 16 bits of the value must equal the required value."""
     ADJUST = 7
     """Read the object. If the value differs from the required value, write it and read it again."""
 
@@ -119,8 +121,8 @@ def required_steps(
     target, size = TARGET_OBJECTS[mode]
     same, bits, write, write_optional, read, *_ = ObjectCheck
     bases = ((0x1400, codec.RPDO), (0x1800, codec.TPDO))
-    # PDOs 2 to 4 are switched off. Their records have consecutive indices, and their default
-    # identifiers are 0x100 apart.
+    # PDOs 2 to 4 are switched off. The records of these PDOs have consecutive indices, and their
+    # default identifiers are 0x100 apart.
     others = [
         SetupStep(write_optional, base + i, 1, PDO_DISABLED_BIT | cob + 0x100 * i + node_id, 4)
         for base, cob in bases
@@ -172,7 +174,7 @@ def pdo_steps(
 
 
 def is_write_next(cursor: ReadbackCursor, step: SetupStep) -> bool:
-    """Return True if the next request writes the object: its rule writes first, or its value was wrong."""
+    """Return True if the next request must write the object, by its rule or because its value was wrong."""
     return cursor.writing or (step.is_written_first and not cursor.written)
 
 

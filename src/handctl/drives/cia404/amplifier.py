@@ -1,9 +1,9 @@
-"""State machine of a CiA 404 measuring amplifier: it sets the amplifier up until it answers every SYNC.
+"""State machine that sets up a CiA 404 measuring amplifier, until the amplifier answers every SYNC.
 
 The host sets the amplifier to the NMT state pre-operational, reads and writes its objects, and
 starts it. TPDOs of the amplifier are used only after this start. If an amplifier restarts, it is
-set up again before the next arming. It is never set up while motors may make torque. No frame of
-this module moves a motor.
+set up again before the next arming. An amplifier is never set up while motors may make torque. No
+frame of this module moves a motor.
 """
 
 from dataclasses import dataclass

@@ -8,9 +8,9 @@ The identifiers of TPDOs are a base plus the node number n. SYNC has no payload 
     TPDO2-4  0x280, 0x380, 0x480 + n    host        two further channels each
 
 A channel is the process value in newton, little-endian, as INTEGER32 (object 0x9130, with decimal
-digits) or REAL32 (object 0x6130). A frame has no counter, so its time shows which SYNC it answers.
-It is stale if it arrives before an answer to the latest SYNC can arrive. A later frame counts as
-fresh. Source: docs/facts/cia404.md.
+digits) or REAL32 (object 0x6130). A frame has no counter, so only its arrival time shows which SYNC
+it answers. A frame is stale if it arrives before an answer to the latest SYNC can arrive. A later
+frame counts as fresh. Source: docs/facts/cia404.md.
 """
 
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ TARE_MARGIN_N = 6.0
 TENSION_LOW_N = -4.0
 """Tared tension below which a load cell or its wire counts as broken [N].
 
-It is that of the sensor node of handctl.
+The sensor node of handctl has the same threshold.
 """
 SHORTEST_ANSWER_NS = 100_000
 """Shortest time from the start of a tick to the end of an answer to its SYNC [ns].

@@ -1,8 +1,10 @@
-"""Objects of a CiA 404 amplifier that must have a certain value before arming. They are checked and written by SDO.
+"""Objects of a CiA 404 amplifier that must have a certain value before arming.
+
+SDO transfers check and write them.
 
 Every TPDO with load cells has transmission type 1: the amplifier samples and sends it at each SYNC.
-Unit and decimal digits are read first. They are written only if they differ from the required
-values. Source: docs/facts/cia404.md.
+Unit and decimal digits are read first. Each of the two is written only if it differs from the
+required value. Source: docs/facts/cia404.md.
 """
 
 from handctl.drives.cia402 import codec
@@ -60,7 +62,8 @@ def required_steps(
         mapped = range(first + 1, min(first + CHANNELS_PER_TPDO, channels) + 1)
         entries = tuple(number << 16 | channel << 8 | 8 * CHANNEL_BYTES for channel in mapped)
         if entries:
-            # An inhibit time of the PDO could delay answers. It is set to 0 while the PDO is off.
+            # An inhibit time of the PDO could delay answers. This time is set to 0 while the PDO is
+            # off.
             inhibit = SetupStep(ObjectCheck.WRITE_IF_PRESENT, 0x1800 + i, 3, 0, 2)
             off, *rest = pdo_steps(0x1800 + i, 0x1A00 + i, base + node_id, 1, entries)
             steps += [off, inhibit, *rest]

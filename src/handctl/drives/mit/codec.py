@@ -138,7 +138,7 @@ class MotorRanges(NamedTuple):
 
     @property
     def position_step(self) -> float:
-        """Return the change of the position per count of its 16-bit field [rad]."""
+        """Return the change of the position per count of the 16-bit position field [rad]."""
         return 2 * self.position / 0xFFFF
 
 
@@ -373,7 +373,7 @@ def special_command(code: int) -> bytes:
 
 
 def register_request(node_id: int, operation: int, register: int = 0, value: float = 0.0) -> bytes:
-    """Return the payload of a register request. Its identifier is BROADCAST_ID.
+    """Return the payload of a register request. The identifier of the request is BROADCAST_ID.
 
     Args:
         node_id: node number of the motor, ESC_ID.
@@ -409,8 +409,8 @@ class RegisterReply(NamedTuple):
 
 def decode_register_reply(data: bytes, node_id: int) -> RegisterReply | None:
     """Decode 8 bytes from a motor as a register reply, or return None if they are feedback."""
-    # In nearly every feedback frame the state nibble makes byte 0 differ from the node number. This
-    # test is fast.
+    # In nearly every feedback frame, the state nibble makes byte 0 differ from the node number.
+    # This fast test therefore comes first.
     if data[0] != node_id & 0xFF:  # byte 0 of feedback has the state nibble above the node number
         return None
     sender, operation, register = _REPLY_STRUCT.unpack_from(data)

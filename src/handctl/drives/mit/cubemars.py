@@ -1,4 +1,6 @@
-"""CubeMars AK motor in MIT mode. Its command frame is that of Damiao motors. Its feedback contains less data.
+"""CubeMars AK motor in MIT mode.
+
+The motor uses the command frame of Damiao motors, but its feedback has less data.
 
 Command and special commands have the identifier and the layout of ``codec``. Feedback has the
 identifier of the command and 8 bytes, big-endian. Older firmware omits bytes 6 and 7:
@@ -8,11 +10,11 @@ identifier of the command and 8 bytes, big-endian. Older firmware omits bytes 6 
     range            +-12.5 rad    by model      by model     1 degC from -40     see ERROR_TEXTS
 
 The motor has no registers and no watchdog. Its feedback does not report whether the motor is
-enabled. The motor therefore counts as enabled after several answers to the enable command. It
-counts as disabled after several answers to the disable command that report no torque. The host also
-uses the disable command to request feedback, because every other command may make torque.
-``unverified_protections`` lists the protections that handctl cannot verify. Source: CubeMars AK
-Series Actuator Driver Manual V1.0.8, section 5.3.
+enabled. The motor therefore counts as enabled after several answers to the enable command. The
+motor counts as disabled after several answers to the disable command, if these answers report no
+torque. The host also uses the disable command to request feedback, because every other command may
+make torque. ``unverified_protections`` lists the protections that handctl cannot verify. Source:
+CubeMars AK Series Actuator Driver Manual V1.0.8, section 5.3.
 """
 
 import math
@@ -81,7 +83,7 @@ take the count as degC (TMotorCANControl) report 40 degC too much.
 MAX_RESTING_TORQUE_FRACTION = 0.02
 """Largest reported torque at which a motor counts as making none, as a fraction of full scale.
 
-The sensor noise of a motor at rest is lower.
+The sensor noise of a motor at rest is below this fraction.
 """
 SILENCE_TIMEOUT_NS = 250_000_000
 """Time without a frame after which a disabled motor returns to phase SILENT [ns]."""
@@ -236,7 +238,7 @@ class CubemarsDrive:
 
     @property
     def node_ids(self) -> frozenset[int]:
-        """Return the identifier of feedback, which is that of commands."""
+        """Return the identifier of feedback. Commands have the same identifier."""
         return frozenset((self.node_id,))
 
     @property

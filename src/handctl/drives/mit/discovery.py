@@ -1,4 +1,6 @@
-"""Discovery of Damiao motors. It reads register MST_ID from every node number, then the other registers of each motor.
+"""Discovery of Damiao motors.
+
+A scan reads register MST_ID from every node number, then the other registers of each motor.
 
 Reading registers makes no torque. Replies have the identifiers of feedback. A scan therefore sends
 no request while another host controls the motors (``other_host_frames``). CubeMars motors have no

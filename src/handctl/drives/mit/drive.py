@@ -1,9 +1,9 @@
 """State machine to configure, enable, and disable a Damiao motor in MIT mode.
 
-A motor sends only answers. The host therefore sends a request in each tick, and waits for only one
-register reply at a time. Position, velocity, and torque are NaN until the full scale of the motor
-is known. Angles beyond PMAX are not unwrapped, because the travel of a hand is far smaller. Only
-feedback with state 0 or with an error proves that the motor is disabled.
+A motor sends frames only as answers. The host therefore sends a request in each tick, and waits for
+one register reply at a time. Position, velocity, and torque are NaN until the full scale of the
+motor is known. Angles beyond PMAX are not unwrapped, because the travel of a hand is far smaller.
+Only feedback with state 0 or with an error proves that the motor is disabled.
 """
 
 import math
@@ -181,7 +181,7 @@ class MitDrive:
     def rechecked_settings(self) -> tuple[tuple[int, float], ...]:
         """Return the registers of the protections in the motor, as pairs (register, required value).
 
-        They are read again while the motor is enabled.
+        These registers are read again while the motor is enabled.
         """
         return ((codec.TIMEOUT, self.timeout), (codec.TMAX, self.ranges.torque))
 
@@ -317,7 +317,8 @@ class MitDrive:
             and t_ns - max(state.feedback_t_ns, progress.ready_ns) > SILENCE_TIMEOUT_NS
         ):
             return state._replace(phase=SILENT, private=MitProgress()), (self._refresh_frame(),)
-        # This motor has a watchdog that runs even while it is disabled. Commands restart it.
+        # This motor has a watchdog that runs even while the motor is disabled. Commands restart the
+        # watchdog.
         fed = state.error_text == FIRES_WHILE_DISABLED_TEXT
         clear = (
             (self._frame_to_motor(codec.special_command(codec.CLEAR)),) if progress.clearing else ()

@@ -79,7 +79,7 @@ class MitModeDrive(MitDrive):
     def rechecked_settings(self) -> tuple[tuple[int, float], ...]:
         """Return the registers of the protections in the motor, as pairs (register, required value).
 
-        They are read again while the motor is enabled.
+        These registers are read again while the motor is enabled.
         """
         return (
             (codec.TIMEOUT, self.timeout),

@@ -9,7 +9,7 @@ from handctl.drives.readback import ReadbackCursor, RecheckCursor
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
 
-# Error codes added by handctl. All are larger than the state nibbles of the motor.
+# Error codes added by handctl. These codes are larger than the state nibbles of the motor.
 #
 # In this order, the motor has disabled itself without a command, has a wrong register value,
 # reports an unknown state, or was enabled by another host.
@@ -29,12 +29,12 @@ WATCHDOG_FIRED = 0xD
 FIRES_WHILE_DISABLED_TEXT = "its watchdog also fires while it is disabled"
 """Text for a disabled motor that has reported WATCHDOG_FIRED.
 
-This is no fault, and the motor gets clear commands.
+The host treats this report as no fault, and sends clear commands.
 """
 CLEAR_TRIES = 6
 """Number of feedback frames that may still show an error after the clear command.
 
-The motor then sends two frames per tick.
+While the error is being cleared, the motor sends two frames per tick.
 """
 SILENCE_TIMEOUT_NS = 250_000_000
 """Time without a frame after which the motor may have lost power, and therefore its register values [ns]."""

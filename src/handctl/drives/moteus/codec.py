@@ -1,7 +1,7 @@
 """Conversion of the frames of moteus' register protocol between bytes and values. All numbers are little-endian.
 
-The identifier of a request always has 29 bits. That of its reply has 11 bits if it is below 0x800,
-else 29 bits:
+The identifier of a request always has 29 bits. The identifier of a reply has 11 bits if it is below
+0x800, else 29 bits:
 
     bits    28..16         15                14..8           7..0
     request prefix (0)     1 reply wanted    source (host)   destination (node)
@@ -286,16 +286,17 @@ def position_message(
 ) -> CyclicMessage:
     """Return the command with position, velocity, kp, kd, torque and limit, see ``signals.POSITION_COMMAND``.
 
-    The frame contains kp and kd as fractions of the drive's gains. Until the next command, the drive
-    moves the position with the velocity.
+    The frame contains kp and kd as fractions of the drive's gains. Until the next command, the
+    drive moves the commanded position at the commanded velocity.
 
     Args:
-        torque: torque command of the same drive.
-        gains: gains of the drive.
-        timeout_s: time of the watchdog [s].
+        torque: signal table of the torque command to the same drive.
+        gains: gains of the drive's position loop.
+        timeout_s: timeout of the watchdog [s].
         top_speed: largest velocity command [rad/s].
-        direction: sign of position, velocity and torque, 1 if positive torque winds.
-        zero: motor angle of the spool's zero [rad].
+        direction: 1 if positive torque of the motor winds the tendon, else -1. Position and
+            velocity have the same sign.
+        zero: motor angle at spool angle zero [rad].
     """
     base = (
         write_bytes_subframe(MODE, POSITION)

@@ -55,16 +55,17 @@ class MoteusDrive:
         bus: index of the bus of the drive.
         node_id: node number, from 1 to 0x7e.
         torque_limit: largest torque command, and torque limit in the drive [N m at the spool].
-        direction: 1 if positive torque of the motor winds, else -1.
-        zero: motor angle of the spool's zero [rad].
-        timeout_s: time of the watchdog [s].
+        direction: 1 if positive torque of the motor winds the tendon, else -1.
+        zero: motor angle at spool angle zero [rad].
+        timeout_s: timeout of the watchdog [s].
         top_speed: largest velocity command [rad/s].
         gains: gains of the drive's position loop, None for torque commands only.
-        command: signal table of the command, from the fields above.
-        feedback: signal table of the feedback, from the fields above.
-        configuration: configuration items that are also read while the drive is enabled, from the
-            fields above.
-        required: settings required before arming, from the fields above.
+        command: signal table of the command, built from the fields above.
+        feedback: signal table of the feedback, built from the fields above.
+        configuration: configuration items that are read again while the drive is enabled. They
+            follow from the fields above.
+        required: settings with the values required before arming. They follow from the fields
+            above.
     """
 
     name: str
@@ -103,10 +104,11 @@ class MoteusDrive:
 
     @staticmethod
     def from_motor(motor: MotorDescription, bus: int) -> "MoteusDrive":
-        """Return the drive of a motor description.
+        """Return the drive for a motor description.
 
         Raises:
-            ConfigError: an option, a node number beyond 0x7e, or a position loop without gains.
+            ConfigError: an option is unknown or wrong, the node number exceeds 0x7e, or a position
+                loop has no gains.
         """
         if not 0 < motor.node_id <= codec.LAST_NODE:
             raise ConfigError(
@@ -277,7 +279,8 @@ class MoteusDrive:
         channel, line = progress.channel.take(text)
         progress = progress._replace(channel=channel)
         if emptied:
-            # This answers a read that empties the channel. The next request may follow at once.
+            # The frame answers a read that empties the channel. The next request may follow at
+            # once.
             cursor = progress.cursor
             progress = progress._replace(
                 cursor=cursor._replace(sent_ns=-1, tries=max(0, cursor.tries - 1))

@@ -10,7 +10,7 @@ from handctl.drives.readback import ReadbackCursor, RecheckCursor
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
 
-# Error codes added by handctl. All are larger than the fault codes of the drive.
+# Error codes added by handctl. These codes are larger than the fault codes of the drive.
 DROPPED_OUT_ERROR = 0x100
 SETTING_MISMATCH_ERROR = 0x101
 ENABLED_BY_OTHER_HOST_ERROR = 0x102
@@ -101,8 +101,8 @@ def _state_when_stopped(
 ) -> DriveState:
     """Return the state after the drive has reported the state stopped.
 
-    If this host had enabled the drive, or was enabling it, the drive has stopped by itself. That is
-    a fault.
+    If this host had enabled the drive, or was enabling it, the drive has stopped by itself. Such a
+    stop is a fault.
     """
     off = progress._replace(enable_sent=False, enabled_by_other=False, clearing=0)
     if progress.disabling:
@@ -149,7 +149,10 @@ def _state_when_enabled_by_other(
 
 
 def _state_after_error(state: DriveState, progress: MoteusProgress, error_code: int) -> DriveState:
-    """Return the state after the drive has reported an error. In error, it makes no torque."""
+    """Return the state after the drive has reported an error.
+
+    A drive with an error makes no torque.
+    """
     if progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
     off = state._replace(private=progress._replace(enable_sent=False, enabled_by_other=False))

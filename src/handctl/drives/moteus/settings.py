@@ -1,4 +1,6 @@
-"""Settings of a moteus controller. Before arming each is read, written if wrong, and read again.
+"""Settings of a moteus controller.
+
+Before arming, each setting is read, written if wrong, and read again.
 
 Torque limit and watchdog are command registers. Every torque command sets both registers. Before
 the first torque command, a request that does not move the motor sets them. The other settings are
@@ -44,8 +46,8 @@ class MoteusSetting(NamedTuple):
 
 
 REQUIRED_CONFIGURATION = (
-    # Beyond the positions of these items the drive would reduce the torque. Their default is 0.01
-    # turns.
+    # Beyond the positions of these items the drive would reduce the torque. The default of both
+    # items is 0.01 turns.
     MoteusSetting("servopos.position_min", math.nan),
     # Torque limits have no effect in this mode.
     MoteusSetting("servo.fixed_voltage_mode", 0.0),
@@ -66,8 +68,8 @@ def position_configuration(gains: codec.PositionGains) -> tuple[MoteusSetting, .
     """Return the configuration items of a drive that closes a position loop, read again while it is enabled.
 
     With a limit of velocity or acceleration, the drive would plan a trajectory of its own to the
-    commanded position. With a finite slip, it would pull the position towards the motor. Every other
-    item has a default that differs, see ``REQUIRED_CONFIGURATION``.
+    commanded position. With a finite slip, it would pull the position towards the motor. Every
+    second item has a default that is not the required value, see ``REQUIRED_CONFIGURATION``.
     """
     lowest, fixed_voltage, timeout_mode, highest = REQUIRED_CONFIGURATION
     return (

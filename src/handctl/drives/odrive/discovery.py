@@ -1,8 +1,10 @@
-"""Discovery of ODrives by their heartbeats, and by the message Address. One remote frame requests it from all drives.
+"""Discovery of ODrives by their heartbeats, and by the message Address.
+
+A remote frame requests Address from all drives.
 
 Remote frames have no payload, and no drive obeys them. Firmware 0.5.x sends heartbeats too, but
-with other error codes. It reports neither its version nor its serial number. Source: ODrive
-documentation, "CAN Protocol", and the vendor's DBC 0.5.6 and 0.6.10.
+with other error codes. A drive with this firmware reports neither its version nor its serial
+number. Source: ODrive documentation, "CAN Protocol", and the vendor's DBC 0.5.6 and 0.6.10.
 """
 
 import dataclasses
@@ -49,8 +51,8 @@ def probe_frames(scan_round: int, received: ReceivedFrames) -> tuple[Frame, ...]
     """Return the requests of a round of the scan.
 
     Round 1 requests the message Address from all nodes. Round 2 requests the version of the
-    discovered drives. Round 3 repeats this request to drives that have not reported a version. It
-    also requests two messages of firmware 0.5 from these drives.
+    discovered drives. Round 3 repeats this request to drives that have not reported a version.
+    Round 3 also requests two messages of firmware 0.5 from these drives.
     """
     if scan_round == 1:
         return (Frame(codec.message_id(BROADCAST, ADDRESS) | REMOTE_FLAG, b""),)
@@ -192,7 +194,7 @@ def _is_heartbeat(data: bytes) -> bool:
 def command_ids(drive: DiscoveredNode) -> frozenset[int]:
     """Return all identifiers of the node and of the broadcast.
 
-    They include 0x7ff, which is Enter_DFU_Mode.
+    The result includes 0x7ff, which is Enter_DFU_Mode.
     """
     return frozenset(
         codec.message_id(node, command)
@@ -218,7 +220,7 @@ def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
 def ping_request(drive: DiscoveredNode) -> Frame:
     """Return a remote frame to a drive.
 
-    It requests a message that the drive rarely sends by itself.
+    The frame requests a message that the drive rarely sends by itself.
     """
     return _remote_request(drive, _ping_command(drive))
 

@@ -206,7 +206,7 @@ class OdriveDrive:
 
     @property
     def feedback_period_s(self) -> float:
-        """Return the period of the drive's unrequested position messages [s], 0 if every tick requests it."""
+        """Return the period of the drive's unrequested position messages [s], 0 if every tick requests the position."""
         return self.cyclic_s
 
     @property
@@ -433,8 +433,8 @@ class OdriveDrive:
         """Return the next state, and the request to read or write the next endpoint.
 
         If the drive has already sent feedback, its position is requested too. Settings are verified
-        again before an enable command. A drive that is silent meanwhile would be a fault, because
-        other drives may be enabled.
+        again before an enable command. Without this request, the silence of the drive would be a
+        fault, because other drives may be enabled.
         """
         cursor, data, problem = endpoints.next_request(progress.cursor, self.settings, t_ns)
         updated = state._replace(private=progress._replace(cursor=cursor))

@@ -6,7 +6,7 @@ Heartbeat of 8 bytes, little-endian:
     field   errors 32 (ERROR_TEXTS)    axis state 8  motor error   encoder error   controller error   done
 
 Over CAN this firmware reports neither version, temperature, nor torque, and has no SDO. Watchdog
-and torque limit are set over USB. They cannot be read over CAN. Source: ODrive firmware 0.5.6
+and torque limit are set over USB. Neither can be read over CAN. Source: ODrive firmware 0.5.6
 (``communication/can``) and the vendor's DBC 0.5.6.
 """
 

@@ -1,6 +1,6 @@
 """Progress of the state machine of an ODrive, and the effect of heartbeats.
 
-Only they report the state of the drive.
+Only heartbeats report the state of the drive.
 """
 
 from typing import NamedTuple, cast
@@ -20,7 +20,7 @@ SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
     ENABLED_BY_OTHER_HOST_ERROR,
     DRIVE_LOST_ERROR,
 ) = (1 << 32 | number for number in range(5))
-"""Error codes added by handctl. All are larger than the 32 error bits of the drive."""
+"""Error codes added by handctl. These codes are larger than the 32 error bits of the drive."""
 CAUSE_BY_ERROR = {
     DROPPED_OUT_ERROR: DriveFaultCause.DROPPED_OUT, SETTING_MISMATCH_ERROR: DriveFaultCause.MISMATCH,
     ENABLE_REFUSED_ERROR: DriveFaultCause.OTHER,
@@ -137,7 +137,7 @@ def _state_after_error(
 ) -> DriveState:
     """Return the state after a heartbeat that reports an error.
 
-    An error disables the drive. As long as its axis state is not idle, the drive may still make
+    An error disables the drive. As long as the axis state is not idle, the drive may still make
     torque.
     """
     error_text = odrive_05.error_text if firmware_05 else codec.error_text

@@ -1,4 +1,6 @@
-"""ODrive settings for which CANSimple has no message. They are read by SDO, written if wrong, and read again.
+"""ODrive settings for which CANSimple has no message.
+
+SDO transfers read them, write wrong values, and read again.
 
 The number of each endpoint differs between firmware versions and boards (``flat_endpoints.json``).
 The hand file therefore contains these numbers. Without them, the operator must set the drive's

@@ -87,7 +87,8 @@ FAULT_TEXTS = {
     3: "encoder fault",
     4: "overload: the shaft is blocked",
     5: "not calibrated",
-    # These faults come from the fault report. Their bits are above those of the feedback.
+    # Faults in the fault report. Their bits in the error code are above those of the faults in
+    # feedback.
     8: "over-temperature",
     9: "driver chip fault",
     10: "under-voltage",
@@ -121,7 +122,10 @@ MAX_COUNT = 0xFFFF
 """Largest code of a 16-bit field."""
 _MIDDLE_COUNT = MAX_COUNT // 2
 NO_MOTION = struct.pack(">HHHH", _MIDDLE_COUNT, _MIDDLE_COUNT, 0, 0)
-"""Payload of a torque command. Its gains are 0, so position and velocity have no effect."""
+"""Payload of a torque command.
+
+The gains in the command are 0, so position and velocity have no effect.
+"""
 CLEAR_FAULT_DATA = bytes((1,)) + bytes(7)
 """Payload of a stop command that also clears faults."""
 EMPTY_DATA = bytes(8)

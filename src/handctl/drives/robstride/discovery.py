@@ -1,7 +1,7 @@
 """Discovery of RobStride motors by an identity request to each motor number.
 
 The identity request (type 0) makes no torque and changes no setting. A scan reads no faults and no
-mode, because only the stop command requests feedback. It reads no parameters either. Source:
+mode, because only the stop command requests feedback. A scan reads no parameters either. Source:
 docs/facts/robstride.md.
 """
 

@@ -1,10 +1,10 @@
 """State machine to configure, enable, and stop a RobStride motor.
 
-A motor sends answers, and also sends fault reports by itself. The identifier of feedback contains
-mode and faults. All feedback of a running motor without a fault therefore has the same identifier.
-The state machine here processes feedback with any other identifier. A stop command without data
-stops the motor, and does not clear faults. The host also sends it to request feedback from a
-disabled motor, because such a motor answers no other request with feedback.
+A motor sends answers to requests, and sends fault reports without a request. The identifier of
+feedback contains mode and faults. All feedback of a running motor without a fault therefore has the
+same identifier. The state machine here processes feedback with any other identifier. A stop command
+without data stops the motor, and does not clear faults. The host also sends this stop command to
+request feedback from a disabled motor, because such a motor answers no other request with feedback.
 """
 
 from dataclasses import dataclass, field
@@ -185,7 +185,7 @@ class RobstrideDrive:
         return CyclicMessages((self.feedback.message,), (self.command.message,), position=position)
 
     def steady_status(self, state: DriveState) -> int:
-        """Return 0 for an enabled motor, because not the payload of feedback but its identifier contains the status."""
+        """Return 0 for an enabled motor, because the status is in the identifier of feedback, not in its payload."""
         progress = progress_of(state)
         if (
             state.phase != ENABLED
@@ -321,7 +321,7 @@ class RobstrideDrive:
     def _idle_request(self, state: DriveState, progress: RobstrideProgress) -> Frame:
         """Return the frame to a motor without torque.
 
-        It requests feedback or the identity, or clears faults.
+        The frame requests feedback or the identity, or clears faults.
         """
         if state.phase == READY:
             return self._request_frame(codec.STOP)

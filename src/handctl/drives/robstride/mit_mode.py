@@ -1,8 +1,8 @@
 """RobStride motor in MIT mode, with 11-bit identifiers, the command frame of MIT motors, and no registers.
 
-The identifier of commands and special commands is the motor's number. Their layout is that of
-``mit.codec``. A special command has a second code in byte 6. It is FF in all commands that handctl
-uses, except in the read of faults:
+The identifier of commands and special commands is the motor's number. Both have the layout of
+``mit.codec``. A special command has a second code in byte 6. This code is FF in all commands that
+handctl uses, except in the read of faults:
 
     bytes 0..5          byte 6   byte 7   effect
     FF FF FF FF FF FF   FF       FC       enable
@@ -20,8 +20,8 @@ faults has the same identifier, and the layout of the last row:
 
 As with CubeMars motors, the feedback does not report whether the motor is enabled. Watchdog and
 torque limit can be set and read only in the private protocol. MIT motors of other makers take a
-read of faults as a motion command. The host therefore sends it only to motors that are disabled,
-and a scan does not send it.
+read of faults as a motion command. The host therefore sends this read only to disabled motors, and
+a scan never sends it.
 
 Source: docs/facts/robstride.md, section MIT mode.
 """
@@ -160,7 +160,7 @@ class RobstrideMitDrive(CubemarsDrive):
         return UNVERIFIED_PROTECTIONS
 
     def steady_status(self, state: DriveState) -> int:
-        """Return the status in feedback of an enabled motor, only the number of the motor."""
+        """Return the status in feedback of an enabled motor, which is only the number of the motor."""
         status = CubemarsDrive.steady_status(self, state)
         return status if status < 0 else self.node_id
 

@@ -9,8 +9,8 @@ from handctl.drives.robstride import codec
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
 
-# Error codes added by handctl. They use the two bits between the faults in feedback and those in
-# the fault report.
+# Error codes added by handctl. These codes use the two bits between the faults in feedback and
+# those in the fault report.
 DROPPED_OUT_ERROR = 1 << 6
 SETTING_MISMATCH_ERROR = 1 << 7
 ENABLED_BY_OTHER_HOST_ERROR = 3 << 6
@@ -94,7 +94,7 @@ def apply_status(state: DriveState, mode: int, fault: int) -> DriveState:
 def apply_fault(state: DriveState, mode: int, fault: int) -> DriveState:
     """Return the state after a fault.
 
-    A motor in reset mode makes no torque, and in any other mode it may.
+    A motor in reset mode makes no torque. In any other mode, it may still make torque.
     """
     progress = progress_of(state)
     if progress.clearing:

@@ -1,4 +1,6 @@
-"""Parameters of a RobStride motor with required values. Before arming each is read, written if wrong, and read again.
+"""Parameters of a RobStride motor with required values.
+
+Before arming, each parameter is read, written if wrong, and read again.
 
 A write changes only the working memory of the motor. Frames of type 0x16 write the flash, and
 handctl never sends them.

@@ -1,6 +1,7 @@
 """Interface of the sensors of a hand.
 
-Each protocol of load cells implements it for controller, log and tools.
+Each protocol of load cells implements this interface, which the controller, the log and the tools
+use.
 """
 
 from typing import Protocol
@@ -84,7 +85,7 @@ class SensorInterface(Protocol):
 
     @property
     def cell_range(self) -> tuple[float, float]:
-        """Return the lower and the upper reading without tare at which a load cell is saturated [N]."""
+        """Return the lowest and the highest reading, before tare, at which a load cell is saturated [N]."""
         ...
 
     @property

@@ -1,8 +1,10 @@
-"""Discovery of the sensor node by its answers to SYNC. They contain the low four bits of the counter in the SYNC.
+"""Discovery of the sensor node by its answers to SYNC.
+
+An answer contains the low four bits of the counter in the SYNC.
 
 SYNC does not move a motor that handctl has set up. Other CANopen drives apply pending PDOs at SYNC.
 A scan therefore sends no SYNC on a bus with a CANopen drive, or with an ODrive with node number 4.
-Their ``command_ids`` include the identifier of SYNC. Source: ``sensor_node``.
+The ``command_ids`` of these drives include the identifier of SYNC. Source: ``sensor_node``.
 """
 
 from handctl.drives.discovery import DiscoveredNode, ProtocolDiscovery, ReceivedFrames
@@ -30,7 +32,7 @@ def probe_frames(scan_round: int, received: ReceivedFrames) -> tuple[Frame, ...]
 
 
 def discovered_sensor_nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
-    """Return the discovered sensor nodes. They are identifiers with an answer to both SYNC frames.
+    """Return the discovered sensor nodes: the identifiers with an answer to both SYNC frames.
 
     Consecutive identifiers count as one node.
     """

@@ -1,4 +1,4 @@
-"""Sensor node with load cells and joint encoders. Its frames are defined by handctl (``sensor_node.dbc``).
+"""Sensor node with load cells and joint encoders. handctl defines the frames of the node (``sensor_node.dbc``).
 
 The host sends SYNC with one byte, the counter. The node answers with frames of 2 to 8 bytes. Their
 fields are little-endian, and packed from the lowest bit:
@@ -245,8 +245,8 @@ class SensorNode:
     def tension_low(self) -> float:
         """Return the tared tension below which a load cell or its wire counts as broken [N].
 
-        The threshold is near the lower end of the range of the load cell. It is so far below zero
-        that noise cannot reach it.
+        The threshold is near the lower end of the range of the load cell. Noise cannot reach the
+        threshold, because it is far enough below zero.
         """
         return TENSION_ZERO_N + LOW_MARGIN_N
 
@@ -254,8 +254,8 @@ class SensorNode:
     def frames_per_tick(self) -> tuple[tuple[int, float], ...]:
         """Return the frames that a tick exchanges with the node, SYNC first, as (payload bytes, frames per tick).
 
-        The frames per tick of an angle frame are the fraction of ticks in which the node sends this
-        frame.
+        For an angle frame, the number of frames per tick is the fraction of ticks in which the node
+        sends it.
         """
         rates = [1.0] * self.tension_frames + [1.0 / self.decimation] * (
             len(self.ids) - self.tension_frames
@@ -285,7 +285,10 @@ class SensorNode:
         return tuple(messages)
 
     def counter(self, k: int) -> int:
-        """Return the counter byte of the SYNC in tick k. Answers contain its low four bits."""
+        """Return the counter byte of the SYNC in tick k.
+
+        Answers contain the low four bits of this byte.
+        """
         return self.counters[k % len(self.counters)]
 
     def sync(self, k: int) -> Frame:

@@ -64,13 +64,16 @@ OPTIONAL_KEYS_PER_LINK = (
 )
 """Optional keys of a digit, with one value per link."""
 UNIT_TOLERANCE = 1e-3
-"""Tolerance for rounding errors in the length 1 of an axis, and in the triangle inequality of inertias."""
+"""Tolerance for rounding errors.
+
+It applies to the length of a unit vector and to the triangle inequality of inertias.
+"""
 STRENGTH_KEY = "rated_breaking_force_N"
 """Key of a tendon's breaking force."""
 LIMIT_KEYS = ("tension_floor_N", "tension_max_N", "tension_trip_N", "drive_limit_N", STRENGTH_KEY)
 """Keys of a tendon's tension limits in ascending order."""
 MIT_REPLY_OFFSET = 0x10
-"""Identifier of the replies of an MIT drive minus that of its commands, without the option ``reply_id``.
+"""Identifier of an MIT drive's replies minus the identifier of its commands, if the option ``reply_id`` is absent.
 
 Source: Damiao, MST_ID = ESC_ID + 0x10.
 """
@@ -93,7 +96,10 @@ SHARED_IDS = (
     ("cia402", 0x000, "CANopen's NMT"),
     ("cia402", 0x77F, "this host's heartbeat to CiA 402 drives"),
 )
-"""Identifiers that all motors of a protocol share on a bus: protocol, identifier, name of the frame."""
+"""Identifiers that all motors of a protocol on the same bus share.
+
+Each entry has the protocol, the identifier, and the name of the frame.
+"""
 MIN_SINGULAR_VALUE_RATIO = 1e-6
 """Ratio of the smallest to the largest singular value above which a matrix counts as having full rank."""
 
@@ -351,8 +357,8 @@ def _check_motors(hand: Hand) -> MistakeIterator:
         driven[tendon.motor] = tendon.name
     yield from wrong
     for motor in hand.motor:
-        # If a tendon names a wrong motor, another motor has no tendon as a consequence. Then only
-        # the wrong name is reported.
+        # If a tendon names a wrong motor, another motor has no tendon as a consequence. In this
+        # case, only the wrong name is reported.
         if motor.name not in driven and not wrong:
             yield FileMistake(
                 "drives no tendon", f"motor[{motor.name}].name", "to be the motor of one tendon"
@@ -366,7 +372,10 @@ def _check_name(where: str, name: str, valid: tuple[str, ...]) -> MistakeIterato
 
 
 def _check_mounts(hand: Hand) -> MistakeIterator:
-    """Check that a digit carried by another digit comes right after it in the file, or after others that it carries."""
+    """Check that each carried digit comes after the digit that carries it.
+
+    Between them may only be digits that the same digit carries, directly or through others.
+    """
     line: list[str] = []
     for digit in hand.digit:
         where = f"digit[{digit.name}].mount_on"
@@ -570,7 +579,7 @@ def _check_pretension(tendon: Tendon) -> MistakeIterator:
 
 
 def _check_pairs(hand: Hand, digit: Digit) -> MistakeIterator:
-    """Check a digit with spool pairs: one pair per coordinate, no single tendons, load cells on pairs, or springs."""
+    """Check that a digit with spool pairs has one pair per coordinate, and no single tendons, springs or load cells."""
     tendons = hand.tendon[hand.digit_tendons[digit.name]]
     pairs = [tendon for tendon in tendons if tendon.pretension_N is not None]
     if not pairs:
@@ -619,7 +628,7 @@ def _check_drive(tendon: Tendon, motor: Motor) -> MistakeIterator:
 def _check_control(hand: Hand, tendon: Tendon, motor: Motor) -> MistakeIterator:
     """Check the keys for the position loop in a drive.
 
-    Only a drive with ``control = "position"`` may have them.
+    Only a drive with ``control = "position"`` may have these keys.
     """
     where = f"motor[{motor.name}]"
     if not motor.holds_position:
@@ -642,7 +651,7 @@ def _check_control(hand: Hand, tendon: Tendon, motor: Motor) -> MistakeIterator:
 
 
 def _check_stream(stream: StreamLimits) -> MistakeIterator:
-    """Check that a hand whose stream of targets stops first holds and later relaxes."""
+    """Check that the hand holds before it relaxes when a client stops its stream of targets."""
     if stream.relax_after_ms <= stream.hold_after_ms:
         right = f"more than hold_after_ms = {stream.hold_after_ms:g} ms"
         yield FileMistake(f"{stream.relax_after_ms:g}", "stream.relax_after_ms", right)
@@ -695,20 +704,21 @@ def _motor_identifiers(motor: Motor) -> Iterator[tuple[object, str]]:
         yield motor.node_id, where
         yield _mit_reply_id(motor, where)
     elif motor.protocol == "odrive":
-        # The identifiers of all 32 commands with its node number belong to an ODrive.
+        # An ODrive occupies the identifiers of all 32 commands with its node number.
         for message in range(32):
             yield motor.node_id << 5 | message, where
     elif motor.protocol == "cia402":
         for service in CANOPEN_SERVICES:
             yield service + motor.node_id, where
     elif motor.protocol == "moteus":
-        # First the requests, which come from source 0 and have the reply bit. Then the replies,
+        # The requests come first. They have the source 0 and the reply bit. The replies follow,
         # with an 11-bit identifier if the number fits.
         yield EXTENDED_ID_FLAG | 0x8000 | motor.node_id, where
         number = motor.node_id << 8
         yield number if number < STANDARD_IDS else number | EXTENDED_ID_FLAG, where
     elif motor.protocol == "robstride":
-        # First requests of type 0, then the feedback of a running motor to the default host.
+        # The requests of type 0 come first. The feedback of a running motor to the default host
+        # follows.
         yield EXTENDED_ID_FLAG | 0xFD00 | motor.node_id, where
         yield EXTENDED_ID_FLAG | 0x0280_00FD | motor.node_id << 8, where
     else:

@@ -33,7 +33,7 @@ class FileMistake(NamedTuple):
 SECTION_PATTERN = re.compile(r"(\w+)\[([^\]]*)\](.*)", re.DOTALL)
 """Pattern of a key path in a named section.
 
-It matches the kind, the name, and the rest of the path.
+The pattern matches the kind, the name, and the rest of the path.
 """
 EXPECTED_TYPES = {
     "tuple_type": "a list",
@@ -44,7 +44,7 @@ EXPECTED_TYPES = {
 }
 """Valid values in the terms of TOML, by the type of a structural error of pydantic.
 
-All other errors contain a valid value themselves, as ``right``.
+An error of any other type contains a valid value in its entry ``right``.
 """
 
 
@@ -90,13 +90,14 @@ def validation_mistakes(
 
 
 WITHIN_DIGITS = ("tendon", "motor")
-"""Sections of a hand that can also be tables of a digit."""
+"""Kinds of section that may also stand as tables within a digit."""
 
 
 def _meaning_of_missing_key(location: Sequence[str | int], model: type[BaseModel]) -> str:
     """Return the text that a file should have for a missing key.
 
-    It is the form of a section or value, and the first sentence of the description of the key.
+    The text contains the form of a section or value, and the first sentence of the description of
+    the key.
     """
     field = _field_of_key(location, model)
     if field is None:
@@ -119,7 +120,7 @@ class _ModelField(NamedTuple):
 
 
 def _field_meaning(field: _ModelField | None) -> str:
-    """Return a colon and the first sentence of a key's description, or an empty text without a description."""
+    """Return a colon and the first sentence of a key's description, or an empty text if it has none."""
     text = first_sentence(key_description(*field)) if field else ""
     return f": {text}" if text else ""
 
@@ -134,7 +135,7 @@ def first_sentence(description: str) -> str:
 def _field_of_key(location: Sequence[str | int], model: type[BaseModel]) -> _ModelField | None:
     """Return the field of a key.
 
-    An entry of a list, for example, has no field. Then return None.
+    If there is no field, for example for an entry of a list, return None.
     """
     *tables, key = location
     for part in tables:
@@ -170,10 +171,10 @@ def _unknown_key_mistake(
 def with_paths_of_file(
     mistakes: Iterable[FileMistake], origins: Mapping[str, str]
 ) -> list[FileMistake]:
-    """Return the mistakes of resolved content with key paths as they are in the file.
+    """Return the mistakes with the key paths that the hand file has, in place of those of the resolved content.
 
-    Many sections use the same value of a default or template. Only the first mistake about such a
-    value is returned.
+    Many sections use the same value of a default or template. Of several mistakes about such a
+    value, only the first is returned.
 
     Args:
         mistakes: mistakes with key paths of the resolved content.

@@ -39,13 +39,13 @@ SMALLEST_ARM_M = 1e-4
 LARGEST_ARM_M = 0.05
 """Largest absolute moment arm of a tendon [m].
 
-If a coefficient of a fixed tendon in MJCF is not between these limits, it is not taken as a moment
-arm.
+If a coefficient of a fixed tendon in MJCF is not between these limits, the coefficient is not taken
+as a moment arm.
 """
 ROUNDING_TOLERANCE = 1e-9
 """Tolerance for rounding errors in an axis, a position or a rotation."""
 WRITTEN_DECIMALS = 12
-"""Number of decimals that are written of a length, a mass or an inertia in SI units."""
+"""Number of decimals with which a length, a mass or an inertia in SI units is written."""
 CHOSEN_KEYS = {
     "protocol",
     "tendons",
@@ -309,7 +309,10 @@ def _head_text(described: DescribedHand, answers: TendonAnswers, buses: int, can
 
 
 def _sensor_node(answers: TendonAnswers) -> str:
-    """Return the text of the section ``sensor_node``, empty for a hand without sensors."""
+    """Return the text of the section ``sensor_node``.
+
+    For a hand without sensors, the text is empty.
+    """
     if answers.cells == answers.encoders == "none":
         return ""
     sync, base = SENSOR_IDS.get(answers.protocol or "", SENSOR_IDS["mit"])
@@ -337,7 +340,10 @@ def _sensor_node(answers: TendonAnswers) -> str:
 
 
 def _common_lines(described: DescribedHand, answers: TendonAnswers) -> list[_SectionLine]:
-    """Return lines for the values of digits that the description does not contain, to be set once for all digits."""
+    """Return lines for the digits' values that the robot description lacks.
+
+    The new file sets them once for all digits.
+    """
     everything = [link for digit in described.digits for link in digit.links]
     known = {"link_radius_m": any(link.radius for link in everything)}
     for slides in (False, True):
@@ -433,7 +439,10 @@ def _mesh_lines(meshes: Sequence[ModelMesh | None]) -> Iterable[_SectionLine]:
 
 
 def _scale_text(scale: Array) -> str:
-    """Return the scale of a mesh as text. It is one number if the scale is equal along all axes."""
+    """Return the scale of a mesh as text.
+
+    The text is one number if the scale is equal along all axes.
+    """
     return (
         _number_text(float(scale[0]))
         if scale[0] > 0.0 and not np.ptp(scale)
@@ -444,7 +453,7 @@ def _scale_text(scale: Array) -> str:
 def _joint_lines(digit: ModelDigit, answers: TendonAnswers) -> Iterable[_SectionLine]:
     """Yield lines for damping, armature and springs of a digit.
 
-    In a description, the value 0 means that the value is not described.
+    In a robot description, 0 means that the value is not given.
     """
     for slides in (False, True):
         links = [link for link in digit.links if link.is_prismatic == slides]

@@ -24,11 +24,13 @@ SCHEMA_DRAFT = "http://json-schema.org/draft-07/schema#"
 SECTION_DEFINITIONS = {"digit": "Digit", "tendon": "Tendon", "motor": "Motor"}
 """Name of the schema's definition for each kind of section."""
 VALUE_DEFINITIONS = {kind: f"{name}Values" for kind, name in SECTION_DEFINITIONS.items()}
-"""Name of the schema's definition for a default, a template, or a table within a digit, of each kind."""
+"""Name of the schema's definition for values of each kind in a default, a template, or a table within a digit."""
 
 
 def hand_schema() -> dict[str, Any]:
-    """Return the JSON Schema of a hand file of schema 2. Files of schema 1 also conform to it.
+    """Return the JSON Schema of a hand file of schema 2.
+
+    Hand files of schema 1 also conform to this JSON Schema.
 
     In the schema, every key of a digit, tendon or motor is optional, because a default or template
     can have the key. ``handctl config check`` reports missing keys.

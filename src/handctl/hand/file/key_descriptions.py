@@ -1,10 +1,10 @@
 """Descriptions of the keys of hand files and gains files.
 
-They are the docstrings after the fields of the pydantic models.
+The descriptions are the docstrings after the fields of the pydantic models.
 
-pydantic can store these docstrings in the fields of a model (``use_attribute_docstrings``). Then
-every process parses the source of every model. This module parses the source only when a
-description is needed.
+pydantic can store these docstrings in the fields of a model (``use_attribute_docstrings``). With
+this setting, every process parses the source of every model. This module parses the source only
+when a description is needed.
 """
 
 import ast
@@ -43,7 +43,7 @@ def field_docstrings(model: type[BaseModel]) -> Mapping[str, str]:
 def _docstrings_in(model: type[BaseModel]) -> dict[str, str]:
     """Return the docstrings of the attributes of a class.
 
-    Without the source of the class, there are none.
+    If the source of the class is missing, there are no docstrings.
     """
     try:
         source = inspect.getsource(model)

@@ -32,13 +32,13 @@ Around a thinner object, the tips of opposed digits would touch each other.
 SMALLEST_OBJECT_MM = 35.0
 """Smallest diameter of an object for which the palm gets space [mm]."""
 STRAIGHT_OBJECT_MM = 26.0
-"""Smallest free distance between two facing digits of one link, for a grasp [mm]."""
+"""Smallest free distance at which two facing digits with one link each can grasp an object [mm]."""
 CLEARANCE_MM = 5.0
 """Free space between the open digits and an object [mm]."""
 DIGIT_LENGTH_RATIO = 14.0
 """Length of a digit divided by the moment arm at its joints.
 
-With this ratio, digits of any length press equally hard.
+With this ratio of length to moment arm, digits of any length press equally hard.
 """
 SIDE_GAP_MM = 2.0
 """Space on each side of a digit [mm]."""
@@ -117,7 +117,7 @@ class HandAnswers:
     def pulley(self) -> float:
         """Return the moment arm at the joints [mm].
 
-        By default it is in proportion to the length of the digits.
+        By default, the moment arm is in proportion to the length of the digits.
         """
         return self.digit_mm / DIGIT_LENGTH_RATIO if self.pulley_mm is None else self.pulley_mm
 
@@ -214,7 +214,7 @@ def _digit_names(answers: HandAnswers) -> list[tuple[str, int]]:
 
 
 def _mount_places(answers: HandAnswers) -> list[float]:
-    """Return the position of each digit along the direction of the hinges [m], first of all fingers.
+    """Return the position of each digit along the hinges [m], the fingers before the opposed digits.
 
     If the sides have different numbers of digits, each digit faces a gap of the other side. Tips
     that face each other would meet before the digits press on an object.
@@ -372,7 +372,10 @@ watchdog_ms = 50{options_line(answers.protocol, options)}"""
 
 
 def options_line(protocol: str, options: Mapping[str, Any]) -> str:
-    """Return the line with the options of the drives, empty for a protocol without options."""
+    """Return the line with the options of the drives.
+
+    For a protocol without options, the line is empty.
+    """
     if protocol == "odrive":
         return "\n# options: the endpoints of your firmware, from its flat_endpoints.json; config check names them"
     if not options:

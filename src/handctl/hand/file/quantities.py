@@ -16,7 +16,7 @@ from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 POLYNOMIAL_COEFFICIENTS = 6
 """Number of coefficients of the polynomial of each moment arm.
 
-Their units are [m], [m/rad], [m/rad^2] and so on.
+The units of the coefficients are [m], [m/rad], [m/rad^2] and so on.
 """
 NAME_PATTERN = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 """Pattern of valid names of hands, digits, tendons, motors, and buses."""

@@ -163,7 +163,7 @@ def _parse_entry(key: str, item: Item) -> list[TomlEntry]:
 def _trailing_comments(block: TomlTable) -> list[str]:
     """Remove the comment lines at the end of a table, and return them.
 
-    They belong to the next table.
+    These comments belong to the next table.
     """
     trailing: list[str] = []
     while len(block.entries) > 1 and not block.entries[-1].key:
@@ -216,14 +216,14 @@ def _are_equal(value: Any, other_value: Any) -> bool:
 
 
 def _shorten_lists_per_link(block: TomlTable) -> None:
-    """Replace each list with the same number for every link by this number."""
+    """Replace each list of equal numbers, one per link, by a single number."""
     for entry in block.entries:
         values = entry.value
         if entry.key not in KEYS_ONE_FOR_ALL_LINKS or not isinstance(values, list) or not values:
             continue
         if isinstance(values[0], int | float) and all(value == values[0] for value in values):
-            # Copy the spelling of the number in the file, which is the text between the bracket and
-            # the first comma.
+            # The text between the bracket and the first comma is the spelling of the number in the
+            # file. It is copied.
             entry.text = entry.text.strip("[] \n").split(",")[0].strip()
             entry.value = values[0]
 
@@ -303,9 +303,9 @@ def _take_templates(digits: Sequence[TomlTable]) -> dict[str, TomlTable]:
             _take_shared_values(group, lambda key, value: key not in INDIVIDUAL_KEYS["digit"])
         )
         for kind in DIGIT_KINDS:
-            # Tendons and motors of a template come before those that only the digits have. Their
-            # order must not change. Therefore only those before the first difference between the
-            # digits move into the template.
+            # Tendons and motors of a template come before those that only the digits have. The
+            # order of tendons and motors must not change. Therefore only those before the first
+            # difference between the digits move into the template.
             for short in group[0].held[kind]:
                 if not all(short in block.held[kind] for block in group):
                     break

@@ -84,8 +84,8 @@ class ResolvedContent(NamedTuple):
 def resolve_templates(content: TableContent) -> ResolvedContent:
     """Replace defaults and templates by values. Content of schema 1 is not changed.
 
-    A value that should be a section but is no table is not changed either. The later validation
-    describes this mistake better.
+    A value that stands in the place of a section but is no table is not changed either. The later
+    validation describes a wrong section better.
     """
     tables = [key for key in ("default", *TEMPLATE_KEYS.values()) if key in content]
     if content.get("schema") != WRITTEN_SCHEMA and not tables:
@@ -115,7 +115,7 @@ def resolve_templates(content: TableContent) -> ResolvedContent:
     for kind in DIGIT_KINDS:
         if isinstance(sections[kind], list):
             sections[kind] = resolver.of_digits[kind] + sections[kind]
-    # An absent section stays absent. Then the validation reports it as missing.
+    # An absent section stays absent, so that the validation reports it as missing.
     resolved |= {kind: section for kind, section in sections.items() if section or kind in content}
     node = content.get("sensor_node")
     if isinstance(node, Mapping):
@@ -136,8 +136,8 @@ class _TemplateResolver:
     def check_tables(self) -> None:
         """Find mistakes in defaults and templates.
 
-        They must be tables, and must not have the keys ``name`` and ``template``, which belong to a
-        section itself.
+        Defaults and templates must be tables. They must not have the keys ``name`` and
+        ``template``, which belong to a section itself.
         """
         default = self.content.get("default", {})
         if not isinstance(default, Mapping):
@@ -193,8 +193,8 @@ class _TemplateResolver:
         given = self.content.get("default")
         default: TableContent = given if isinstance(given, Mapping) else {}
         for key, values in default.items():
-            # The default of a misspelt kind is used. Otherwise the values in it would also be
-            # reported as missing.
+            # The default of a misspelt kind is used. Otherwise the values in this default would
+            # also be reported as missing.
             misspelt = (
                 key not in SECTION_KINDS
                 and kind not in default
@@ -216,8 +216,8 @@ class _TemplateResolver:
             self.mistakes.append(
                 FileMistake(toml_spelling(name), f"{named[-1].path}.template", right)
             )
-            # The most similar template is used. Otherwise the values in it would also be reported
-            # as missing.
+            # The most similar template is used. Otherwise the values in this template would also be
+            # reported as missing.
             name = right if right in valid else next(iter(valid), None)
         if isinstance(templates, Mapping) and isinstance(templates.get(name), Mapping):
             yield ValueLayer(_without_entry_keys(templates[name]), f"{key}.{name}")

@@ -1,4 +1,7 @@
-"""Meshes of a hand's links and palm, for display only. They have neither mass nor contacts."""
+"""Meshes of a hand's links and palm, for display only.
+
+These meshes have neither mass nor contacts.
+"""
 
 import os
 from collections.abc import Iterable, Iterator, Mapping
@@ -206,7 +209,7 @@ def exported_meshes(hand: Hand, folder: Path, output: Path) -> dict[str, LinkMes
 
 
 def relative_path(path: Path, folder: Path) -> str:
-    """Return a path as seen from a folder."""
+    """Return a path relative to a folder."""
     return Path(os.path.relpath(path.absolute(), folder.absolute())).as_posix()
 
 

@@ -1,6 +1,7 @@
 """Triangles of mesh files, in binary STL or OBJ.
 
-Only handctl's checks of meshes need them. MuJoCo and the viewer read the files themselves.
+Only handctl's checks of meshes need the triangles. MuJoCo and the viewer read the mesh files
+themselves.
 """
 
 from itertools import pairwise

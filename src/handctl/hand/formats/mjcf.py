@@ -154,8 +154,8 @@ def _add_meshes(root: ET.Element, meshes: Mapping[str, LinkMesh]) -> None:
     root.insert(list(root).index(root.find("worldbody")), assets)  # type: ignore[arg-type]
     bodies = {str(body.get("name")): body for body in root.iter("body")}
     for link, mesh in meshes.items():
-        # MuJoCo calculates an inertia for each mesh. That of a shell is defined for open surfaces
-        # too. The inertia has no effect here.
+        # MuJoCo calculates an inertia for each mesh. The inertia of a shell is defined even for a
+        # surface with holes. No inertia of a mesh has an effect here.
         ET.SubElement(
             assets,
             "mesh",
@@ -173,7 +173,7 @@ def _add_meshes(root: ET.Element, meshes: Mapping[str, LinkMesh]) -> None:
 
 
 def _add_tendons(root: ET.Element, hand: Hand) -> None:
-    """Add a fixed tendon with constant moment arms for each tendon, and a motor that only pulls.
+    """Add for each tendon a fixed tendon of MuJoCo with constant moment arms, and a motor that only pulls.
 
     If a moment arm depends on the joint angle, its mean is used.
     """

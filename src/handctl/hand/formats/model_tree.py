@@ -1,8 +1,10 @@
-"""Digits of a hand, built from the tree of links of a robot description, whose frames may have any orientation.
+"""Digits of a hand, built from the tree of links of a robot description.
+
+The links' frames may have any orientation.
 
 In a hand file, a digit is a chain of links. The frame of each link has its x axis along the link,
-and the next joint lies on this axis. The frames of a description may differ, and are then turned
-here. A frame that already has this form is not changed.
+and the next joint lies on this axis. If a frame of the description differs from this form, the
+module turns the frame.
 """
 
 import re
@@ -19,19 +21,35 @@ from handctl.hand.file.quantities import NAME_PATTERN
 from handctl.hand.file.sections import MAX_LINKS
 
 MAX_ANGLE_TO_LINK_RAD = 1e-6
-"""Largest angle between the x axis of a frame and its link at which the frame is not changed [rad]."""
+"""Largest angle between a link and the x axis of its frame [rad].
+
+If the angle is larger, the frame is turned.
+"""
 INTERSECTION_TOLERANCE_M = 1e-7
 """Largest distance of two joints whose axes count as meeting in a point [m]."""
 MIN_FLEXION_Y = 0.7
-"""Smallest component along y of the tip's direction of motion at which the last frame of a digit is not changed."""
+"""Smallest component along y of the tip's direction of motion.
+
+If the component is smaller, the last frame of a digit is turned.
+"""
 NEGATIVE_FLEXION_RATIO = 0.1
-"""A joint flexes towards negative angles if its upper limit is at most this fraction of its negative lower limit."""
+"""Ratio that shows the direction of flexion.
+
+If a joint's upper limit is at most this ratio times minus its lower limit, the joint flexes towards
+negative angles.
+"""
 MIN_FORWARD_X = 0.7
-"""Smallest component along x of the mean direction of the digits at which the palm frame is not turned."""
+"""Smallest component along x of the mean direction of the digits.
+
+If the component is smaller, the palm frame is turned.
+"""
 MAX_MOUNT_OFFSET_M = 0.005
-"""Largest distance of the foremost mount from the plane x = 0 at which the palm frame is not shifted [m]."""
+"""Largest distance of the foremost digit mount from the plane x = 0 [m].
+
+If the distance is larger, the palm frame is shifted.
+"""
 MAX_PARALLEL_SINE = 0.1
-"""Largest sine of the angle between the axis of a joint and its link at which the link turns about itself."""
+"""Largest sine of the angle between a link and its joint axis at which the link counts as turning about itself."""
 TIP_NAME_PATTERN = re.compile(r"tip|end", re.IGNORECASE)
 """Pattern in the name of a frame that marks the end of a digit."""
 JOINT_SUFFIX = re.compile(r"[\W_]*(joint|link|j|l)?[\W_]*[0-9]*[\W_]*$", re.IGNORECASE)
@@ -219,9 +237,10 @@ def digits_of_links(
 
     Each digit comes after the digit that carries it.
 
-    The palm frame of the hand is the root frame of the description. It is turned by right angles if
-    the digits do not point along the x axis of the root frame. The frame is also shifted if the
-    foremost mount is far from the plane x = 0. Then this mount lies in the plane.
+    The palm frame of the hand is the root frame of the description. The frame is turned by right
+    angles if the digits do not point along the x axis of the root frame. The frame is also shifted
+    if the foremost mount is far from the plane x = 0. After the shift, this mount lies in the
+    plane.
 
     Args:
         links: all links, parents first.
@@ -294,8 +313,8 @@ def _link_chains(links: Sequence[ModelLink]) -> Iterator[_LinkChain]:
 def _digit_name(links: Sequence[ModelLink], used_names: set[str], count: int) -> str:
     """Return a name for a digit.
 
-    It is the common beginning of the names of its joints or of its links. Without a usable one, the
-    digit gets a number.
+    The name is the common beginning of the names of the digit's joints or links. If these names
+    have no usable beginning, the digit gets a number.
     """
     for names in ([link.joint for link in links], [link.name for link in links]):
         common = names[0]
@@ -428,7 +447,8 @@ def _palm_frame(
     depth = mounts @ palm[:, 0]
     origin = palm[:, 0] * depth.max() if abs(depth.max()) > MAX_MOUNT_OFFSET_M else np.zeros(3)
     if not np.array_equal(palm, np.eye(3)):
-        # The origin is in the middle of the mounts. This point of the palm faces the object.
+        # The origin is in the middle of the mounts. The middle of the mounts is the point of the
+        # palm that faces the object.
         origin = origin + (np.eye(3) - np.outer(palm[:, 0], palm[:, 0])) @ mounts.mean(axis=0)
     return palm, origin
 

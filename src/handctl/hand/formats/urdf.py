@@ -92,8 +92,8 @@ def palm_box(hand: Hand, carrier: str | None) -> tuple[Array, Array]:
 def shape_length(hand: Hand, digit: Digit, i: int) -> float:
     """Return the length of the primitive shape of link i [m].
 
-    The shape of a link that carries digits is shorter by its radius. Its round end then ends where
-    the link ends.
+    The shape of a link that carries digits is shorter by its radius. The round end of this shape
+    then ends where the link ends.
     """
     length = digit.link_length_m[i]
     last = i == len(digit.link_length_m) - 1
@@ -107,7 +107,7 @@ def shape_length(hand: Hand, digit: Digit, i: int) -> float:
 def _add_palm(link: ET.Element, hand: Hand, carrier: str | None, mesh: LinkMesh | None) -> None:
     """Add a box behind all digits that a link carries.
 
-    It has no mass, because the palm is fixed.
+    The box has no mass, because the palm is fixed.
     """
     centre, size = palm_box(hand, carrier)
     if mesh and carrier is None:
@@ -192,7 +192,7 @@ def _add_link(
 ) -> None:
     """Add link i with its inertia.
 
-    Its shape is a cylinder of the given length [m] with a ball at the far end.
+    The shape of the link is a cylinder of the given length [m] with a ball at the far end.
     """
     radius = digit.link_radius_m
     link = ET.SubElement(robot, "link", name=f"{digit.name}_link{i + 1}")

@@ -1,11 +1,10 @@
-"""Camera videos of a LeRobot dataset, and their statistics. A video has one image for each frame of the episode.
+"""Camera videos of a LeRobot dataset, and their statistics.
 
-The program ``ffmpeg`` decodes and encodes the videos. Each dataset frame gets the latest camera
-frame that is not later than itself.
-
-The layout is that of LeRobot 0.4, ``datasets/lerobot_dataset.py`` and ``video_utils.py``. There is
-one video file for each episode. The statistics are computed for each colour channel, with values
-from 0 to 1.
+A video has one image for each frame of an episode. The program ``ffmpeg`` decodes and encodes the
+videos. For each frame of the dataset, the latest camera frame up to that time is used. The layout
+is that of LeRobot 0.4, ``datasets/lerobot_dataset.py`` and ``video_utils.py``. Each episode has its
+own video file. The statistics are computed for each colour channel. A channel has values from 0 to
+1.
 """
 
 import shutil
@@ -22,11 +21,11 @@ from handctl.printing import printable_text
 
 VIDEO_PATH_PATTERN = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 FILES_PER_CHUNK = 1000
-"""Number of videos in one folder. LeRobot calls such a folder a chunk."""
+"""Largest number of videos in one folder. LeRobot calls such a folder a chunk."""
 MAX_FRAME_GAP_S = 0.5
-"""Longest time without camera frames that is accepted at the start or end of an episode [s].
+"""Longest time at the start or end of an episode that may lack camera frames [s].
 
-The first or last camera frame is repeated for this time.
+The first or last camera frame then fills this time.
 """
 STATISTICS_WIDTH = 160
 """Largest width of the images from which statistics are computed [pixels].
@@ -43,7 +42,8 @@ class DatasetCamera(NamedTuple):
     Attributes:
         name: name of the camera, such as ``wrist``.
         videos: video file that the camera recorded, for each episode.
-        starts_s: time of the first video frame since the start of the run, for each episode [s].
+        starts_s: for each episode, time from the start of the run to the first frame of the video
+            [s].
     """
 
     name: str
@@ -80,7 +80,8 @@ def make_cameras(names: Sequence[str], videos: Sequence[Sequence[Path]], starts_
     Args:
         names: name of each camera.
         videos: video files of each camera, one for each log.
-        starts_s: time of the first video frame in each run [s]. A single value applies to all runs.
+        starts_s: time from the start of each run to the first frame of its video [s]. A single
+            value applies to all runs.
         logs: number of logs.
 
     Raises:
@@ -126,8 +127,8 @@ def write_episode_video(
     Args:
         source: video that the camera recorded.
         target: video file to write.
-        first_s: time of the first frame of the episode in the source [s]. The time is negative if
-            the source begins later.
+        first_s: time at which the episode begins in the source [s]. A negative time means that the
+            source begins after the episode.
         frames: number of frames of the episode.
         fps: frame rate of the dataset [Hz].
 
@@ -226,7 +227,9 @@ def _read_ppm(stream: IO[bytes]) -> tuple[int, int, NDArray[np.uint8]] | None:
 def histogram_statistics(
     histogram: NDArray[np.int64], frames: int, percents: Sequence[int]
 ) -> dict[str, list[Any]]:
-    """Return the statistics of images. Each has shape (3, 1, 1), one value for each colour channel, from 0 to 1.
+    """Return the statistics of images.
+
+    Each statistic has shape (3, 1, 1): a value from 0 to 1 for each colour channel.
 
     Args:
         histogram: (3, 256) number of pixels that have each value, for each colour channel.

@@ -1,16 +1,17 @@
-"""Export of logs as a LeRobot dataset. Each log becomes an episode: the active part of the run on an exact time grid.
+"""Export of logs as a LeRobot dataset.
 
-The layout is that of LeRobot's codebase version 3.0. One file has the frames of all episodes. Each
-episode has a video for each camera. `observation.state` holds joint angles [rad] and estimated
-tensions [N]. `action` holds commanded joint angles and tensions. Joints of a digit under tension
-control have no commanded angle. Their `action` holds the estimated angle instead.
+Each log becomes an episode: the part of the run in which the hand was active, on an exact time
+grid. The layout is that of LeRobot's codebase version 3.0. One file contains the frames of all
+episodes. For each camera, an episode has a video. `observation.state` contains joint angles [rad]
+and estimated tensions [N]. `action` contains commanded joint angles and tensions. The joints of a
+digit that holds a tension have no commanded angle. For such a joint, `action` contains the
+estimated angle instead.
 
 The name of each vector element ends in a unit, for example `index_j1.pos_rad` or
 `index_tendon.tension_N`.
 
-The file `meta/stats.json` has the statistics of the whole dataset. Columns of `meta/episodes` have
-the statistics of each episode. LeRobot needs the statistics of each episode to split a dataset or
-to delete episodes.
+The file `meta/stats.json` contains the statistics of the whole dataset. Columns of `meta/episodes`
+contain the statistics of each episode. LeRobot needs them to split a dataset or to delete episodes.
 
 Source of the paths and fields: LeRobot 0.4 and 0.6, `datasets/utils.py` and `dataset_metadata.py`.
 """
@@ -53,11 +54,14 @@ Logs of version 0.1 lack `q_sigma`.
 
 Array = NDArray[np.float64]
 FeatureStatistics = dict[str, dict[str, list[Any]]]
-"""Values of each statistic, by name of the feature and by name of the statistic."""
+"""Values of each statistic of each feature.
+
+The first key is the name of the feature, the second that of the statistic.
+"""
 
 
 class _Episode(NamedTuple):
-    """Dataset frames of one log.
+    """Frames of a dataset that come from one log.
 
     Attributes:
         vectors: names and values (frames, n) of each vector feature.
@@ -85,9 +89,9 @@ def export_lerobot(
     Args:
         logs: one or more logs of one hand at one control rate.
         path: folder of the dataset, which must not exist yet.
-        fps: frame rate of the dataset, at most the control rate [Hz]. If None is given, the control
+        fps: frame rate of the dataset, at most the control rate [Hz]. If it is None, the control
             rate is used.
-        cameras: cameras with a video of each log.
+        cameras: cameras that have a video for each log.
 
     Raises:
         ConfigError: the frame rate is out of range.
@@ -141,7 +145,7 @@ def export_lerobot(
 
 
 def _episode_of_log(log: RunLog, fps: int) -> _Episode:
-    """Return the episode that a log becomes."""
+    """Convert a log to an episode."""
     rows = _tick_indices(log, fps)
     return _Episode(
         _vector_features(log, rows),
@@ -157,8 +161,8 @@ def _write_videos(
     """Write the videos of a camera, one for each episode.
 
     Raises:
-        LogError: a video does not cover the whole episode, or the images differ in size from the
-            first video.
+        LogError: a video does not cover the whole episode, or its images have another size than
+            those of the first video.
     """
     written = list[EpisodeVideo]()
     for number, episode in enumerate(episodes):
@@ -222,10 +226,9 @@ def _check_same_dataset(first: RunLog, log: RunLog, same_names: bool, where: str
 
 
 def _tick_indices(log: RunLog, fps: int) -> NDArray[np.intp]:
-    """Return the index of the tick whose values each frame of the time grid gets.
+    """Return the index of the tick whose values each frame of the time grid takes.
 
-    Each frame gets the latest tick that is not later than the frame. This also holds where ticks
-    are missing in the log.
+    This is the latest tick up to the time of the frame, even where ticks are missing in the log.
 
     Raises:
         LogError: the hand was never active, or the ticks are out of order.
@@ -237,8 +240,7 @@ def _tick_indices(log: RunLog, fps: int) -> NDArray[np.intp]:
     start = int(log.t_ns[active[0]])
     end = int(log.t_ns[active[-1]])
     frames = (end - start) * fps // 10**9 + 1
-    # Integer arithmetic, with rounding to the nearest nanosecond, keeps the time grid exact over
-    # hours.
+    # Integers, rounded to the nearest nanosecond, keep the time grid exact over hours.
     grid = start + (np.arange(frames) * 10**9 + fps // 2) // fps
     return np.asarray(np.searchsorted(log.t_ns, grid, "right") - 1, np.intp)
 
@@ -279,10 +281,10 @@ def _standard_deviation_name(name: str) -> str:
 
 
 def _without_nan(log: RunLog, name: str, rows: NDArray[np.intp]) -> Array:
-    """Return a telemetry field (frames, n) with every NaN replaced.
+    """Return a telemetry field (frames, n) in which every NaN is replaced.
 
-    The last number before a NaN in the column replaces the NaN. Without such a number, the first
-    number after the NaN is used. A column without any number becomes zero.
+    The last number above the NaN in its column replaces it. If there is none above, the first
+    number below the NaN replaces it. A column without any number becomes zero.
     """
     values = log.field(name)[rows]
     for column in values.T:
@@ -336,7 +338,11 @@ def _frame_table(names: dict[str, list[str]], values: dict[str, NDArray[Any]]) -
 def _episode_table(
     episodes: Sequence[_Episode], statistics: Sequence[FeatureStatistics], video_keys: Iterable[str], fps: int
 ) -> pa.Table:  # fmt: skip
-    """Return the table of the episodes: places of frames, and a column `stats/FEATURE/NAME` for each statistic."""
+    """Return the table of the episodes.
+
+    The table gives the places of their frames, and has a column `stats/FEATURE/NAME` for each
+    statistic.
+    """
     count = len(episodes)
     ends = np.cumsum([episode.frames for episode in episodes]).tolist()
     fields: dict[str, list[Any]] = {
@@ -368,7 +374,7 @@ def _episode_table(
 def _task_table(tasks: list[str]) -> pa.Table:
     """Return the table of the task descriptions.
 
-    The descriptions are the index of the table. pandas reads this from the schema's metadata.
+    The descriptions are the index of the table. The metadata of the schema tell this to pandas.
     """
     table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), "task": tasks})
     columns = [
@@ -429,7 +435,7 @@ def _info_content(
 def _feature_statistics(values: NDArray[Any]) -> dict[str, list[Any]]:
     """Return the statistics of a feature over all given frames.
 
-    LeRobot normalises features with them.
+    LeRobot uses them to normalise the feature.
     """
     table = np.asarray(values, np.float64).reshape(len(values), -1)
     statistics = {

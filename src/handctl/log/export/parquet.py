@@ -1,7 +1,7 @@
 """Export of a log as a Parquet table. The table has a row for each tick and a column for each number of a tick.
 
-Columns of text are dictionary-encoded. The metadata of each numeric column has the column's unit
-under the key `unit`.
+Columns of text are dictionary-encoded. The metadata of each numeric column contain its unit, under
+the key `unit`.
 """
 
 from pathlib import Path

@@ -1,4 +1,7 @@
-"""Export of a log as CSV and as candump text, and the tables of ticks from which all exports are written."""
+"""Export of a log as CSV and as candump text.
+
+This module also makes the tables of ticks that all exports use.
+"""
 
 import csv
 import re
@@ -17,13 +20,13 @@ from handctl.log.read.reader import RunLog
 from handctl.safety.action import SafetyAction
 
 TICKS_PER_BLOCK = 4096
-"""Number of ticks that an export holds in memory at a time."""
+"""Largest number of ticks that an export has in memory at a time."""
 
 TEXT_COLUMNS = ("mode", "phase", "action")
-"""Names of the columns that hold text."""
+"""Names of the columns that contain text."""
 
 INTEGER_COLUMNS = {"k": "1", "t_ns": "ns", "late_ns": "ns"}
-"""Unit of each column that holds integers, by name of the column. 1 stands for a plain number."""
+"""Unit of each column of integers, by name of the column. The unit 1 stands for a plain number."""
 
 FIELD_UNITS = {
     "q": "rad", "dq": "rad/s", "joint_torque": "N m", "joint_encoder": "rad",
@@ -33,10 +36,13 @@ FIELD_UNITS = {
     "motor_age": "s", "drive_phase": "1",
     "tip_force": "N", "contact": "1",
 }  # fmt: skip
-"""Unit of each telemetry quantity. 1 stands for a plain number."""
+"""Unit of each telemetry quantity. The unit 1 stands for a plain number."""
 
 VARIANT_SUFFIX = re.compile("_(goal|raw|sigma)$")
-"""Suffixes of telemetry fields. Fields with and without the suffix have the same unit."""
+"""Suffixes in the names of telemetry fields.
+
+The unit of a field is the same with and without such a suffix.
+"""
 
 
 class TableBlock(NamedTuple):
@@ -102,8 +108,8 @@ def table_blocks(log: RunLog) -> Iterator[TableBlock]:
 def export_csv(log: RunLog, path: Path) -> int:
     """Write a log as CSV with one row for each tick, and return the number of rows.
 
-    A reader that parses the numbers gets the same bits. NaN is written as an empty field. The first
-    row has the titles of the columns with their units: `tension/index_tendon [N]`.
+    The numbers are written with enough digits to restore the same bits. NaN becomes an empty field.
+    The first row has the titles of the columns with their units: `tension/index_tendon [N]`.
 
     Raises:
         OSError: the file exists already or cannot be written.
@@ -139,11 +145,11 @@ def export_candump(log: RunLog, path: Path) -> int:
 
 
 def _frames_by_time(log: RunLog) -> Iterator[tuple[int, str, Frame]]:
-    """Yield time [ns], direction (R or T) and content of all CAN frames, in the order of their times.
+    """Yield the time [ns], direction (R or T) and content of all CAN frames, in the order of their times.
 
-    The time of a received frame is the time of arrival. The time of a sent frame is the start of
-    the tick or the latest arrival in the tick, whichever is later. On a local bus, a frame arrives
-    when the tick reads the frame, after the start of the tick.
+    The time of a received frame is its arrival. The time of a sent frame is the start of the tick,
+    or the latest arrival in that tick if this is later. On a local bus, a frame counts as arrived
+    when the tick reads it, after the start of the tick.
     """
     pending: list[tuple[int, str, Frame]] = []
     complete_ns = 0
@@ -154,9 +160,9 @@ def _frames_by_time(log: RunLog) -> Iterator[tuple[int, str, Frame]]:
         pending += [(frame.t_ns, "R", frame) for frame in received]
         pending += [(max(start_ns, sent_ns), "T", frame) for frame in tick.frames]
         pending.sort(key=itemgetter(0))
-        # A frame received in the next tick arrives after the start of this tick. The kernel may
-        # deliver a frame a little after the time in its stamp, so each frame is yielded one tick
-        # later.
+        # Frames that the next tick reads arrive after the start of this tick. However, the kernel
+        # may deliver a frame a little after the time in its stamp. Therefore each frame is yielded
+        # one tick later.
         ready = bisect_left(pending, complete_ns, key=itemgetter(0))
         yield from pending[:ready]
         pending = pending[ready:]

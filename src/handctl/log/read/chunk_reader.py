@@ -1,4 +1,6 @@
-"""Reader for the messages of an uncompressed chunk. The reader returns blocks of consecutive messages of equal length.
+"""Reader for the messages of an uncompressed chunk.
+
+The reader returns blocks of consecutive messages that have equal lengths.
 
 Layout of a Message record: opcode u8 = 5, length u64, channel u16, sequence u32, log time u64 [ns],
 publish time u64 [ns], data.
@@ -13,13 +15,13 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 MAX_CHANNELS = 1000
-"""Largest accepted number of schemas in a chunk. The number of channels has the same limit."""
+"""Largest accepted number of schemas in a chunk, and largest accepted number of channels."""
 MIN_BLOCKS = 128
-"""Number of message blocks that even the smallest chunk may have."""
+"""Number of message blocks that a chunk of any size may have."""
 BYTES_PER_BLOCK = 16
-"""Number of compressed bytes for which a chunk may have one further message block."""
+"""A chunk may have one further message block for each such number of compressed bytes."""
 LINEAR_SEARCH_LIMIT = 4
-"""Number of records of a block that are counted one by one.
+"""Largest number of records of a block that are compared one by one.
 
 The end of a longer block is found with numpy.
 """
@@ -83,13 +85,13 @@ class ChunkDefinitions(NamedTuple):
 def iter_messages(
     content: bytes, packed: int, channels: frozenset[int] | None = None
 ) -> Iterator[MessageRows]:
-    """Yield the messages of a chunk in blocks, either of all channels or of the given channels.
+    """Yield the messages of the given channels, or of all channels, in blocks.
 
     Args:
         content: the uncompressed chunk.
-        packed: compressed size of the chunk [bytes]. The size limits the number of blocks, and with
-            it the work that a small file can cause.
-        channels: ids of the channels to read. If None is given, all channels are read.
+        packed: compressed size of the chunk [bytes]. This size limits the number of blocks, and
+            therefore the work that a small file can cause.
+        channels: ids of the channels to read. If it is None, all channels are read.
 
     Raises:
         ValueError: the chunk is damaged.
@@ -125,7 +127,7 @@ def iter_messages(
 
 
 def _count_equal(content: bytes, at: int, size: int) -> int:
-    """Count the consecutive records that have the size and the channel of the first record.
+    """Count the consecutive records with the same size and channel as the first record.
 
     Args:
         content: the uncompressed chunk.
@@ -142,8 +144,8 @@ def _count_equal(content: bytes, at: int, size: int) -> int:
             return count
         count += 1
         after += size
-    # Each step is four times as long as the last one, so that a long block takes few comparisons.
-    # `ndarray` with a stride reads only the headers of the records.
+    # Each step compares four times as many records as the last step, so that a long block needs few
+    # comparisons. `ndarray` with a stride reads only the headers of the records.
     while count < max_count:
         number = min(step, max_count - count)
         heads = np.ndarray(number, _RECORD_HEADERS, content, at + count * size, (size,)).tobytes()
@@ -158,7 +160,7 @@ def _count_equal(content: bytes, at: int, size: int) -> int:
 def _count_equal_heads(heads: bytes, head: bytes, number: int) -> int:
     """Count the elements at the start of `heads` that equal `head`.
 
-    At least one element must differ.
+    At least one element of `heads` must differ from it.
     """
     low = 0
     while number - low > 1:
@@ -173,7 +175,7 @@ def _count_equal_heads(heads: bytes, head: bytes, number: int) -> int:
 def schemas_and_channels(content: bytes) -> ChunkDefinitions:
     """Return the schemas and channels that are defined at the start of a chunk.
 
-    The errors are those of `iter_messages`.
+    This function raises the same errors as `iter_messages`.
     """
     result = ChunkDefinitions([], [])
     at = 0

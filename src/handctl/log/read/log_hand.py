@@ -7,7 +7,7 @@ from handctl.log.header import RunHeader
 
 
 def described_hand(header: RunHeader, where: str) -> Hand:
-    """Return the hand that a log describes, after a check that description and header have the same names.
+    """Return the hand that a log describes, if its description has the same names as the header.
 
     Args:
         header: header of the log.

@@ -1,8 +1,8 @@
 """Access to a log file that may be truncated, damaged, or malicious.
 
-Every size that the file declares is checked before memory of this size is allocated.
+A size that the file declares is checked before memory of that size is allocated.
 
-Source: faults I08 and I09 in the catalogue of faults.
+Source: the faults of damaged and of malicious log files (I08, I09) in the catalogue of faults.
 """
 
 import os
@@ -26,14 +26,15 @@ MAX_CHUNK_BYTES = 32 << 20
 DAMAGE_ERRORS = (
     ValueError, struct.error, LookupError, TypeError, ArithmeticError, RuntimeError, MemoryError, zstandard.ZstdError,
 )  # fmt: skip
-"""Exceptions that a bad file can cause in the reading code."""
+"""Exceptions that a damaged or malicious file can cause in the code that reads it."""
 
 
 class LogErrorContext:
-    """Context `with LogErrorContext(where)` that turns an error caused by a bad file into a LogError with the position.
+    """Context `with LogErrorContext(where)`.
 
-    A log is read in thousands of pieces, with a context for each piece. Therefore the context is a
-    class, because a generator would be slower.
+    If a bad file causes an error, the context raises a LogError with the position. A log is read in
+    thousands of pieces, and each piece has its own context. Therefore the context is a class,
+    because a generator would be slower.
     """
 
     __slots__ = ("where",)
@@ -43,7 +44,7 @@ class LogErrorContext:
         self.where = where
 
     def __enter__(self) -> None:
-        """Begin to read a piece of the file."""
+        """Enter the context for one piece of the file."""
 
     def __exit__(
         self,
@@ -102,7 +103,8 @@ class LogFile:
         self.name = printable_text(str(path))
         self._latest: tuple[ChunkLocation, bytes] | None = None
         try:
-            # Without O_NONBLOCK, opening a named pipe that nobody writes to would wait without end.
+            # Without O_NONBLOCK, the opening of a named pipe without a writer would wait without
+            # end.
             self._fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK | getattr(os, "O_CLOEXEC", 0))
         except OSError as error:
             raise LogError(f"cannot open: {error.strerror}", self.name, "a log") from error
@@ -150,14 +152,14 @@ class LogFile:
         return value
 
     def chunk_content(self, chunk: ChunkLocation, checked: bool = True) -> bytes:
-        """Return the uncompressed bytes of a chunk, never more than the declared size.
+        """Return the uncompressed bytes of a chunk. The result never exceeds the declared size.
 
         Args:
             chunk: location of the chunk.
-            checked: True to compare the chunk's checksum.
+            checked: True to check the checksum of the chunk.
 
         Raises:
-            LogError: the size or the checksum of the chunk differs from the declared value.
+            LogError: the size or the checksum of the chunk is not the declared one.
         """
         if self._latest and self._latest[0] == chunk:
             return self._latest[1]
@@ -177,8 +179,8 @@ class LogFile:
 
 def _decompress_chunk(packed: bytes, chunk: ChunkLocation) -> bytes:
     """Return the decompressed bytes of a chunk, at most one byte more than the declared size."""
-    # If a chunk is longer than declared, the extra byte reveals it, without decompressing all of
-    # the chunk.
+    # If a chunk is longer than declared, the one extra byte shows it. Then the rest need not be
+    # decompressed.
     if chunk.compression == "lz4":
         return bytes(lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=chunk.size + 1))
     if chunk.compression == "zstd":

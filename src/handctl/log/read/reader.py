@@ -40,7 +40,7 @@ from handctl.printing import printable_text
 Array = NDArray[np.float64]
 
 _MAX_CACHED_TAILS = 1000
-"""Largest number of message ends without events in the cache."""
+"""Largest number of cached message ends. The cache has only ends without events."""
 VALUES_START_OFFSET = 4 + 8 + 8 + 8
 """Offset of the values in a StatisticsValues message [bytes].
 
@@ -52,7 +52,7 @@ VALUES_END_OFFSET = -4
 The field names_version follows the values.
 """
 _CACHE_BYTES = 64 << 20
-"""Largest size of the telemetry that the reader keeps in memory [bytes]."""
+"""Largest amount of telemetry that the reader keeps in memory [bytes]."""
 
 
 def _read_header(scan: RecordScan) -> RunHeader:
@@ -65,17 +65,18 @@ def _read_header(scan: RecordScan) -> RunHeader:
 
 
 _SEQUENCE_MASK = 0xFFFF_FFFF
-"""Mask of the low 32 bits of a tick number. A message has these bits as sequence number."""
+"""Mask of the low 32 bits of a tick number. These bits are the sequence number of a message."""
 
 
 class _ChunkIndex(NamedTuple):
     """Index of the chunks of a log.
 
     Attributes:
-        fixed_parts: (ticks,) first part of each Tick message, which has a constant length.
+        fixed_parts: (ticks,) first part of each Tick message. This part has a constant length.
         first_of_chunk: (chunks + 1,) index of the first tick in each chunk. The last element is the
             number of ticks.
-        snapshots: index of the chunk with each snapshot, by sequence number of the snapshot.
+        snapshots: index of the chunk that contains each snapshot, by sequence number of the
+            snapshot.
     """
 
     fixed_parts: NDArray[np.void]
@@ -86,17 +87,17 @@ class _ChunkIndex(NamedTuple):
 class _SnapshotMapping(Mapping[int, bytes]):
     """Mapping from tick number to the snapshot of the controller's state after this tick.
 
-    A snapshot is read from the file on request, because the snapshots of one day do not fit into
-    memory.
+    Each snapshot is read from the file when it is used, because the snapshots of one day do not fit
+    into memory.
     """
 
     def __init__(self, chunks: dict[int, int], read: Callable[[int, int], bytes]) -> None:
-        """Set the chunk index of each snapshot by tick number, and the function that reads a snapshot."""
+        """Store the index of each snapshot's chunk by tick number, and the function that reads a snapshot."""
         self._chunks = chunks
         self._read = read
 
     def __getitem__(self, k: int) -> bytes:
-        """Read the snapshot of the state after tick k."""
+        """Read the snapshot of the controller's state after tick k."""
         return self._read(k, self._chunks[k])
 
     def __iter__(self) -> Iterator[int]:
@@ -115,7 +116,7 @@ class RunLog:
         header: header of the run: names, period, offset, gains, attachments and others.
         metadata: all metadata records of the file.
         end: data that were recorded at the end of the run (reason, ticks, messages, missed, dropped
-            and others). The mapping is empty if the log was not finished.
+            and others). If the log was not finished, there are none.
         warning: description of a defect of the file, or empty if there is none. The data before the
             defect are complete.
         scan: positions of all records in the file.
@@ -126,8 +127,8 @@ class RunLog:
 
         Args:
             path: path of the log file.
-            checked: True to read the whole file and compare the checksum of the file. With False,
-                only the checksum of each chunk is compared, when the chunk is read.
+            checked: True to read the whole file and check its checksum. With False, only the
+                checksum of each chunk is checked, when that chunk is read.
 
         Raises:
             LogError: the file is not a log of handctl, is damaged, or exceeds a limit. A file that
@@ -172,7 +173,7 @@ class RunLog:
         self._file.close()
 
     def _channels(self) -> tuple[int, int, dict[str, int]]:
-        """Return the channel ids of the ticks and of the telemetry, and those of all topics by name."""
+        """Return the channel id of the ticks, that of the telemetry, and those of all topics by name."""
         with LogErrorContext(self._file.position_text(self._chunks[0].offset)):
             definitions_of_log: ChunkDefinitions = schemas_and_channels(
                 self._file.chunk_content(self._chunks[0])
@@ -183,14 +184,14 @@ class RunLog:
     def _rows(
         self, channel: int, chunks: slice = slice(None)
     ) -> Iterator[tuple[ChunkLocation, MessageRows]]:
-        """Yield the message blocks of a channel, each with the location of the chunk."""
+        """Yield the message blocks of a channel, each with the location of its chunk."""
         for chunk in self._chunks[chunks]:
             yield from ((chunk, rows) for rows in self._rows_of(chunk, channel))
 
     def _rows_of(self, chunk: ChunkLocation, channel: int) -> list[MessageRows]:
         """Return the message blocks of one channel in one chunk.
 
-        The chunk read last is cached, for callers that read several channels of a chunk in turn.
+        The latest chunk stays in memory, for callers that read several channels of a chunk in turn.
         """
         if self._latest is None or self._latest[0] is not chunk:
             content = self._file.chunk_content(chunk)
@@ -203,7 +204,7 @@ class RunLog:
 
     @functools.cached_property
     def _index(self) -> _ChunkIndex:
-        """Return the index of all chunks, built in one pass over the file."""
+        """Read the file once, and return the index of all chunks."""
         parts = [np.empty(0, FIXED_DTYPE)]
         counts = [0]
         snapshots = dict[int, int]()
@@ -228,7 +229,7 @@ class RunLog:
 
     @property
     def _fixed(self) -> NDArray[np.void]:
-        """Return the first part, which has a constant length, of each Tick message (ticks,)."""
+        """Return the first part of each Tick message (ticks,). This part has a constant length."""
         return self._index.fixed_parts
 
     def __len__(self) -> int:
@@ -272,14 +273,14 @@ class RunLog:
 
     @property
     def gaps(self) -> list[TickGap]:
-        """Return the places of the log where ticks are missing."""
+        """Return the gaps of the log, where ticks are missing."""
         at = np.flatnonzero(np.diff(self.k) != 1)
         return [TickGap(int(self.k[i]), int(self.k[i + 1])) for i in at]
 
     def field(self, name: str) -> Array:
         """Return a telemetry field (ticks, n).
 
-        Unknown values are NaN. If the log of an earlier version lacks the field, all values are
+        Unknown values are NaN. If a log of an earlier version lacks the field, all its values are
         NaN.
 
         Args:
@@ -295,7 +296,7 @@ class RunLog:
                 "one of " + ", ".join(TELEMETRY_FIELDS),
             )
         slices = columns_of_fields(self.header, self.fields)
-        if name not in slices:  # a log of an earlier version
+        if name not in slices:  # a log of an earlier version lacks this field
             return np.full((len(self), len(self.names(name))), np.nan)
         if 8 * self._width * len(self) <= _CACHE_BYTES:
             return self._numbers[:, slices[name]]
@@ -305,7 +306,7 @@ class RunLog:
     def fields(self) -> tuple[str, ...]:
         """Return the names of the telemetry fields that the file contains.
 
-        Logs of earlier versions lack the last fields of TELEMETRY_FIELDS.
+        Logs of earlier versions of handctl lack the last fields of TELEMETRY_FIELDS.
         """
         for chunk, rows in self._rows(self._values):
             with LogErrorContext(self._file.position_text(chunk.offset)):
@@ -347,7 +348,10 @@ class RunLog:
     def _values_parts(
         self, chunks: slice = slice(None)
     ) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.uint32]]]:
-        """Yield blocks of telemetry: the bytes of each row (rows, bytes), and the sequence number of each row."""
+        """Yield the telemetry in blocks.
+
+        A block has the bytes of its rows (rows, bytes) and their sequence numbers.
+        """
         size = VALUES_START_OFFSET + 8 * self._width + 4
         for chunk, rows in self._rows(self._values, chunks):
             data = rows.data()
@@ -359,7 +363,7 @@ class RunLog:
     def packed_telemetry(self, chunks: slice = slice(None)) -> Iterator[bytes]:
         """Yield the telemetry of each tick in the layout of `Telemetry.packed`.
 
-        The method holds only a part of the file in memory at a time.
+        At any time, only a part of the file is in memory.
 
         Args:
             chunks: chunks of the file to read, all by default.
@@ -368,7 +372,7 @@ class RunLog:
             yield from (row.tobytes() for row in data)
 
     def tick_messages(self) -> Iterator[bytes]:
-        """Yield the Tick message of each tick as the bytes in the file."""
+        """Yield the bytes of each tick's Tick message, as they are in the file."""
         yield from (message for _, message in self._messages())
 
     def tick_digests(self) -> Iterator[bytes]:
@@ -379,7 +383,7 @@ class RunLog:
 
     @functools.cached_property
     def clock_pairs(self) -> list[ClockPair]:
-        """Return the simultaneous readings of wall clock and monotonic clock, which were recorded every ten seconds.
+        """Return the readings of wall clock and monotonic clock, taken at the same moment every ten seconds.
 
         The log of a lockstep run has no readings of clocks.
         """
@@ -395,9 +399,9 @@ class RunLog:
 
     @functools.cached_property
     def snapshots(self) -> Mapping[int, bytes]:
-        """Return the snapshots of the controller's state by tick number. The log has one for each second.
+        """Return the snapshots of the controller's state, by tick number.
 
-        A snapshot is read from the file on request.
+        A log has one snapshot for each second. Each snapshot is read from the file when it is used.
 
         Logs of earlier versions have no snapshots.
         """
@@ -424,7 +428,7 @@ class RunLog:
         return self.header.axis_names(TELEMETRY_AXES[field])
 
     def _messages(self) -> Iterator[tuple[ChunkLocation, bytes]]:
-        """Yield each Tick message with the location of the chunk."""
+        """Yield each Tick message with the location of its chunk."""
         for chunk, rows in self._rows(self._tick):
             yield from ((chunk, message) for message in rows.messages())
 
@@ -437,7 +441,7 @@ class RunLog:
         return self._index.first_of_chunk
 
     def ticks(self, chunks: slice = slice(None)) -> Iterator[TickRecord]:
-        """Yield the ticks in order, either of all chunks or of the given chunks."""
+        """Yield the ticks of the given chunks in order, by default those of all chunks."""
         for chunk in self._chunks[chunks]:
             with LogErrorContext(self._file.position_text(chunk.offset)):
                 messages = [
@@ -452,7 +456,7 @@ class RunLog:
     def _events_and_phases(self) -> tuple[list[LoggedEvent], list[PhaseChange]]:
         """Return the controller's events, and the starts of the grasp phases.
 
-        If several Tick messages have the same end, this end is decoded only once.
+        An end that several Tick messages share is decoded only once.
         """
         events: list[LoggedEvent] = []
         phases: list[PhaseChange] = []
@@ -478,10 +482,10 @@ class RunLog:
 
     @property
     def events(self) -> list[LoggedEvent]:
-        """Return the controller's events in the order of time."""
+        """Return the controller's events, in the order of their times."""
         return self._events_and_phases[0]
 
     @property
     def phases(self) -> list[PhaseChange]:
-        """Return the starts of the grasp phases in the order of time."""
+        """Return the starts of the grasp phases, in the order of their times."""
         return self._events_and_phases[1]

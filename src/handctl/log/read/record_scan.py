@@ -1,7 +1,7 @@
 """Scan of the outer records of an MCAP file.
 
-The scan does not use the index at the end of the file. The scan compares the checksums of the
-attachments, of the data section and of the summary.
+The scan does not use the index at the end of the file. The scan checks the checksums of the
+attachments, the data section and the summary.
 
 A record consists of opcode u8, length u64, and content. The data section ends with the record
 DataEnd, which has the CRC-32 of all bytes before this record. The summary and the footer follow.
@@ -31,7 +31,7 @@ MAX_METADATA_BYTES = 1 << 20
 MAX_RECORDS = 1000
 """Largest accepted number of attachments.
 
-Metadata, unknown and damaged records have the same limit each.
+The same limit applies to metadata records, to unknown records, and to damaged records.
 """
 MAX_COMPRESSION_RATIO = 64
 """Largest accepted ratio of the uncompressed size of all chunks to the size of the file.
@@ -41,7 +41,7 @@ The log of a hand at rest is compressed to a fifteenth, well within this limit.
 
 _RECORD_STRUCT = struct.Struct("<BQ")
 _CHUNK_STRUCT = struct.Struct("<QQQII")
-"""Layout of a Chunk's start: first and last time [ns], uncompressed size, CRC-32, length of the compression's name."""
+"""Start of a Chunk record: first and last time [ns], uncompressed size, CRC-32, length of the compression's name."""
 _MESSAGE_INDEX_OPCODE = int(Opcode.MESSAGE_INDEX)
 _LENGTHS: dict[int, int] = {
     Opcode.HEADER: 8,
@@ -49,7 +49,7 @@ _LENGTHS: dict[int, int] = {
     Opcode.SCHEMA: 14,
     Opcode.CHANNEL: 16,
 }
-"""Smallest length of a record [bytes], by opcode."""
+"""Smallest valid length of a record [bytes], by opcode."""
 
 
 @dataclass(slots=True)
@@ -109,14 +109,15 @@ class _FieldReader:
 def scan_records(file: LogFile, scan: RecordScan, checked: bool = True, skip: bool = False) -> None:
     """Read the outer records of a file, and add their content to a scan.
 
-    A file that ends early raises no error. `scan.problem` then describes the end, and `scan` has
-    all complete records.
+    A file that ends early raises no error. Then `scan` has all complete records, and `scan.problem`
+    describes where the file ends.
 
     Args:
         file: the MCAP file.
         scan: empty scan to be filled. After an error, the scan has the records before the damage.
-        checked: True to read the whole file and to compare the checksum of the data section.
-        skip: True to skip a damaged record whose end is known, instead of raising an error.
+        checked: True to read the whole file and to check the checksum of the data section.
+        skip: True to skip damaged records whose ends are known. False to raise an error at a
+            damaged record.
 
     Raises:
         LogError: the file is not an MCAP file, is damaged before the end, or exceeds a limit.
@@ -135,7 +136,7 @@ def scan_records(file: LogFile, scan: RecordScan, checked: bool = True, skip: bo
         at = scan.end
         code, length = _RECORD_STRUCT.unpack(file.read_range(at, _RECORD_STRUCT.size))
         end = at + _RECORD_STRUCT.size + length
-        # Opcode 0 is invalid. After a power failure a file may end in zeros.
+        # Opcode 0 is invalid. After a power failure, a file may end in zeros.
         if code == 0 or end > file.size:
             if finished:
                 raise LogError(
@@ -167,7 +168,7 @@ def scan_records(file: LogFile, scan: RecordScan, checked: bool = True, skip: bo
 
 
 def scan_path(path: Path) -> RecordScan:
-    """Return the scan of a file, without comparing the checksum of the data section.
+    """Return the scan of a file. The checksum of the data section is not checked.
 
     The errors are those of `scan_records`.
     """
@@ -216,7 +217,7 @@ def _add_record(file: LogFile, scan: RecordScan, code: int, at: int, end: int) -
 
 
 def _checked_size(size: int, limit: int) -> int:
-    """Return the size of a record, after a comparison with a limit."""
+    """Return the size of a record, if it does not exceed a limit."""
     if size > limit:
         raise ValueError(f"a record of {size} bytes; at most {limit} are allowed")
     return size
@@ -241,7 +242,7 @@ def _decode_chunk_head(file: LogFile, at: int, end: int) -> ChunkLocation:
 
 
 def _decode_attachment(scan: RecordScan, data: bytes) -> None:
-    """Decode an attachment, and compare the checksum."""
+    """Decode an attachment, and check its checksum."""
     fields = _FieldReader(data)
     time_ns = fields.read_number("Q")
     fields.read_number("Q")  # creation time
@@ -249,7 +250,8 @@ def _decode_attachment(scan: RecordScan, data: bytes) -> None:
     media = fields.read_string()
     content = fields.read_bytes(fields.read_number("Q"))
     crc = fields.read_number("I")
-    # The checksum covers all fields before it. Its own four bytes are the last of the attachment.
+    # The checksum covers all fields before it. The checksum itself is in the last four bytes of the
+    # attachment.
     if crc and crc != zlib.crc32(data[: -4 - fields.unread_bytes()]):
         raise ValueError("checksum of an attachment does not match")
     scan.attachments[name] = (media, time_ns, content)
@@ -266,7 +268,7 @@ def _text_map(fields: _FieldReader) -> dict[str, str]:
 
 
 def _check_end(file: LogFile, scan: RecordScan, at: int, end: int, checked: bool) -> None:
-    """Compare the checksums of the data section and of the summary with the content of the file."""
+    """Check the checksums of the data section and of the summary against the content of the file."""
     (crc,) = struct.unpack("<I", file.read_range(at + _RECORD_STRUCT.size, 4))
     if end != at + _RECORD_STRUCT.size + 4 or (checked and crc and crc != file.range_crc(0, at)):
         raise LogError(

@@ -1,4 +1,7 @@
-"""Recovery of a log. The intact parts of a broken file are written into a new, complete file."""
+"""Recovery of a damaged log.
+
+The intact parts of a broken file are copied into a new, complete file.
+"""
 
 import enum
 import os
@@ -17,7 +20,10 @@ from handctl.output import atomic_path
 
 
 class RecoveryStatus(enum.IntEnum):
-    """Result of a recovery. The number of the result is the exit code of the command."""
+    """Result of a recovery.
+
+    The number of the result is the exit code of ``handctl log recover``.
+    """
 
     WHOLE = 0
     """The old file was complete. The new file has the same content."""
@@ -29,7 +35,7 @@ class RecoveryStatus(enum.IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class RecoveryReport:
-    """Report about a recovery.
+    """Report about the recovery of a log.
 
     Attributes:
         status: result of the recovery.
@@ -126,7 +132,7 @@ def _copy_intact_parts(
 
 
 def _end_record(scan: RecordScan, problem: str) -> dict[str, str]:
-    """Return the end record of the new file, with the defect of the old file."""
+    """Return the end record of the new file. The record describes the defect of the old file."""
     end = scan.metadata.get("handctl.end", {"reason": "not closed"})
     return end | {"recovered": problem} if problem else end
 
@@ -161,5 +167,5 @@ def _copy_chunk(file: LogFile, chunk: ChunkLocation, new: McapContainer) -> None
 
 
 def _message_offsets(shape: tuple[int, ...]) -> "np.ndarray[tuple[int], np.dtype[np.uint64]]":
-    """Return the offset of each message in a block of n messages of equal length (n,) [bytes]."""
+    """Return the offsets (n,) of n messages of equal length in their block [bytes]."""
     return np.arange(shape[0], dtype=np.uint64) * np.uint64(shape[1])

@@ -10,9 +10,9 @@ from handctl.core.tick_types import TickEvent
 from handctl.errors import LogError
 
 MAX_PERIODS = 1_000_000
-"""Number of tick periods that every run may last, even if its log has few ticks."""
+"""Number of tick periods that a run may last, even if its log has few ticks."""
 MAX_PERIODS_PER_TICK = 10
-"""Number of further tick periods that a run may last for each tick in its log."""
+"""Number of tick periods by which each tick in the log extends this limit."""
 
 
 class LoggedEvent(NamedTuple):
@@ -24,7 +24,7 @@ class LoggedEvent(NamedTuple):
 
 
 class TickGap(NamedTuple):
-    """Gap in a log where ticks are missing: numbers of the last tick before and of the first tick after the gap."""
+    """Gap in a log, where ticks are missing: number of the last tick before it, and of the first tick after it."""
 
     last_before: int
     first_after: int
@@ -42,7 +42,7 @@ def phase_of_each(changes: Sequence[PhaseChange], k: NDArray[np.int64]) -> NDArr
     """Return the name of the grasp phase in each tick (ticks,).
 
     Args:
-        changes: phase changes in order, the first at the first tick.
+        changes: phase changes in order. The first change is at the first tick.
         k: (ticks,) tick numbers in rising order.
     """
     starts = np.array([change.k for change in changes])
@@ -53,7 +53,7 @@ def phase_of_each(changes: Sequence[PhaseChange], k: NDArray[np.int64]) -> NDArr
 def check_order(t_ns: NDArray[np.int64], period_ns: int) -> None:
     """Raise an error if the times of ticks do not fit a regular time grid.
 
-    If the times in a log are wrong, a time grid over the run could need too much memory.
+    Otherwise a log with wrong times could demand a time grid too large for the memory.
 
     Args:
         t_ns: (ticks,) times of the ticks [ns].

@@ -1,1 +1,1 @@
-"""Topics of a log. The modules convert batches of ticks to blocks of messages."""
+"""Topics of a log. The modules in this folder convert batches of ticks to blocks of messages."""

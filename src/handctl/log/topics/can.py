@@ -1,4 +1,4 @@
-"""Topics with the CAN frames of a run, as can_msgs/Frame and ros2_socketcan_msgs/FdFrame."""
+"""Topics that contain the CAN frames of a run, as can_msgs/Frame and ros2_socketcan_msgs/FdFrame."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,7 +59,7 @@ class _DirectionTopics:
     def blocks(
         self, frames: FrameBatch, stamps: MessageStamps, measured: TimeArray
     ) -> list[MessageBlock]:
-        """Return messages with the given frames as blocks.
+        """Return the given frames as blocks of messages.
 
         Args:
             frames: frames of many ticks.
@@ -88,13 +88,13 @@ class _DirectionTopics:
         stamps: MessageStamps,
         measured: TimeArray,
     ) -> MessageBlock:
-        """Return messages with the given classical CAN frames, in the order of the frames."""
+        """Return a message for each of the given classical CAN frames, in their order."""
         used = np.unique(bus)
         if len(used) == 1:
             return self._streams[int(used[0])].block(stamps, _frame_values(frames), measured)
         records: list[bytes] = [b""] * len(frames)
-        # The bus name is part of the template. If there are several buses, the messages are made
-        # bus by bus, and then put back into the order of the frames.
+        # The name of the bus is part of the template. With several buses, the messages are first
+        # made for each bus, and then sorted into the order of the frames.
         for bus_index in used.tolist():
             indexes = np.flatnonzero(bus == bus_index)
             block = self._streams[bus_index].block(
@@ -113,7 +113,7 @@ class _DirectionTopics:
         stamps: MessageStamps,
         measured: TimeArray,
     ) -> MessageBlock:
-        """Return messages with those of the given frames that are CAN FD frames."""
+        """Return a message for each CAN FD frame among the given frames."""
         records = []
         rest = memoryview(frames.long_data)
         columns = [frames.frames[name].tolist() for name in ("can_id", "length")]
@@ -121,8 +121,8 @@ class _DirectionTopics:
         sequence = stamps.sequence.tolist()
         log = stamps.log_times.tolist()
         times = measured.tolist()
-        # `rest` holds the payload bytes after the eighth of all frames not yet encoded. Classical
-        # frames have no such bytes.
+        # `rest` contains the payload bytes after the eighth of all frames that are not encoded yet.
+        # Classical frames have no such bytes.
         for index, (can_id, length) in enumerate(zip(*columns, strict=True)):
             more = max(length - 8, 0)
             payload = data[8 * index : 8 * index + min(length, 8)] + bytes(rest[:more])
@@ -139,7 +139,7 @@ class _DirectionTopics:
 
 
 def _join_records(channel: int, log_times: TimeArray, records: list[bytes]) -> MessageBlock:
-    """Join Message records to one block, and return the block."""
+    """Join Message records to one block."""
     ends = np.cumsum([0, *map(len, records)], dtype=np.uint64)
     return MessageBlock(channel, b"".join(records), log_times, ends[:-1])
 
@@ -158,10 +158,10 @@ def _frame_values(frames: NDArray[np.void]) -> dict[str, NDArray[np.generic]]:
 
 
 class CanTopics:
-    """Topics /can/rx and /can/tx, and /can/rx_fd and /can/tx_fd for CAN FD frames.
+    """Topics /can/rx and /can/tx for classical CAN frames, /can/rx_fd and /can/tx_fd for CAN FD frames.
 
-    The log time of a message is the time of the tick. Header stamp and publish time are the time of
-    the frame.
+    The log time of a message is the time of its tick. The header stamp and the publish time are the
+    time of the frame.
     """
 
     def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:
@@ -172,9 +172,9 @@ class CanTopics:
         self._offset = header.offset_ns
 
     def blocks(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
-        """Return messages with all frames of a batch of ticks.
+        """Return a message for each frame in a batch of ticks.
 
-        The time of a sent frame is the start of the tick.
+        The time of a sent frame is the start of its tick.
         """
         sent_at = (batch.t_ns + batch.late_ns)[batch.sent.tick_indexes]
         blocks = []

@@ -1,8 +1,8 @@
-"""Topic with simultaneous readings of wall clock and monotonic clock. A message follows every ten seconds.
+"""Topic with readings of wall clock and monotonic clock.
 
-The pairs of readings show whether the wall clock was stepped during the run. Only the recorder
-reads these clocks. The log of a lockstep run has no pairs, because all messages of the log depend
-only on the ticks.
+Every ten seconds, both clocks are read at the same moment. The readings show whether the wall clock
+was stepped during the run. These clocks are read by the recorder, not by the controller. The log of
+a lockstep run has no such readings, because its messages depend on the ticks alone.
 """
 
 import struct
@@ -15,22 +15,22 @@ from handctl.log.topics.message_streams import MessageStamps, TopicRegistry, var
 
 CLOCK_PAIRS_TOPIC = "/clock_pairs"
 PAIR_PERIOD_NS = 10_000_000_000
-"""Interval between pairs of clock readings [ns]."""
+"""Time after which the recorder reads both clocks again [ns]."""
 MIN_STEP_NS = 50_000_000
-"""Smallest reported step of the wall clock [ns].
+"""Smallest step of the wall clock that is reported [ns].
 
 A gradual adjustment (slewing) shifts the wall clock by at most 5 ms in ten seconds (adjtimex: 500
-ppm), and is not reported.
+ppm). Therefore it is not reported.
 """
 _CLOCK_PAIR_STRUCT = struct.Struct("<4xII8xqq")
 """Layout of a message: encapsulation, stamp, empty frame_id with padding, readings of both clocks."""
 
 
 class ClockPair(NamedTuple):
-    """Readings of wall clock and monotonic clock at the same time.
+    """Readings of wall clock and monotonic clock, taken at the same moment.
 
     Attributes:
-        t_ns: time of the last tick before the pair, since the start of the run [ns].
+        t_ns: time of the last tick before the readings, since the start of the run [ns].
         wall_ns: reading of the wall clock as UNIX time [ns].
         monotonic_ns: reading of CLOCK_MONOTONIC [ns].
     """
@@ -41,10 +41,10 @@ class ClockPair(NamedTuple):
 
 
 class ClockStep(NamedTuple):
-    """Step of the wall clock between two pairs of readings.
+    """Step of the wall clock between two readings of both clocks.
 
     Attributes:
-        t_s: time of the pair after the step, since the start of the run [s].
+        t_s: time of the first readings after the step, since the start of the run [s].
         step_s: size of the step [s].
     """
 
@@ -53,14 +53,14 @@ class ClockStep(NamedTuple):
 
 
 class ClockTopic:
-    """Topic with the pairs of clock readings of a run."""
+    """Topic with the readings of both clocks during a run."""
 
     def __init__(self, registry: TopicRegistry) -> None:
         """Register the topic."""
         self._channel = registry.register_topic(CLOCK_PAIRS_TOPIC, "handctl_msgs/ClockPair")
 
     def block(self, stamps: MessageStamps, wall_ns: int, monotonic_ns: int) -> MessageBlock:
-        """Return the message with one pair of clock readings."""
+        """Return the message that contains a reading of each clock."""
         out = CdrWriter()
         t_ns = int(stamps.log_times[0])
         out.put_number("I", t_ns // 10**9)
@@ -72,7 +72,7 @@ class ClockTopic:
 
 
 def decode_clock_pair(message: bytes, offset_ns: int) -> ClockPair:
-    """Decode a message that contains a pair of clock readings.
+    """Decode a message with readings of wall clock and monotonic clock.
 
     Raises:
         struct.error: the message is too short.
@@ -82,7 +82,7 @@ def decode_clock_pair(message: bytes, offset_ns: int) -> ClockPair:
 
 
 def clock_steps(pairs: Iterable[ClockPair]) -> Iterator[ClockStep]:
-    """Yield the steps of the wall clock, found by comparison with the monotonic clock."""
+    """Compare the wall clock with the monotonic clock, and yield the steps of the wall clock."""
     before: ClockPair | None = None
     for pair in pairs:
         if before is not None:

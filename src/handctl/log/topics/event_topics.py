@@ -1,4 +1,4 @@
-"""Topics that get a message at each change: log lines, gains, grasp phase, mode of the hand, safety action."""
+"""Topics with a message for each log line, and for each change of gains, grasp phase, mode or safety action."""
 
 import math
 from collections.abc import Iterator
@@ -21,7 +21,7 @@ LOG_LEVEL_NUMBERS = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 
 """Number of each level of a log line in rcl_interfaces/Log."""
 _DOUBLE_PARAMETER_TYPE = 3
 _STRING_PARAMETER_TYPE = 4
-"""Values of rcl_interfaces/ParameterType that the gains use."""
+"""The values of rcl_interfaces/ParameterType that messages about gains contain."""
 
 
 def _stamped_writer(t_ns: int) -> CdrWriter:
@@ -45,7 +45,10 @@ def encode_rosout(t_ns: int, level: str, name: str, text: str) -> bytes:
 
 
 def _append_parameter(out: CdrWriter, name: str, value: str) -> None:
-    """Append a gain as rcl_interfaces/Parameter. A text that is a number is written as a double."""
+    """Append a gain as rcl_interfaces/Parameter.
+
+    If its text is a number, it is written as a double.
+    """
     try:
         number = float(value)
     except ValueError:
@@ -65,7 +68,7 @@ def _append_parameter(out: CdrWriter, name: str, value: str) -> None:
 def encode_parameter_event(t_ns: int, new: dict[str, str], changed: dict[str, str]) -> bytes:
     """Encode new and changed gains as rcl_interfaces/ParameterEvent.
 
-    A text that is a number is written as a double.
+    If the text of a gain is a number, it is written as a double.
     """
     out = _stamped_writer(t_ns)
     out.put_string("/handctl")
@@ -87,13 +90,13 @@ def encode_labelled_number(t_ns: int, number: int, name: str) -> bytes:
 
 
 def _changed_indexes(values: list[tuple[int, str]], last: tuple[int, str] | None) -> list[int]:
-    """Return the indexes of the values that differ from the previous value."""
+    """Return the index of each value that differs from the value before it."""
     before = [last, *values[:-1]]
     return [index for index, value in enumerate(values) if value != before[index]]
 
 
 class EventTopics:
-    """Topics for events as log lines, and for changes of grasp phase, mode, safety action and gains."""
+    """Topics for events, as log lines, and for changes of the grasp phase, mode, safety action and gains."""
 
     def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:
         """Register the topics."""
@@ -138,7 +141,7 @@ class EventTopics:
         return [block for block in [*blocks, *self._line_messages(batch, stamps)] if block.data]
 
     def _line_messages(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
-        """Return the messages with the log lines and with the changes of gains in a batch of ticks."""
+        """Return the messages for the log lines and changed gains in a batch of ticks."""
         at: list[int] = []
         lines: list[bytes] = []
         gains_at = []
@@ -164,12 +167,12 @@ def _index_array(values: list[int]) -> NDArray[np.intp]:
 
 
 def _log_lines(tick: TickRecord) -> Iterator[tuple[str, str, str]]:
-    """Yield level, name and text of each log line for a tick."""
+    """Yield the level, name and text of each log line of a tick."""
     for io_event in tick.tick_in.io_events:
         number = f" ({io_event.number})" if io_event.number != 1 else ""
         yield "warn", "io", " ".join(filter(None, (io_event.kind, io_event.where))) + number
     for request in tick.tick_in.requests:
-        if not is_routine_request(request):  # Streamed targets have a separate topic.
+        if not is_routine_request(request):  # Streamed targets have a topic of their own.
             yield "info", "request", request
     for event in tick.events:
         yield event.level, event.name, f"{event.where}: {event.text}" if event.where else event.text

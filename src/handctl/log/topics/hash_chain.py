@@ -1,8 +1,8 @@
 """Hash chain over the ticks of a log. If a byte of a tick is changed, the chain breaks at this tick.
 
-The chain detects damage to the log and exchanged attached files. The chain is not a signature,
-because an attacker can compute all later hashes again. The last hash is in the end record of the
-log. Whoever keeps a copy of this hash in another place can detect any change of the log.
+The chain detects damage to the log, and attached files that were exchanged. The chain is not a
+signature, because an attacker can compute all later hashes again. The last hash is in the end
+record of the log. With a copy of this hash in another place, any change of the log can be detected.
 """
 
 import hashlib
@@ -27,7 +27,7 @@ def first_hash(
 ) -> bytes:
     """Compute the hash with which the chain begins.
 
-    The hash covers all data of the header except data about machine and date.
+    The hash covers all data of the header, except those about the machine and the date.
     """
     digest = hashlib.blake2b(digest_size=HASH_SIZE)
     texts = {
@@ -35,7 +35,7 @@ def first_hash(
         for group, table in (("m", metadata), ("g", gains))
         for name, text in table.items()
     }
-    # Name and length precede each text, so that two different sets of texts never give the same
+    # Each text follows its name and length, so that different sets of texts never give the same
     # bytes.
     for name, data in sorted(
         (texts | {f"a.{name}": data for name, data in attachments.items()}).items()

@@ -1,4 +1,4 @@
-"""Topics for diagnostics of motors, buses and controller, and for motor temperatures."""
+"""Topics for the diagnostics of motors, buses and the controller, and for the temperatures of motors."""
 
 from dataclasses import dataclass, field
 
@@ -69,8 +69,8 @@ def encode_diagnostic_array(t_ns: int, statuses: list[DiagnosticStatus]) -> byte
 def temperature_template() -> MessageTemplate:
     """Return the template of a sensor_msgs/Temperature message with unknown variance.
 
-    The frame_id is that of the palm, because the motors are mounted behind the palm. With a frame
-    that is not in /tf, the viewer Rerun would find several root frames and show no hand.
+    The frame_id of the message is that of the palm, because the motors are mounted behind the palm.
+    If its frame were not in /tf, the viewer Rerun would find several root frames and show no hand.
     """
     out = TemplateWriter()
     out.put_header(ROOT_FRAME)
@@ -82,8 +82,8 @@ def temperature_template() -> MessageTemplate:
 class HealthTopics:
     """Topics with the status of motors, buses and controller, and with the temperatures of the motors.
 
-    A status message is written every second, and at each change of the mode, of the safety action,
-    or of a drive's state.
+    A status message is written every second. A change of the mode, of the safety action or of a
+    drive's state also writes one.
     """
 
     def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:
@@ -129,7 +129,7 @@ class HealthTopics:
         return blocks
 
     def _temperature_runs(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
-        """Return the temperature messages, made from the first tick in each interval."""
+        """Return the temperature messages. Each has the values of the first tick in an interval."""
         periods = batch.t_ns // TEMPERATURE_PERIOD_NS
         selected = np.flatnonzero(np.diff(periods, prepend=self._last_temperature))
         self._last_temperature = int(periods[-1])
@@ -144,8 +144,8 @@ class HealthTopics:
 
     def _status_ticks(self, batch: TickBatch) -> NDArray[np.intp]:
         """Return the indexes of the ticks that get a status message."""
-        # NaN differs from itself. An unknown state of a drive would therefore count as a change in
-        # every tick.
+        # NaN is not equal to NaN. Without this line, an unknown state of a drive would count as a
+        # change in every tick.
         phases = np.nan_to_num(batch.numbers[:, self._columns["drive_phase"]], nan=-1.0)
         state = np.column_stack([batch.mode, batch.action, phases])
         last_state, last_period = self._last
@@ -156,7 +156,7 @@ class HealthTopics:
         return np.flatnonzero(changed | (np.diff(periods, prepend=last_period) != 0))
 
     def _count_frames(self, batch: TickBatch, start: int, end: int) -> None:
-        """Count the frames and io events of the ticks with index `start` up to, but not including, `end`."""
+        """Count the frames and io events of the ticks with indexes from `start` to `end` - 1."""
         for direction, frames in enumerate((batch.received, batch.sent)):
             first, last = np.searchsorted(frames.tick_indexes, (start, end))
             bus = np.bincount(frames.frames["bus"][first:last], minlength=len(self._frames))

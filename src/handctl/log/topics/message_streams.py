@@ -1,4 +1,4 @@
-"""Channels of a log, and encoding of many messages of a channel at once."""
+"""Channels of a log. Many messages of a channel are encoded at once."""
 
 from dataclasses import dataclass, field
 
@@ -26,7 +26,10 @@ Durability 1 is transient_local, 2 is volatile.
 
 @dataclass(slots=True)
 class TopicRegistry:
-    """Registry of schemas and channels. Both are numbered in the order of registration."""
+    """Registry of the schemas and channels of a log.
+
+    Both are numbered in the order of registration.
+    """
 
     schemas: dict[str, Schema] = field(default_factory=dict)
     channels: dict[str, Channel] = field(default_factory=dict)
@@ -39,7 +42,7 @@ class TopicRegistry:
         Args:
             topic: name of the topic.
             message_type: message type, for example "sensor_msgs/JointState".
-            latched: True for a topic with a single message, written at the start of the run.
+            latched: True for a topic whose single message is written at the start of the run.
             note: note about the topic, for the channel's metadata.
         """
         if message_type not in self.schemas:
@@ -71,7 +74,7 @@ class MessageStamps:
     sequence: NDArray[np.uint32]
 
     def selected(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> "MessageStamps":
-        """Return the log times and sequence numbers of the selected messages."""
+        """Return the log times and sequence numbers of some of the messages."""
         return MessageStamps(self.log_times[index], self.sequence[index])
 
 
@@ -80,7 +83,7 @@ def stamps_at(log_ns: int, k: int) -> MessageStamps:
 
     Args:
         log_ns: log time of the message [ns].
-        k: number of the message's tick.
+        k: number of the tick to which the message belongs.
     """
     return MessageStamps(np.array([log_ns], np.uint64), np.array([k & 0xFFFF_FFFF], np.uint32))
 
@@ -94,7 +97,7 @@ class MessageStream:
     """Channel whose messages have a constant layout."""
 
     def __init__(self, channel: int, template: MessageTemplate) -> None:
-        """Build the layout of a Message record: 31 bytes of header, and the template."""
+        """Build the layout of a Message record: a header of 31 bytes, then the template."""
         self._channel = channel
         self._stamps = len(template.stamp_offsets)
         # Opcode 5 marks a Message record. The length field counts the bytes that follow it: 22
@@ -123,11 +126,12 @@ class MessageStream:
         Args:
             stamps: log times and sequence numbers of the messages.
             values: values of the variable fields by name, each (n, size of the field).
-            measured: (n,) times of measurement of the values, unless equal to the log times [ns].
+            measured: (n,) times at which the values were measured [ns]. By default, they are the
+                log times.
         """
         number = len(stamps.log_times)
-        # All messages are copies of the template. A structured array writes each variable field in
-        # one assignment.
+        # All messages begin as copies of the template. With a structured array, one assignment then
+        # writes a field of all messages.
         rows = np.frombuffer(bytearray(self._record * number), self._dtype)
         measured = stamps.log_times if measured is None else measured
         rows["sequence"] = stamps.sequence
@@ -145,7 +149,7 @@ class MessageStream:
 def variable_length_block(
     channel: int, stamps: MessageStamps, messages: list[bytes]
 ) -> MessageBlock:
-    """Join messages of variable length to a block, and return the block."""
+    """Join messages of variable length to one block."""
     parts = []
     for sequence, t_ns, message in zip(
         stamps.sequence.tolist(), stamps.log_times.tolist(), messages, strict=True

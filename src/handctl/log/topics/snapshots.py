@@ -1,6 +1,6 @@
-"""Topic with a snapshot of the controller's state every second.
+"""Topic with a snapshot of the controller's state for every second of a run.
 
-A re-execution of a log can start at any snapshot.
+A log can be executed again from any snapshot.
 """
 
 import struct
@@ -37,7 +37,7 @@ class SnapshotTopic:
         self._channel = registry.register_topic(SNAPSHOT_TOPIC, "handctl_msgs/Snapshot")
 
     def block(self, t_ns: int, snapshot: ControllerSnapshot) -> MessageBlock:
-        """Return the message with one snapshot.
+        """Return the message that contains a snapshot.
 
         Args:
             t_ns: log time of the tick [ns].
@@ -55,7 +55,7 @@ class SnapshotTopic:
 
 
 def decode_snapshot(message: bytes) -> ControllerSnapshot:
-    """Decode a message with a snapshot.
+    """Decode a message that contains a snapshot.
 
     Raises:
         struct.error: the message is too short.

@@ -27,7 +27,7 @@ JOINT_STATE_TOPICS = {
 }
 """Telemetry axis of each JointState topic, and the telemetry fields for position, velocity and effort, by topic.
 
-If the field for an array is empty, so is the array in the message, as ROS 2 permits.
+If no telemetry field is given for an array, the array is empty in the message, as ROS 2 permits.
 """
 
 ESTIMATE_TOPICS = {
@@ -35,9 +35,9 @@ ESTIMATE_TOPICS = {
     "/joint_estimate": ("q", "rad"),
     "/tip_force_estimate": ("tip_force", "N"),
 }
-"""Telemetry field, and unit of the field, for each topic with estimates.
+"""Telemetry field and unit of each topic with estimates.
 
-Each of these fields has a standard deviation.
+The telemetry also has a standard deviation for each of these fields.
 """
 
 SPOOL_PAIRS_TOPIC = "/spool_pairs"
@@ -60,9 +60,9 @@ _TOPIC_NOTES = {
 
 
 def moment_arms(header: RunHeader) -> FloatArray:
-    """Return the moment arms R (N, J) of the tendons of the hand that a header describes [m].
+    """Return the moment arms R (N, J) of a hand's tendons [m].
 
-    A moment arm that depends on the joint angle is replaced by the mean over the joint's range.
+    If a moment arm depends on the joint angle, R contains its mean over the range of the joint.
     """
     return _hand_of(header).moment_arms
 
@@ -102,7 +102,7 @@ def wrench_template(frame_id: str) -> MessageTemplate:
 
 
 def statistics_values(number: int) -> MessageTemplate:
-    """Return the template of a pal_statistics_msgs/StatisticsValues with `number` values and names_version 1."""
+    """Return the template of a pal_statistics_msgs/StatisticsValues with names_version 1 and `number` values."""
     out = TemplateWriter()
     out.put_header()
     out.put_float_sequence("values", number)
@@ -151,7 +151,7 @@ def names_message(header: RunHeader, seconds: int, nanoseconds: int) -> bytes:
 
 
 class StateTopics:
-    """Topics of joints, tendons, actuators, contacts and loop timing."""
+    """Topics for joints, tendons, actuators, contacts and the timing of the control loop."""
 
     def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:
         """Register the topics for the hand that a header describes."""
@@ -225,8 +225,8 @@ class StateTopics:
             )
         for index, stream in enumerate(self._wrenches):
             force = np.zeros((len(batch.k), 3))
-            # The object pushes the tip against its closing direction +y. The expression `0.0 -`
-            # gives 0.0 where a minus sign alone would give -0.0.
+            # The object pushes the tip against the direction +y in which the tip closes. The
+            # expression `0.0 -` avoids -0.0.
             force[:, 1] = 0.0 - part["tip_force"][:, index]
             blocks.append(stream.block(stamps, {"force": force}))
         blocks.append(self._values.block(stamps, {"values": batch.numbers}))
@@ -241,8 +241,8 @@ class StateTopics:
     def _tendon_torque(self, tension: FloatArray, q: FloatArray) -> FloatArray:
         """Return the joint torques R^T f (n, J) from the tensions f at joint angles q [N m].
 
-        The sum is computed in a fixed order. The order of additions in a matrix product may depend
-        on n, and so would the result.
+        The sum is computed in a fixed order. In a matrix product, the order of additions may depend
+        on n, and therefore the rounding of the result too.
         """
         torque = np.zeros((len(tension), self._arms.shape[1]))
         arms = (
@@ -278,8 +278,7 @@ class StateTopics:
         before = np.concatenate([[first_start], start[:-1]])
         period = np.where(before < 0, np.nan, (start - before) * 1e-9)
         missed = np.clip(np.diff(batch.k, prepend=first_k) - 1, 0, 2**32 - 1)
-        # The smallest int64 marks a tick in which no reply arrived. The time of its last reply
-        # becomes NaN.
+        # The smallest int64 stands for a tick in which no reply arrived. This time becomes NaN.
         latest = np.full(len(start), np.iinfo(np.int64).min)
         np.maximum.at(latest, batch.received.tick_indexes, batch.received.frames["t_ns"])
         received = (latest > np.iinfo(np.int64).min) & (before >= 0)

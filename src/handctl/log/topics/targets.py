@@ -19,9 +19,9 @@ from handctl.programs.requests import (
 
 
 class TargetTopic:
-    """Topic with one message per streamed target.
+    """Topic with a message for each streamed target.
 
-    Malformed targets appear only in the topic `/tick`.
+    Malformed targets do not appear here, but in the topic `/tick`.
     """
 
     def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:
@@ -31,7 +31,7 @@ class TargetTopic:
         self._names: dict[str, tuple[str, ...]] = {}
 
     def blocks(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
-        """Return messages with the streamed targets in a batch of ticks."""
+        """Return a message for each streamed target in a batch of ticks."""
         at = list[int]()
         messages = list[bytes]()
         for index, tick in batch.ticks_with_events.items():
@@ -47,7 +47,8 @@ class TargetTopic:
     def _targets_among(self, requests: tuple[str, ...]) -> Iterator[StreamTarget]:
         """Yield the streamed targets among some requests.
 
-        A request that opens a stream names the values of all later targets of this stream.
+        The request that opens a stream gives the names of the values in all later targets of this
+        stream.
         """
         for text in requests:
             if not is_stream_target(text):

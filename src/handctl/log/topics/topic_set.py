@@ -27,14 +27,14 @@ TICK_TOPIC = "/tick"
 VALUES_TOPIC = "/controller/values"
 """Names of the two topics that the log reader needs: ticks and telemetry.
 
-The messages of nearly all other topics are derived from these two and from the header.
+Nearly all other topics can be computed from these topics and from the header.
 """
 
 
 class TopicSet:
     """Converter from ticks to the messages of all topics.
 
-    The messages do not depend on how the ticks are divided into batches.
+    The division of the ticks into batches has no effect on the messages.
     """
 
     def __init__(self, header: RunHeader) -> None:
@@ -94,7 +94,7 @@ class TopicSet:
         return self._chain.last_hash
 
     def clock_pair(self, t_ns: int, k: int, wall_ns: int, monotonic_ns: int) -> MessageBlock:
-        """Return a message with a reading of wall clock and monotonic clock.
+        """Return a message with a reading of the wall clock and of the monotonic clock.
 
         Args:
             t_ns: time of the tick since the start of the run [ns].
@@ -120,8 +120,8 @@ class TopicSet:
             variable_length_block(self._tick, stamps, batch.messages),
             *self._chain.blocks(batch, stamps),
         ]
-        # The numbers of a failing controller may overflow in these calculations. The log keeps the
-        # results as they are.
+        # If the controller fails, its numbers may overflow in these calculations. The log stores
+        # such results as they are.
         with np.errstate(all="ignore"):
             for part in self._parts:
                 blocks += part.blocks(batch, stamps)

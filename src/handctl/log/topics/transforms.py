@@ -1,6 +1,6 @@
 """Topics with the transforms between the links of the hand.
 
-So a viewer need not know the hand's kinematics.
+With these topics, a viewer needs no knowledge of the hand's kinematics.
 """
 
 import math
@@ -17,9 +17,9 @@ from handctl.log.tick_batch import TickBatch, columns_of_fields
 from handctl.log.topics.message_streams import MessageStamps, MessageStream, TopicRegistry
 
 TRANSFORM_PERIOD_NS = 20_000_000
-"""Interval between messages with transforms [ns]. 50 Hz is enough for a viewer."""
+"""Interval between messages with transforms [ns]. This rate of 50 Hz is enough for a viewer."""
 ROOT_FRAME = "palm"
-"""Name of the frame that is the root of all link frames."""
+"""Name of the frame to which all link frames lead back."""
 DEFAULT_JOINT_AXIS = (0.0, 0.0, 1.0)
 PRISMATIC_JOINT_AXIS = (0.0, 1.0, 0.0)
 """Axes of a hinge, and of a prismatic joint, for which the hand file gives no ``joint_axis``."""
@@ -29,11 +29,11 @@ class LinkFrame(NamedTuple):
     """Frame of a link, relative to the parent link.
 
     Attributes:
-        parent, child: names of the parent's frame and of the link's own frame.
+        parent, child: name of the parent link's frame, and name of this link's frame.
         position: (3,) origin of the child in the parent [m].
         rotation: (4,) quaternion x, y, z, w of the child at joint angle zero.
         axis: (3,) joint axis as a unit vector in the child frame.
-        joint: index of the joint that moves the link, -1 if the link is fixed to the parent.
+        joint: index of the joint that moves the link, or -1 if the link is fixed to its parent.
         is_prismatic: True if the link slides along the axis.
     """
 
@@ -60,7 +60,7 @@ def quaternion_of_rpy(roll: float, pitch: float, yaw: float) -> tuple[float, ...
 def link_frames(hand_toml: str) -> list[LinkFrame]:
     """Return the link frames of a hand.
 
-    Their names are `palm`, `<digit>_link<i>` and `<digit>_tip`.
+    The names of the frames are `palm`, `<digit>_link<i>` and `<digit>_tip`.
     """
     frames = []
     tips: dict[str, str] = {}
@@ -144,9 +144,9 @@ def _transform_stream(channel: int, some: list[LinkFrame]) -> MessageStream:
 
 
 class TfTopics:
-    """Topics /tf_static, written once, and /tf, written at 50 Hz.
+    """Topics /tf_static, which is written once, and /tf, which is written at 50 Hz.
 
-    An unknown joint angle gives a rotation of NaN.
+    If a joint angle is unknown, the rotation is NaN.
     """
 
     def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:

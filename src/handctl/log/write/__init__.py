@@ -1,1 +1,4 @@
-"""Writing of logs: the recorder process that writes the file, and the controller's end of the pipe to the recorder."""
+"""Writing of logs.
+
+A recorder process writes the file, and the controller sends records to it through a pipe.
+"""

@@ -1,6 +1,6 @@
 """The controller's end of the pipe to the recorder process.
 
-The controller sends a record without waiting.
+In real time, the controller sends a record without waiting.
 """
 
 import fcntl
@@ -30,24 +30,24 @@ from handctl.log.write.recorder_start import RecorderProcess, take_recorder_proc
 PIPE_BYTES = (8 << 20, 1 << 20)
 """Sizes to request for the pipe to the recorder, in order of preference [bytes].
 
-Linux grants the second size without privileges. A pipe of this size holds more than 250 ticks of
-the largest hand.
+Linux grants the second size without privileges. A pipe of this size can contain more than 250 ticks
+of the largest hand.
 """
 MIN_FREE_DISK_BYTES = 64 << 20
 """Free disk space below which a log is finished early [bytes].
 
-Below four times this value, the recorder gives a warning.
+The recorder warns when the free space is below four times this value.
 """
 START_TIMEOUT_S = 60.0
-"""Longest wait for the recorder at the start of a run [s]."""
+"""Longest wait until the recorder is ready at the start of a run [s]."""
 CLOSE_TIMEOUT_S = 20.0
-"""Longest wait for the recorder at the end of a run [s]."""
+"""Longest wait until the recorder has finished the log at the end of a run [s]."""
 LOCKSTEP_TIMEOUT_S = 60.0
-"""Longest wait for the recorder to accept one record of a lockstep run [s]."""
+"""Longest wait until the recorder accepts one record of a lockstep run [s]."""
 
 
 def _enlarge_pipe(descriptor: int) -> int:
-    """Request a larger size for a pipe, and return the size that the pipe has now [bytes]."""
+    """Request a larger size for a pipe, and return the size that the system has granted [bytes]."""
     for size in PIPE_BYTES if hasattr(fcntl, "F_SETPIPE_SZ") else ():
         with suppress(OSError):
             return fcntl.fcntl(descriptor, fcntl.F_SETPIPE_SZ, size)
@@ -55,7 +55,7 @@ def _enlarge_pipe(descriptor: int) -> int:
 
 
 class Recorder:
-    """Connection of the controller to a running recorder process, see `start`.
+    """Connection of the controller to a running recorder process. The method `start` creates it.
 
     Attributes:
         dropped: number of records that were lost because the pipe was full or the recorder process
@@ -88,9 +88,9 @@ class Recorder:
 
     @classmethod
     def start(cls, path: Path, header: RunHeader, floor_bytes: int = MIN_FREE_DISK_BYTES) -> Self:
-        """Start recording, in a recorder process started ahead or in a new process.
+        """Start recording, and wait until the header is in the log file.
 
-        Wait until the header is in the log file.
+        A recorder process that was started ahead is used if there is one.
 
         Args:
             path: path of the new log file.
@@ -171,7 +171,7 @@ class Recorder:
             data: encoded record, such as `record.pack_tick_record` returns.
 
         Returns:
-            False if the record was dropped.
+            True if the record was sent, False if it was dropped.
         """
         if self._ended:
             self.dropped += 1
@@ -181,8 +181,8 @@ class Recorder:
             self.dropped += self._ended
             return not self._ended
         try:
-            # If the last record was written only in part, its rest must be written first. Otherwise
-            # the recorder could not find where the next record starts.
+            # If only a part of the last record was written, its rest must be written first.
+            # Otherwise the recorder could not find the start of the next record.
             if self._rest:
                 self._rest = self._rest[os.write(self._pipe, self._rest) :]
             if not self._rest:
@@ -196,7 +196,9 @@ class Recorder:
         return False
 
     def take_events(self) -> tuple[IoEvent, ...]:
-        """Return the events of the recorder since the last call. Their kind is "recorder".
+        """Return the events of the recorder since the last call.
+
+        All these events have the kind "recorder".
 
         `where` is one of:
             dropped: records were dropped. Value: their number.
@@ -232,8 +234,8 @@ class Recorder:
     def _filling_event(self) -> list[IoEvent]:
         """Return an event if the pipe has become more than half full since the last call.
 
-        A deterministic run never gets this event. Such a run waits while the pipe is full, and the
-        filling depends on the machine.
+        A deterministic run never gets this event, because the filling of the pipe depends on the
+        machine. Such a run waits while the pipe is full.
         """
         if self._lossless:
             return []
@@ -244,7 +246,7 @@ class Recorder:
         return [IoEvent("recorder", "filling", waiting)] if self._filling and not was else []
 
     def _read_notes(self, timeout_s: float) -> None:
-        """Read all notes that the recorder process has sent.
+        """Read all notes that the recorder process has sent to the controller.
 
         Args:
             timeout_s: longest wait for the first note [s].
@@ -267,11 +269,11 @@ class Recorder:
 
         Args:
             reason: reason for the end of the run, for the log.
-            facts: facts for the log that are known only at the end of the run, by name.
+            facts: facts for the log that become known at the end of the run, by name.
 
         Returns:
-            summary with path, bytes, complete and dropped. If the recorder has finished, the
-            summary also has ticks, messages, lost and reason.
+            summary with path, bytes, complete and dropped. If the recorder has finished the log, it
+            also has ticks, messages, lost and reason.
         """
         body = json.dumps(
             {"reason": reason, "dropped": self.dropped, "facts": dict(facts or {})}

@@ -31,26 +31,28 @@ from handctl.log.write.syncer import DiskSyncer
 from handctl.log.write.writer import LogWriter
 
 READ_BYTES = 1 << 20
-"""Largest size of one read from the pipe [bytes]."""
+"""Largest number of bytes that one read takes from the pipe."""
 WRITE_PAUSE_S = 0.01
 """Pause after a read that returned few bytes [s].
 
-After the pause, one read gets the records of several ticks. The pipe is still far from full then.
+After the pause, one read returns the records of several ticks. During the pause, the pipe never
+comes close to full.
 """
 PAUSE_BELOW_BYTES = 64 << 10
-"""Size of a read below which a pause follows [bytes]."""
+"""Number of bytes below which a pause follows a read."""
 MAX_UNWRITTEN_S = 0.15
-"""Longest time from the arrival of a tick until the tick is in the file, in real time [s].
+"""Longest time for which a tick waits to be written to the file, in real time [s].
 
-With the pause, the write and the delays of a busy machine, a recorder that is killed loses less
-than 0.25 s of ticks.
+The pause, the write and the delays of a busy machine add to this time. In all, a recorder that is
+killed loses less than 0.25 s of ticks.
 """
 SYNC_PERIOD_S = 1.0
-"""Interval between requests to sync the file to disk [s]."""
+"""Interval between two requests to sync the file to disk [s]."""
 RECORDER_NICE_VALUE = -10
-"""Nice value of the recorder process, for a higher priority than other programs if the system permits it.
+"""Nice value of the recorder process.
 
-The control loop has real-time priority, which is higher still.
+If the system permits it, the recorder has a higher priority than other programs. The control loop
+has real-time priority, which is higher still.
 """
 
 
@@ -75,11 +77,11 @@ class RecordSplitter:
     """
 
     def __init__(self) -> None:
-        """Start with an empty rest. The stream must begin at the start of a record."""
+        """Create the splitter. The stream must begin at the start of a record."""
         self._rest = b""
 
     def split(self, data: bytes) -> Iterator[tuple[int, bytes]]:
-        """Add bytes of the stream, and yield kind and body of each record that is complete now."""
+        """Add bytes of the stream. Yield the kind and body of each record that they complete."""
         data = self._rest + data
         at = 0
         while at + RECORD_FRAMING_STRUCT.size <= len(data):
@@ -125,8 +127,8 @@ class RecorderSession:
             now = time.monotonic()
             if self._writer and self._wall_flush and now >= clean + MAX_UNWRITTEN_S:
                 self._writer.flush()
-            # `clean` is the last time at which no tick was waiting to be written. So
-            # MAX_UNWRITTEN_S counts from the oldest waiting tick.
+            # `clean` is the last time at which no tick was waiting to be written. Therefore
+            # MAX_UNWRITTEN_S counts from the arrival of the oldest waiting tick.
             if not (self._writer and self._writer.has_pending_ticks):
                 clean = now
             if self._writer and now >= next_sync:
@@ -160,7 +162,7 @@ class RecorderSession:
 
 
 def main() -> int:
-    """Run the recorder process, and return the exit code.
+    """Run the recorder process, and return its exit code.
 
     The code is 1 if the log file cannot be created.
     """

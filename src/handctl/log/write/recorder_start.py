@@ -1,8 +1,8 @@
-"""Start of the recorder process. The process can start before the run to be recorded is known.
+"""Start of the recorder process, possibly before the run to be recorded is known.
 
-The recorder process needs half a second for imports. A command with a recording starts the recorder
-process before importing other modules (`recorder_process_ahead`). Then both processes import at the same
-time on two cores. This module therefore imports only a few modules.
+The recorder process needs half a second for its imports. A command that records a run starts it
+before importing other modules (`recorder_process_ahead`). Then both processes import at the same
+time, on two cores. For this reason, this module itself imports only a few modules.
 """
 
 import os
@@ -14,10 +14,10 @@ from typing import NamedTuple
 
 
 class RecorderProcess(NamedTuple):
-    """Recorder process that does not have a log file yet.
+    """Recorder process that has no log file yet.
 
     Attributes:
-        child: the process. The stdout of the process is a pipe with notes to the controller.
+        child: the process. The stdout of this process is a pipe with notes to the controller.
         pipe: file descriptor of the pipe into which the controller writes records.
     """
 
@@ -34,9 +34,9 @@ class RecorderProcess(NamedTuple):
 
 
 _started_ahead: list[RecorderProcess] = []
-"""Recorder process that `recorder_process_ahead` has started and that no recorder has taken yet.
+"""Recorder process that `recorder_process_ahead` has started, until a recorder takes it.
 
-The list is empty without one.
+The list has at most this one element.
 """
 
 
@@ -61,7 +61,7 @@ def start_recorder_process() -> RecorderProcess:
 def recorder_process_ahead() -> Iterator[None]:
     """Start a recorder process for the first recorder in this block.
 
-    A process that no recorder has taken is ended at the end of the block.
+    If no recorder takes it, it is ended at the end of the block.
     """
     _started_ahead.append(start_recorder_process())
     try:

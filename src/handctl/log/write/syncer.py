@@ -1,10 +1,8 @@
-"""Sync of a file to disk, during which the caller does not wait.
+"""Sync of a file to disk.
 
-On a busy machine, a sync takes longer than the time for which the pipe to the recorder can buffer
-records.
-
-Therefore a process forked from the recorder calls fdatasync. The forked process keeps only the log
-file and two pipes open, and ends with the recorder.
+The caller does not wait for the sync. On a busy machine, a sync may take so long that the pipe to
+the recorder becomes full. Therefore a process forked from the recorder calls fdatasync. The forked
+process keeps only the log file and two pipes open. The forked process ends with the recorder.
 """
 
 import itertools
@@ -12,9 +10,9 @@ import os
 from contextlib import suppress
 
 _READ_BYTES = 1 << 10
-"""Largest number of waiting sync requests that are read at once. Each request is one byte."""
+"""Largest number of waiting sync requests that one read takes. Each request is one byte."""
 _MAX_DESCRIPTORS = 1 << 16
-"""Number below which all file descriptors to close lie."""
+"""Upper limit of the file descriptors that are closed. All open descriptors are below it."""
 
 
 def sync_now(descriptor: int) -> None:
@@ -27,9 +25,9 @@ def sync_now(descriptor: int) -> None:
 
 
 class DiskSyncer:
-    """Callable that starts a sync of a file to disk.
+    """Function object that starts a sync of a file to disk.
 
-    If the sync fails, a later call raises the error.
+    If the sync fails, a later call raises its error.
     """
 
     def __init__(self) -> None:
@@ -39,7 +37,7 @@ class DiskSyncer:
     def __call__(self, descriptor: int) -> None:
         """Request a sync of the file to disk.
 
-        All requests that arrive during a sync are served together by the next sync.
+        The next sync serves all requests that arrive during the present one.
 
         Raises:
             OSError: an earlier sync failed.
@@ -72,8 +70,8 @@ class DiskSyncer:
 def _close_all_but(*descriptors: int) -> None:
     """Close all file descriptors of the forked process except the given ones.
 
-    With other descriptors open in this process, the controller would not notice the death of the
-    recorder. The disk space that the recorder reserves could not be freed either.
+    If this process kept other descriptors open, the controller would not notice the death of the
+    recorder. The disk space that the recorder has reserved could not be freed either.
     """
     edges = [-1, *sorted(descriptors), _MAX_DESCRIPTORS]
     for low, high in itertools.pairwise(edges):

@@ -21,12 +21,15 @@ from handctl.log.write.syncer import sync_now
 CHUNK_SPAN_NS = 250_000_000
 """Longest time span of a chunk [ns].
 
-A recorder that is killed loses at most the ticks of this time.
+If the recorder is killed, at most the ticks of this time are lost.
 """
 CHUNK_BYTES = 1 << 20
-"""Total size of collected tick records above which a chunk is written [bytes]."""
+"""Total size of the collected tick records above which they are written as a chunk [bytes]."""
 RESERVED_BYTES = 512 << 10
-"""Disk space that is reserved for the summary and footer of a log, in case the disk becomes full [bytes]."""
+"""Disk space that is reserved for the summary and footer of a log [bytes].
+
+This space is used if the disk becomes full.
+"""
 LOG_SCHEMA_VERSION = 1
 """Version of the topics and records of a log. The reader refuses logs of other versions."""
 
@@ -55,9 +58,9 @@ def _create_file(path: Path) -> int:
 
 
 class _ReservedSpace:
-    """Disk space that is reserved for the end of a log. A file without a name occupies this space.
+    """Disk space that is reserved for the end of a log.
 
-    If the recorder is killed, this file disappears.
+    A file without a name occupies it. This file disappears if the recorder is killed.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -82,11 +85,12 @@ class _ReservedSpace:
 class LogWriter:
     """Writer of the log file of a run.
 
-    After the first failed write, the writer closes the file, and only counts further ticks.
+    After the first failed write, the writer closes the file. From then on, the writer counts
+    further ticks without writing them.
 
     Attributes:
         ticks: number of ticks written or waiting for the next chunk.
-        lost: number of ticks that a failed write has lost, or that arrived after the file was
+        lost: number of ticks that a failed write has lost or that arrived after the file was
             closed.
         closed: True if the file is closed.
     """
@@ -108,13 +112,13 @@ class LogWriter:
             report: function that is called for each event. The arguments are disk_low, disk_full,
                 error or misshapen, and a number: free bytes, errno, or 1.
             floor_bytes: free disk space below which the file is finished early [bytes].
-            clocks: function that reads wall and monotonic clock [ns]. A deterministic run does not
-                call this function.
-            to_disk: function that syncs the file of a given file descriptor to disk.
+            clocks: function that reads the wall clock and the monotonic clock [ns]. A deterministic
+                run does not call this function.
+            to_disk: function that takes a file descriptor, and syncs its file to disk.
 
         Raises:
-            OSError: the file cannot be created. Later failures raise no error but are passed to
-                `report`.
+            OSError: the file cannot be created. Later failures raise no error. Instead, such
+                failures are passed to `report`.
         """
         self._clocks = clocks
         self._next_pair_ns = 0
@@ -217,7 +221,7 @@ class LogWriter:
         if self.closed or not self.has_pending_ticks:
             return
         batch = self._batcher.take_batch()
-        # Each missing tick number, also between two chunks, counts as a missed tick.
+        # Each missing tick number counts as a missed tick, even if it is between two chunks.
         first = self._last_k + 1 if self._last_k >= 0 else int(batch.k[0])
         self._missed += max(int(batch.k[-1]) - first + 1 - len(batch.k), 0)
         self._last_k = int(batch.k[-1])
@@ -233,7 +237,7 @@ class LogWriter:
             self._close_after_failure(error)
 
     def _clock_pair(self, t_ns: int) -> list[MessageBlock]:
-        """Return a message with the readings of both clocks if PAIR_PERIOD_NS has passed since the last one."""
+        """Return a message with the readings of both clocks if PAIR_PERIOD_NS has passed since the last readings."""
         if self._header.deterministic or t_ns < self._next_pair_ns:
             return []
         self._next_pair_ns = t_ns + PAIR_PERIOD_NS
@@ -310,7 +314,7 @@ class LogWriter:
         Args:
             reason: reason for the end of the run.
             dropped: number of records that the controller could not send to the recorder.
-            facts: facts that are known only at the end of the run, by name.
+            facts: facts that become known at the end of the run, by name.
         """
         self.flush()
         if not self.closed:

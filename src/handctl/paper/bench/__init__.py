@@ -1,1 +1,1 @@
-"""Experiments of the paper, carried out with the simulated hand."""
+"""Experiments of the paper, repeated with the simulated hand."""

@@ -1,4 +1,4 @@
-"""Simulated test bench: runs of the real controller over a simulated bus, in lockstep."""
+"""Simulated test bench. The real controller runs in lockstep, over a simulated bus."""
 
 from dataclasses import dataclass, field
 from functools import cache
@@ -21,7 +21,7 @@ RATE_HZ = 500.0
 
 @dataclass
 class BenchRecording:
-    """Measurements of a run on the bench and phases of its task, tick by tick.
+    """Measurements of a run on the bench, and phases of its task, for every tick.
 
     Attributes:
         t_ns: time of each tick [ns].
@@ -50,7 +50,7 @@ class BenchRecording:
 def run_bench_task(
     hand_file: str, scene: str | None, task: Task, truth: Path | None = None, seed: int = 0
 ) -> BenchRecording:
-    """Run a task on the simulator, with a homed hand that needs no tare.
+    """Run a task on a simulated hand that is already homed and tared.
 
     Args:
         hand_file: name of a packaged hand, or path of a hand file.
@@ -60,7 +60,7 @@ def run_bench_task(
         seed: seed of the simulated noise.
 
     Raises:
-        DriveError: The controller or the safety monitor ended the run early.
+        DriveError: the controller or the safety monitor ended the run early.
     """
     model = _hand_model(hand_file)
     recording = BenchRecording()
@@ -73,7 +73,7 @@ def run_bench_task(
 
 @cache
 def _hand_model(hand_file: str) -> HandModel:
-    """Return the model of a hand with designed gains.
+    """Return the model of a hand, with the gains designed for it.
 
     The result is cached, because a design takes about a second.
     """

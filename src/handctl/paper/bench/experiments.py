@@ -1,6 +1,6 @@
 """Experiments of the paper as jobs for worker processes.
 
-A job and its result are plain values. Therefore another process can run a job.
+A job and its result consist of plain values. Therefore they can be sent to another process.
 """
 
 import json
@@ -57,7 +57,8 @@ def run_experiments(workers: JobRunner) -> dict[str, Any]:
         and a list under `payload` with one result for each diameter and axis.
     """
     searches = [{"do": "search", "diameter_mm": diameter} for diameter in payload.DIAMETERS_MM]
-    # The search jobs come first, because the load jobs need the tensions that they find.
+    # The load jobs need the tensions that the search jobs find. Therefore the search jobs run
+    # first.
     pulled, *grips = workers([{"do": "pull"}, *searches])
     loads = [
         {"do": "load", "diameter_mm": diameter, "axis": axis, "found": grip}

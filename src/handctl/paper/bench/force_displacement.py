@@ -25,9 +25,9 @@ from handctl.programs.task import Task
 HAND_NAME = "jamia_bench"
 """Name of the packaged hand of the test bench."""
 BLOCKED_JOINT_RANGE_DEG = 0.01
-"""Range of motion that a clamped joint has left [deg].
+"""Range of motion that remains in a clamped joint [deg].
 
-Three such joints move the tendon by 1.6 um.
+In three such joints, it moves the tendon by 1.6 um.
 """
 MAX_PULL_N = 238.0
 """Tension to which the tendons are pulled [N].
@@ -37,12 +37,12 @@ With its overshoot, the tension stays below 244 N, at which the load cells count
 PULL_RATE_N_PER_S = 60.0
 """Rate at which the tension of the pulled tendons increases [N/s]."""
 LINEAR_RANGE_N = (30.0, 150.0)
-"""Range of tension in which all tendons are linear [N].
+"""Range of tension in which the curves of all tendons are linear [N].
 
-From this range, the curve is extrapolated to its origin.
+A line through this range gives the origin of a curve.
 """
 MAX_NOISE_RESIDUAL = 1.2
-"""A curve counts as linear if its residual is at most this large [standard deviations of the load cell]."""
+"""Largest residual of a curve that counts as linear [standard deviations of the load cell]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,11 +51,11 @@ class TendonCurve:
 
     Attributes:
         knee_nominal: tension at which the simulated tendon has its knee [N].
-        displacement: (samples,) displacement at the spool [mm]. It is 0 where the extrapolated
-            linear part reaches the force 0.
+        displacement: (samples,) displacement at the spool [mm]. Zero is the point where the
+            extended linear part reaches the force 0.
         force: (samples,) reading of the load cell [N].
         stiffness: stiffness of the linear part [N/m].
-        knee: tension at the measured knee [N], None if the curve is linear to the end.
+        knee: tension at the measured knee [N], or None if the curve is linear to its end.
         knee_sigma: standard deviation of the measured knee [N].
     """
 
@@ -68,7 +68,10 @@ class TendonCurve:
 
 
 def blocked_hand(knees: tuple[float, ...]) -> Hand:
-    """Return the bench hand with clamped joints, and with the given knees of the first tendons."""
+    """Return the bench hand with clamped joints.
+
+    The first tendons of this hand have the given knees.
+    """
     content = copy.deepcopy(load_hand(HAND_NAME).content)
     for digit in content["digit"]:
         digit["joint_max_deg"] = [low + BLOCKED_JOINT_RANGE_DEG for low in digit["joint_min_deg"]]
@@ -161,7 +164,7 @@ def _fit_knee(displacement: Array, force: Array, slope: float) -> tuple[float, f
         return np.array([tendon.elastic_tension(value) for value in x.tolist()])
 
     bounds = ([100.0, 0.05, 1e-5], [300.0, 0.95, 2e-3])
-    # Every fourth sample is enough. Further samples need time, and tell little about the knee.
+    # Every fourth sample is enough. More samples cost time, and make the knee hardly more exact.
     parameters, covariance = curve_fit(
         knee_curve, displacement[::4], force[::4], (180.0, 0.5, 2e-4), bounds=bounds
     )

@@ -29,32 +29,32 @@ LOAD_DIRECTIONS: dict[str, tuple[int, int, int]] = {
 }
 """Direction of the load for each axis, in the palm frame."""
 AXIS_NAMES = {"x": "out of the palm", "y": "towards the thumb", "z": "down, along the cylinder"}
-"""Description of the direction of the load for each axis."""
+"""Direction of the load for each axis, in words."""
 CYLINDER_MASS_KG = 0.05
 """Mass of the cylinder [kg]."""
 TENSION_STEPS_N = (20.0, 26.0, 32.0, 38.0, 44.0)
-"""Tensions that the search tries [N].
+"""Tensions at which the search measures the normal forces [N].
 
 The tension at which a finger presses with 6 N is interpolated between them.
 """
 TENSION_STEP_S = 0.5
-"""Duration of each tension of the search [s]."""
+"""Time for which the search holds each tension [s]."""
 GRIP_SETTLING_S = 0.8
-"""Time from the begin of the grip to the begin of the load [s]."""
+"""Time from the start of the grip to the start of the load [s]."""
 LOAD_RATE_N_PER_S = 4.0
 """Rate at which the load increases [N/s]."""
 LOAD_DURATION_S = 5.5
-"""Duration of the increasing load [s]."""
+"""Time for which the load increases [s]."""
 SLIP_SPEED_M_PER_S = 1e-3
 """Largest speed at which the object does not count as slipping [m/s]."""
 SLIP_DISTANCE_M = 2e-3
 """Largest distance by which the object may move without counting as slipping [m]."""
 SPEED_WINDOW_S = 0.1
-"""Time over which the speed of the object is measured [s]."""
+"""Length of the window over which the speed of the object is measured [s]."""
 AVERAGE_ROWS = 100
 """Number of rows of the ground truth over which normal forces are averaged.
 
-A row is a millisecond.
+There is a row for each millisecond.
 """
 SCENE_TEXT = """name = "payload"
 [object]
@@ -79,9 +79,9 @@ def search_tension(folder: Path, diameter_mm: float) -> dict[str, Any]:
     """Return the tension of each digit at which each finger presses with 6 N, and the start time of the grip.
 
     The tension is interpolated between the tensions of the search. Because of friction, the normal
-    force depends on the history of the grip. Therefore the tension is corrected once with a grip
-    that reaches it directly. The thumb balances the fingers and gets their mean tension. In all
-    runs with this diameter, the grip begins at the same time.
+    force depends on the earlier tensions of the grip. Therefore a second grip goes directly to the
+    interpolated tension, and its result corrects this tension once. The thumb balances the fingers,
+    and gets their mean tension. In all runs with this diameter, the grip begins at the same time.
     """
     names = src.paper_hand().digit_names
     phases = [
@@ -109,9 +109,9 @@ def search_tension(folder: Path, diameter_mm: float) -> dict[str, Any]:
 
 
 def _tension_for_normals(stairs: Array, target_normals: Array) -> dict[str, float]:
-    """Return the tension of each digit that gives the fingers given normal forces [N].
+    """Return the tension of each digit with which the fingers press with given normal forces [N].
 
-    It is interpolated between the normal forces at each tension of the search (steps, digits).
+    The tensions are interpolated between the steps of the search (steps, digits).
     """
     names = src.paper_hand().digit_names
     tension = {
@@ -137,7 +137,8 @@ def load_until_slip(
     # Along z, the weight of the object acts in the direction of the load.
     weight = CYLINDER_MASS_KG * float(src.GRAVITY_M_PER_S2) if axis == "z" else 0.0
     load = float(truth.column_at("load", truth.t_ns[slip : slip + 1])[0]) + weight
-    # The palm carries the sum of the contact forces of the digits along x, out of the palm.
+    # The sum of the digits' contact forces along x, which points out of the palm, rests on the
+    # palm.
     palm = sum(
         float(truth.column_at(f"contact_force/{name}/x", truth.t_ns[first : first + 1])[0])
         for name in tension
@@ -198,7 +199,7 @@ def _phase_end_ns(recording: BenchRecording, phase: str) -> int:
 
 
 def _mean_normals(truth: TruthRecord, until_ns: int) -> list[float]:
-    """Return the sum of the normal forces of each digit, averaged over the rows before a time [N]."""
+    """Return the normal force of each digit, averaged over the rows before a given time [N]."""
     end = int(np.searchsorted(truth.t_ns, until_ns))
     times = truth.t_ns[end - AVERAGE_ROWS : end]
     return [
@@ -222,7 +223,7 @@ def _find_slip(truth: TruthRecord, first: int, end: int) -> tuple[int, str]:
         "moved": np.flatnonzero(moved > SLIP_DISTANCE_M),
         "creep": np.flatnonzero(speed > SLIP_SPEED_M_PER_S) + window,
     }
-    # The speed is known only at the end of the window over which it is measured.
+    # A speed belongs to the end of the window over which it is measured.
     slips = [(int(rows[0]), ended) for ended, rows in crossings.items() if len(rows)]
     row, ended = min(slips, default=(len(moved) - 1, "held"))
     return first + row, ended
@@ -231,14 +232,14 @@ def _find_slip(truth: TruthRecord, first: int, end: int) -> tuple[int, str]:
 def friction_bound_kg(result: Mapping[str, Any]) -> float:
     """Return the largest payload that Coulomb friction permits [kg].
 
-    It follows from the measured normal forces of digits and palm.
+    The limit follows from the measured normal forces of the digits and the palm.
     """
     normal = sum(result["normal_N"].values()) + result["palm_N"]
     return float(src.FRICTION_COEFFICIENT) * float(normal) / float(src.GRAVITY_M_PER_S2)
 
 
 def payload_items(results: Sequence[Mapping[str, Any]]) -> list[ErrataItem]:
-    """Return one item for each load case, which is a diameter and an axis."""
+    """Return one item for each load case. A load case is a diameter and an axis."""
     rows = []
     for result in results:
         axis = result["axis"]
@@ -297,4 +298,4 @@ CRITERION_TEXTS = {
     "creep": "it crept faster than 1 mm/s",
     "held": "it still held at the end",
 }
-"""Description of each criterion that ends a measurement."""
+"""Words for each criterion that can end a measurement."""

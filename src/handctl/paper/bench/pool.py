@@ -14,12 +14,12 @@ from handctl.paper.bench.experiments import ExperimentJob, ExperimentResult, Job
 WORKER_MODULE = "handctl.paper.bench.worker"
 WorkerProcess = subprocess.Popen[str]
 ReportFunction = Callable[[ExperimentJob, bool], None]
-"""Function that is called at the start of each job with False, and at its end with True."""
+"""Function that is called with False at the start of each job, and with True at its end."""
 
 
 @contextmanager
 def worker_pool(size: int, report: ReportFunction) -> Iterator[JobRunner]:
-    """Start worker processes. The context ends them at its end, also after an error.
+    """Start worker processes. The processes end with the context, even after an error.
 
     Args:
         size: number of processes.
@@ -51,7 +51,7 @@ def _distribute_jobs(
 ) -> list[ExperimentResult]:
     """Distribute jobs among workers, and return the results in the order of the jobs.
 
-    Each worker gets a job, and the next job after each result.
+    Each worker gets its next job when it has returned a result.
     """
     results: dict[int, ExperimentResult] = {}
     waiting = iter(enumerate(jobs))
@@ -107,6 +107,6 @@ def _read_result(child: WorkerProcess) -> ExperimentResult:
 
 
 def _checked_pipe(pipe: IO[str] | None) -> IO[str]:
-    """Return a pipe after a check that it exists."""
+    """Return a pipe, if it exists."""
     assert pipe is not None
     return pipe

@@ -16,8 +16,8 @@ from handctl.paper.bench.experiments import run_job
 def main() -> None:
     """Run jobs until the input ends. If an experiment fails, the result is the error message.
 
-    The worker ignores Ctrl-C, which the process that sends the jobs handles. This process sends
-    SIGTERM, which ends the worker and removes its folder.
+    The worker ignores Ctrl-C, because the process that sends the jobs handles it. That process
+    sends SIGTERM to the worker, which then removes its folder and ends.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))

@@ -13,7 +13,7 @@ from handctl.paper.figures.style import DIGIT_COLOURS
 
 HAND_FIGURE_SIZE_IN = (7.2, 5.6)
 POSE_ANGLES_DEG = {"index": 24.0, "middle": 30.0, "ring": 36.0, "thumb": 30.0}
-"""Angle that all joints of a digit have in the figure, for each digit [deg]."""
+"""Angle of all joints of a digit in the figure, for each digit [deg]."""
 LABEL_OFFSETS_MM = {
     "index": (4, 0, 8),
     "middle": (4, 0, 8),
@@ -23,7 +23,7 @@ LABEL_OFFSETS_MM = {
 """Offset of the label of each digit [mm]."""
 FACES_AROUND = 24
 FACES_ALONG = 6
-"""Number of faces around a bar, and number of rings on its round end."""
+"""The two numbers above are the number of faces around a bar, and the number of rings on its round end."""
 LIGHT_DIRECTION = np.array([0.35, -0.45, 0.82])
 """Direction from which the light comes."""
 VIEW_ANGLES_DEG = (24.0, -58.0)
@@ -33,7 +33,7 @@ VIEW_ANGLES_DEG = (24.0, -58.0)
 def draw_hand_figure(figure: Any) -> None:
     """Draw the palm, and then the digits.
 
-    All digits are in one collection. Thus near faces hide far ones.
+    All digits are in one collection, so that near faces hide far faces.
     """
     from matplotlib.patheffects import withStroke
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped,unused-ignore]
@@ -75,7 +75,7 @@ def draw_hand_figure(figure: Any) -> None:
 
 
 def _set_axes(axes: Any) -> None:
-    """Set limits, labels and title of the axes."""
+    """Set the limits, labels and title of the axes."""
     axes.set(
         xlabel="x, out of the palm [mm]",
         ylabel="y, thumb to fingers [mm]",
@@ -128,7 +128,8 @@ def _capsule_faces(start: Array, end: Array, radius: float) -> list[Array]:
     side /= np.linalg.norm(side)
     up = np.cross(along, side)
     quarter = np.linspace(0.0, np.pi / 2, FACES_ALONG)
-    # The rings of corners are first along the straight part, then around the round end.
+    # The first rings of corners are along the straight part of the bar, the others around its round
+    # end.
     rings = [(start + (end - start) * fraction, radius) for fraction in np.linspace(0.0, 0.9, 5)]
     rings += [(end + along * radius * np.sin(a), radius * np.cos(a)) for a in quarter]
     turn = np.linspace(0.0, 2.0 * np.pi, FACES_AROUND + 1)

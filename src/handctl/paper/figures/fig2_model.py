@@ -15,7 +15,7 @@ ARC_RADII_MM = (9.0, 6.0, 5.0)
 
 
 def draw_model_figure(figure: Any) -> None:
-    """Draw a finger in a pose, with the angles that sections 4 and 7 of the paper use at each joint."""
+    """Draw a bent finger. At each joint, show the angles that sections 4 and 7 of the paper use."""
     axes = figure.add_subplot()
     q = np.radians(POSE_ANGLES_DEG)
     theta = np.cumsum(q)

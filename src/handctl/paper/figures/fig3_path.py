@@ -1,7 +1,7 @@
 """Fig. 3: workspace of the tips of finger and thumb.
 
-It shows the curve of Eq. 1-2, the limits of the hand, and the area that independent joints would
-reach.
+The figure shows the curve of Eq. 1-2, the limits of the hand, and the area that the tips would
+reach with independent joints.
 """
 
 from typing import Any
@@ -75,9 +75,9 @@ def _draw_digit(axes: Any, name: str, title: str, x: tuple[float, float]) -> Non
 
 
 def _draw_area(axes: Any, tips: Array, x: tuple[float, float], y: tuple[float, float]) -> None:
-    """Draw the cells that contain a sampled position of the tip, and fill the gaps between them."""
+    """Draw the cells that contain a sampled position of the tip, and fill the gaps between these cells."""
     bins = [np.arange(low, high + AREA_CELL_MM, AREA_CELL_MM) for low, high in (x, y)]
-    # Cells between two samples would look like holes in the workspace.
+    # Without this filling, empty cells between two samples would look like holes in the workspace.
     hit = binary_closing(np.histogram2d(tips[:, 0], tips[:, 1], bins=bins)[0] > 0, iterations=3)
     smooth = gaussian_filter(hit.astype(float), 1.5).T
     middles = [(edges[:-1] + edges[1:]) / 2.0 for edges in bins]

@@ -10,7 +10,7 @@ STATICS_FIGURE_SIZE_IN = (9.6, 4.2)
 
 
 def draw_statics_figure(figure: Any) -> None:
-    """Draw finger and thumb, with the moments at their joints per newton of force at the tip."""
+    """Draw a finger and the thumb, with the moments at their joints for a force of 1 N at the tip."""
     left, right = figure.subplots(1, 2, width_ratios=(1.0, 0.62), sharey=True)
     _draw_digit(left, src.paper_finger(), "Finger: M₁ = 55F, M₂ = 25F, M₃ = 10F", "T = 18.33F")
     _draw_digit(right, src.paper_thumb(), "Thumb: M₁ = 25F, M₂ = 10F", "T = 8.33F")
@@ -19,7 +19,7 @@ def draw_statics_figure(figure: Any) -> None:
 
 
 def _draw_digit(axes: Any, digit: Digit, title: str, tension: str) -> None:
-    """Draw the moments that the tip force requires at the joints of a digit, and those that the tendon makes."""
+    """Draw the moments that the tip force requires at the joints of a digit, and those that the tendon produces."""
     levers = [float(lever) for lever in src.levers_mm(digit)]
     positions = [levers[0] - lever for lever in levers]
     constant = levers[0]

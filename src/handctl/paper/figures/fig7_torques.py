@@ -23,7 +23,7 @@ LINK_PARTS = TORQUE_PARTS[:3]
 def draw_torque_figure(figure: Any) -> None:
     """Draw the torques of finger and thumb at three speeds.
 
-    Below each, the components of the links are enlarged.
+    A second plot below each enlarges the components of the links.
     """
     rows = figure.subplots(
         4, len(CLOSING_DURATIONS_S), sharey="row", height_ratios=(1.15, 1, 1.15, 1)
@@ -86,7 +86,7 @@ def _add_tension_axis(axes: Any, lever: float, labelled: bool) -> None:
 def draw_eq10_figure(figure: Any) -> None:
     """Draw T_1 by Eq. 10 as printed and as corrected.
 
-    One plot has the scale of the printed equation, the other the scale of the corrected one.
+    One plot has the scale of the printed equation, the other plot that of the corrected equation.
     """
     times, printed, right = first_torque(CLOSING_DURATIONS_S[1])
     wide, close = figure.subplots(1, 2)

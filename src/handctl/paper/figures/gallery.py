@@ -22,7 +22,7 @@ DrawFunction = Callable[[Any], None]
 def figure_contents(
     results: Mapping[str, Any] | None,
 ) -> dict[str, tuple[tuple[float, float], DrawFunction]]:
-    """Return size [inch] and content of each figure.
+    """Return the size [inch] and the drawing function of each figure.
 
     Without results of experiments, the figures of measurements are left out.
     """

@@ -1,4 +1,7 @@
-"""Fig. 5, and a figure of the payload: measurements on the simulated bench, with the values of the paper marked."""
+"""Fig. 5 and a figure of the payload.
+
+Both show measurements on the simulated bench, and mark the values of the paper.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -86,7 +89,10 @@ def draw_force_displacement(figure: Any, curves: Sequence[TendonCurve]) -> None:
 
 
 def draw_payloads(figure: Any, results: Sequence[Mapping[str, Any]]) -> None:
-    """Draw the payload for each axis and diameter as a bar, and the motion of the object as the load increases."""
+    """Draw the payload for each axis and diameter as a bar.
+
+    Draw the motion of the object as a curve over the increasing load.
+    """
     grid = figure.add_gridspec(2, len(payload.LOAD_DIRECTIONS), height_ratios=(1.25, 1.0))
     _draw_bars(figure.add_subplot(grid[0, :]), results)
     first = None

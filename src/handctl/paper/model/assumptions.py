@@ -57,12 +57,13 @@ def _check_one_tendon() -> list[ErrataItem]:
 
 
 def _check_coupling() -> list[ErrataItem]:
-    """Check section 5 against the equal joint angles of section 4.
+    """Check whether section 5 agrees with the equal joint angles of section 4.
 
     With equal angles, the work of the tendon must equal the work of the tip force.
     """
     levers = src.levers_mm(src.paper_finger())
-    # By virtual work at equal angles, T times 3 r_p equals F times the sum of the levers.
+    # If the joint angles are equal, virtual work gives T times 3 r_p = F times the sum of the
+    # levers. T is the tension, F the force at the tip.
     tension = sum(levers, Fraction(0)) / (len(levers) * src.PULLEY_RADIUS_MM)
     force = src.FINGER_GRIP_FORCE_N * tension
     torque = src.FINGER_GRIP_FORCE_N * tension * src.SPOOL_RADIUS_MM / 1000
@@ -136,7 +137,7 @@ def _check_bending() -> ErrataItem:
 
 
 def contact_forces(tension: float, angles_deg: tuple[float, ...] = WRAP_ANGLES_DEG) -> Array:
-    """Return the normal forces at the middle of the links that balance a tendon on equal pulleys, (3,) [N]."""
+    """Return the normal forces (3,) at the middle of the links that balance a tendon on equal pulleys [N]."""
     lengths = np.array(paper_digit("index").lengths)
     absolute = np.cumsum(np.radians(angles_deg))
     levers = np.zeros((3, 3))

@@ -1,8 +1,8 @@
 """Equations 1 to 12 of the paper, term by term: the printed term, its possible readings, and the correct term.
 
-The correct terms (`correct`) follow from Lagrange's equations, and the tests derive them with sympy.
-A term has several `readings` if its print is ambiguous, because an operator is missing or a bracket
-never closes.
+The correct terms (`correct`) follow from Lagrange's equations, and the tests derive them with
+sympy. A term has several `readings` if its print is ambiguous, because an operator is missing or a
+bracket is never closed.
 """
 
 from dataclasses import dataclass
@@ -22,8 +22,8 @@ class EquationTerm:
             is possible, the symbol is read in this way.
         correct: correct term.
         why: explanation of the error in the printed term.
-        mirror_id: identifier of the term that must have the same coefficient, because the mass matrix
-            is symmetric.
+        mirror_id: identifier of another term with the same coefficient. The coefficients must be
+            equal because the mass matrix is symmetric.
     """
 
     id: str
@@ -43,7 +43,7 @@ def _equation_term(
     why: str = "",
     mirror: str = "",
 ) -> EquationTerm:
-    """Return a term. The number of its equation is taken from the identifier."""
+    """Return a term. The identifier of a term contains the number of its equation."""
     texts = (readings,) if isinstance(readings, str) else readings
     number = id.removeprefix("eq").partition(".")[0]
     reason = why or "As derived."

@@ -1,7 +1,7 @@
-"""Formulas that are given as text: their evaluation on numbers or arrays, check of dimensions, and typesetting.
+"""Formulas that are given as text.
 
-The tests give the same text to sympy. Thus the formula that sympy proves is the formula that is
-typeset.
+A formula can be evaluated with numbers or arrays, checked for dimensions, and typeset. The tests
+give the same text to sympy. Therefore the page shows exactly the formulas that sympy has proved.
 """
 
 import ast
@@ -19,12 +19,12 @@ DIMENSIONLESS: Dimension = (0, 0, 0)
 
 
 class DimensionError(Exception):
-    """Error for a sum of quantities with different dimensions, or for a function argument that is not an angle."""
+    """Error about a sum of quantities with different dimensions, or about a function argument that is not an angle."""
 
 
 @dataclass(frozen=True, slots=True)
 class Expression:
-    """Formula of names, numbers, `+ - * / **`, `sin`, `cos` and `pi`.
+    """Formula that consists of names, numbers, `+ - * / **`, `sin`, `cos` and `pi`.
 
     Attributes:
         text: formula in Python's notation. `th1`, `dth1` and `ddth1` are an angle and its first and
@@ -40,7 +40,7 @@ class Expression:
 
     @property
     def names(self) -> frozenset[str]:
-        """Return the names in the formula, without those of functions."""
+        """Return the names in the formula, without the names of functions."""
         names = {node.id for node in ast.walk(self.tree) if isinstance(node, ast.Name)}
         return frozenset(names - FUNCTION_BY_NAME.keys() - {"pi"})
 
@@ -110,7 +110,7 @@ def _dimension_of(node: ast.expr, dimensions: Mapping[str, Dimension]) -> Dimens
                 raise DimensionError(f"{ast.unparse(node)}: not an angle")
             return DIMENSIONLESS
         case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=int() as power)):
-            # A power multiplies the exponents of the units by its exponent.
+            # In a power, the exponents of the units are multiplied by the exponent of the power.
             kg, m, s = _dimension_of(left, dimensions)
             return (kg * power, m * power, s * power)
         case ast.BinOp(left=left, op=op, right=right):
@@ -130,7 +130,7 @@ def _combined_dimension(
                 f"{ast.unparse(node)}: {dimension_text(first)} and {dimension_text(second)}"
             )
         return first
-    # A product adds the exponents of the units. A quotient subtracts them.
+    # In a product, the exponents of the units are added. In a quotient, they are subtracted.
     sign = -1 if isinstance(op, ast.Div) else 1
     return (first[0] + sign * second[0], first[1] + sign * second[1], first[2] + sign * second[2])
 
@@ -197,7 +197,7 @@ def _pretty_text(node: ast.expr) -> tuple[str, int]:
 def _without_minus(node: ast.expr) -> ast.expr:
     """Return a product without the minus sign of its first factor.
 
-    A node without such a sign is returned unchanged.
+    A node that has no such sign is returned unchanged.
     """
     match node:
         case ast.UnaryOp(op=ast.USub(), operand=inner):

@@ -50,7 +50,7 @@ def fingertip_path(name: str, angles: Array) -> Array:
 
 
 def reachable_tips(name: str, per_joint: int) -> Array:
-    """Return tip positions that a digit with independent joints can reach within its limits, (points, 2) [mm]."""
+    """Return tip positions (points, 2) that a digit would reach within its limits with independent joints [mm]."""
     model = paper_digit(name)
     axes = [
         np.linspace(low, high, per_joint)
@@ -110,7 +110,7 @@ def _lengths_text(name: str) -> list[str]:
 def _check_general_position() -> list[ErrataItem]:
     """Check the tip position that section 4 states, at random angles.
 
-    It is L1 cos q1 + L2 cos(q1 + q2) + .., and the same with sines.
+    This position is L1 cos q1 + L2 cos(q1 + q2) + .., and the same with sines.
     """
     model = paper_digit("index")
     random = np.random.default_rng(1)
@@ -150,7 +150,7 @@ def _check_hinges() -> ErrataItem:
 
 
 def _check_kind_of_angle() -> ErrataItem:
-    """Check whether angles of one kind fit both Eq. 6 and Eq. 1-2.
+    """Check whether Eq. 6 and Eq. 1-2 can be true for the same kind of angle, relative or absolute.
 
     Eq. 6 gives the potential energy only with absolute angles, but Eq. 1-2 are true only with
     relative angles.
@@ -186,9 +186,9 @@ def _check_absolute_angles() -> ErrataItem:
 
 
 def _check_inverse() -> ErrataItem:
-    """Check the inverse kinematics that the paper does not print.
+    """Check the inverse kinematics, which the paper does not print.
 
-    Forward kinematics of each solution must return the position of the tip.
+    With the angles of each solution, forward kinematics must return the position of the tip.
     """
     model = paper_digit("index")
     random = np.random.default_rng(2)

@@ -2,8 +2,8 @@
 
 The correct terms follow from Lagrange's equations.
 
-All derivatives are calculated with complex steps. They are exact except for rounding errors, and
-need no algebra by hand.
+All derivatives are calculated with complex steps. Such derivatives are exact except for rounding
+errors, and need no algebra by hand.
 """
 
 from collections.abc import Mapping, Sequence
@@ -33,8 +33,8 @@ The smallest effect of a misprint is about 0.1.
 COMPLEX_STEP = 1e-30
 """Size of the complex step of a derivative.
 
-The step may be as small as desired, because the method subtracts nothing. Source: Squire & Trapp
-(1998).
+The step may be as small as desired, because the method subtracts no two numbers. Source: Squire &
+Trapp (1998).
 """
 ENERGY_DIMENSION: Dimension = (1, 2, -2)
 """Dimension of energy, and of torque."""
@@ -51,9 +51,9 @@ StateSamples = Mapping[str, Any]
 
 @cache
 def random_states() -> StateSamples:
-    """Return random values of order 1 of all parameters, angles, rates, and accelerations, (STATES,) each.
+    """Return random parameters, angles, rates and accelerations of order 1, (STATES,) values of each.
 
-    The values are the same in every run.
+    The random values are the same in every run.
     """
     random = np.random.default_rng(7)
     values: dict[str, Array] = {}
@@ -97,7 +97,8 @@ def _energy_of_terms(terms: Sequence[EquationTerm], states: StateSamples) -> Any
 def _momentum_rate(states: StateSamples, i: int) -> Array:
     """Return the derivative by time of ∂K/∂θ̇_i.
 
-    K is quadratic in the rates. Therefore a difference over a whole unit is exact.
+    The kinetic energy K is quadratic in the rates. Therefore its difference over a step of size 1
+    is exact.
     """
     moved = dict(states)
     for j in (1, 2, 3):
@@ -136,14 +137,14 @@ def term_items() -> list[ErrataItem]:
 
 
 def _term_item(term: EquationTerm) -> ErrataItem:
-    """Return the item that compares a term with the correct one."""
+    """Return the item that compares a printed term with the correct term."""
     states = random_states()
     correct = term.correct.evaluate(random_states())
     deviations = [
         relative_deviation(reading.evaluate(states), correct) for reading in term.readings
     ]
     verdict = verdict_of_readings([value < RELATIVE_TOLERANCE for value in deviations])
-    # Wrong dimensions and missing symmetry are evidence that a reader can check by hand.
+    # A reader can check by hand whether dimensions are wrong and whether a symmetry is missing.
     faults = (
         []
         if verdict == ErrataVerdict.EQUAL
@@ -167,7 +168,7 @@ def _dimension_evidence(term: EquationTerm) -> str:
 
 
 def _symmetry_evidence(term: EquationTerm) -> str:
-    """Return a text if the printed coefficient of a term differs from that of its mirror term, else an empty text."""
+    """Return a text if the printed coefficients of a term and its mirror term differ, else an empty text."""
     if not term.mirror_id:
         return ""
     mirror = next(
@@ -186,7 +187,7 @@ def _symmetry_evidence(term: EquationTerm) -> str:
 def equation_items() -> list[ErrataItem]:
     """Return the items for Eq. 7 to 9, and for Eq. 10 to 12 as a whole.
 
-    The equations are compared with the equations of motion of handctl.
+    These equations are compared with handctl's equations of motion.
     """
     digit = paper_finger()
     states = finger_states(digit)
@@ -224,9 +225,9 @@ def equation_items() -> list[ErrataItem]:
 def _check_joint_torque(
     digit: DigitModel, states: StateSamples, model: Sequence[Array]
 ) -> ErrataItem:
-    """Check whether T_i is the torque at a joint.
+    """Check whether T_i is the torque at joint i.
 
-    In fact, a motor at the joint must make tau = S^T T.
+    In fact, a motor at the joint must produce the torque tau = S^T T.
     """
     joints = joint_torques(digit, states)
     is_equal = relative_deviation(model[0], joints[:, 0]) < RELATIVE_TOLERANCE
@@ -243,14 +244,15 @@ def _check_joint_torque(
 def _agreement_text(off: float) -> str:
     """Return a text that says how well two values agree.
 
-    It contains no digits that differ from machine to machine.
+    Digits that may differ from machine to machine are left out.
     """
     return "to rounding" if off < RELATIVE_TOLERANCE else f"to {off:.1g}"
 
 
 def paper_finger() -> DigitModel:
-    """Return a finger of the packaged hand with the assumptions of Eq. 3 to 12."""
-    # In Eq. 3 to 12, joints have no armature, and the weight acts along -y of the finger's plane.
+    """Return a finger of the packaged hand, changed to satisfy the assumptions of Eq. 3 to 12."""
+    # In Eq. 3 to 12, joints have no armature inertia, and the weight acts along -y of the finger's
+    # plane.
     digit = DigitModel.from_hand(load_hand("jamia"), "index")
     digit = digit.with_gravity(digit.mount_rotation @ np.array([0.0, -9.81, 0.0]))
     table = digit.table.copy()
@@ -266,16 +268,16 @@ def joint_torques(digit: DigitModel, states: StateSamples) -> Array:
 
 
 def model_torques(digit: DigitModel, states: StateSamples) -> list[Array]:
-    """Return the torques T of these joint torques tau, for absolute angles: T = S^-T tau, (STATES,) each [N m]."""
+    """Convert the joint torques tau of handctl to torques for absolute angles: T = S^-T tau, (STATES,) each [N m]."""
     tau = joint_torques(digit, states)
     return [tau[:, 0] - tau[:, 1], tau[:, 1] - tau[:, 2], tau[:, 2]]
 
 
 def _relative_from_absolute(states: StateSamples, name: str) -> Array:
-    """Return relative joint angles or their derivatives, (STATES, 3), calculated from absolute ones."""
+    """Return relative joint angles or their derivatives (STATES, 3), calculated from the absolute angles."""
     return np.diff(np.column_stack([states[f"{name}{i}"] for i in (1, 2, 3)]), axis=1, prepend=0.0)
 
 
 def printed_sum(terms: Sequence[EquationTerm], states: StateSamples) -> Any:
-    """Return the value of a printed equation, with the first reading of each term."""
+    """Return the value of a printed equation. Ambiguous terms have their first reading."""
     return sum(term.readings[0].evaluate(states) for term in terms)

@@ -17,7 +17,7 @@ from handctl.paper.verdicts import verdict_of_readings, verdict_of_statement
 CLOSED_JOINT_ANGLE_DEG = 60.0
 """Angle of each joint at the end of the motion [deg]."""
 CLOSING_DURATIONS_S = (0.6, 0.3, 0.15)
-"""Durations of the motion for which the torques are drawn [s]."""
+"""Durations of the motions whose torques are drawn [s]."""
 SAMPLE_COUNT = 301
 """Number of samples of a motion."""
 TORQUE_PARTS = ("inertia", "Coriolis", "gravity", "springs", "motor inertia")
@@ -87,14 +87,14 @@ def closing_torques(name: str, duration: float) -> ClosingTorques:
 
 
 def first_torque(duration: float) -> tuple[Array, Array, Array]:
-    """Return times [s], and T_1 of a closing finger by Eq. 10 as printed and as corrected [N m]."""
+    """Return times [s], and the torque T_1 of a closing finger by Eq. 10, as printed and as corrected [N m]."""
     digit = upright_digit("index")
     times = np.linspace(0.0, duration, SAMPLE_COUNT)
     path = MinimumJerk(np.zeros(1), np.radians([CLOSED_JOINT_ANGLE_DEG]), duration)
     moves = np.array([[value[0] for value in path.motion_at(float(t))] for t in times])
     states = dict(finger_states(digit))
     for order in range(3):
-        # With equal joint angles, the absolute angles are multiples of the first one.
+        # With equal joint angles, the absolute angles are multiples of the first angle.
         states |= {"d" * order + f"th{i}": i * moves[:, order] for i in (1, 2, 3)}
     right = sum(term.correct.evaluate(states) for term in equations.TORQUE_TERMS_1)
     return times, np.asarray(printed_sum(equations.TORQUE_TERMS_1, states)), np.asarray(right)
@@ -103,8 +103,8 @@ def first_torque(duration: float) -> tuple[Array, Array, Array]:
 def motion_items() -> list[ErrataItem]:
     """Return the items about the torque in a motion.
 
-    They are about Eq. 10 for a straight finger, the scope of Eq. 3 to 12, and the torque that
-    section 8 mentions.
+    The items concern Eq. 10 for a straight finger, the completeness of Eq. 3 to 12, and the torque
+    that section 8 mentions.
     """
     return [_check_static_torque(), _check_completeness(), _check_torque_value()]
 

@@ -1,4 +1,4 @@
-"""Sections 5 and 6: moments, tension, torque, payload, and wire, calculated from the numbers of the paper."""
+"""Sections 5 and 6 of the paper: moments, tension, torque, payload and wire, calculated from its numbers."""
 
 import math
 from fractions import Fraction
@@ -93,7 +93,7 @@ FIGURE_LABELS = (
     ),
     ("sec6.MT2_label", "Sec. 6", "M_T2: moment at end joint link2", src.paper_thumb, 1, (1,)),
 )
-"""Printed label of each moment, the joint at which the moment acts, and the joints that the label names.
+"""Printed label of each moment, with the joint at which the moment acts and the joints that the label names.
 
 Joints are counted from the palm, beginning with 0.
 """
@@ -102,7 +102,7 @@ Joints are counted from the palm, beginning with 0.
 def _check_labels() -> list[ErrataItem]:
     """Check the labels that the paper gives to the moments.
 
-    If a label names several joints, it states that the moments at these joints are equal.
+    A label that names several joints states that the moments at these joints are equal.
     """
     rows = []
     for id, where, printed, digit, joint, named in FIGURE_LABELS:
@@ -248,7 +248,7 @@ def _check_wire() -> list[ErrataItem]:
 def _check_area() -> ErrataItem:
     """Check the printed formula for the area of the wire, A = pi d2/4.
 
-    The result is an area only if the 2 is an exponent.
+    The formula gives an area only if the 2 is an exponent.
     """
     printed = Expression("pi*d2/4")
     right = Expression("pi*d**2/4")
@@ -314,10 +314,10 @@ def _check_thumb() -> list[ErrataItem]:
 
 
 def _missing_radius() -> ErrataItem:
-    """Calculate the pulley radius that is missing in print, from the printed tension 8.33 F."""
+    """Calculate the pulley radius that the paper does not print, from the printed tension 8.33 F."""
     printed = "r_p = mm"
-    # The numbers that round to 8.33 give an interval of radii. It contains one whole number of
-    # millimetres.
+    # The numbers that round to 8.33 correspond to an interval of radii. This interval contains
+    # exactly one whole number of millimetres.
     low, high = sorted(
         src.levers_mm(src.paper_thumb())[0] / edge for edge in rounding_interval("8.33")
     )

@@ -16,7 +16,7 @@ COUNT_TAG = ("count",)
 SYMBOL_PATTERN = re.compile(r"(?<![A-Za-z])[A-Za-z](?:_[A-Za-z]|[₀-₉])?(?![A-Za-z])")
 """Pattern of a symbol in a printed equation: a letter with or without an index."""
 CONTROL_WORDS = ("desired", "error", "gain", "measured", "reference", "feedback")
-"""Words in the meanings of symbols that a control law needs."""
+"""Words that occur in the meanings of a control law's symbols."""
 SYMBOL_WORDS = {
     "I": "moment of inertia", "m": "mass", "L": "length", "d": "distance of the centre of mass", "g": "gravity",
 }  # fmt: skip
@@ -70,9 +70,9 @@ def _check_degrees_of_freedom() -> list[ErrataItem]:
 
 
 def _check_palm_joint() -> ErrataItem:
-    """Check the joint in the palm link that section 3 calls fixed.
+    """Check the statement of section 3 that the joint in the palm link is fixed.
 
-    It may be the first joint of a finger, or the palm itself.
+    This joint may mean the first joint of a finger, or the palm itself.
     """
     joints = len(src.paper_finger().joints)
     angles = {
@@ -100,7 +100,7 @@ def _check_number_of_fingers() -> ErrataItem:
 
 
 def _depends_on(term: Sequence[EquationTerm], name: str) -> bool:
-    """Return True if the energy of some terms depends on the rate with a name."""
+    """Return True if the energy of the given terms depends on the named rate."""
     states = random_states()
     moved = {**states, name: states[name] + 1.0}
     change = sum(
@@ -111,8 +111,8 @@ def _depends_on(term: Sequence[EquationTerm], name: str) -> bool:
 
 def _check_phalanges() -> ErrataItem:
     """Check whether the energies of the links are independent, as if the links were separate fingers."""
-    # In one finger, the energy of link 2 depends on the rate of link 1, and that of link 3 on the
-    # rate of link 2.
+    # In a single finger, the energy of link 2 depends on the rate of link 1, and the energy of link
+    # 3 on the rate of link 2.
     apart = not _depends_on(equations.KINETIC_TERMS_2, "dth1") and not _depends_on(
         equations.KINETIC_TERMS_3, "dth2"
     )
@@ -168,8 +168,8 @@ def _check_axis_of_inertia() -> ErrataItem:
     x, y, z = np.meshgrid(*grid, indexing="ij")
     energy = float(np.mean(x**2 + y**2)) / 2.0
     about = {"y": float(np.mean(x**2 + z**2)), "z": float(np.mean(x**2 + y**2))}
-    # The energy of rotation is half of the moment of inertia times the squared rate, which is 1
-    # here.
+    # The energy of rotation is half of the moment of inertia times the squared rate. Here the rate
+    # is 1.
     right = [
         axis
         for axis, inertia in about.items()

@@ -1,1 +1,4 @@
-"""CAN buses, read and written without blocking. Each kind of bus has a module in this package."""
+"""CAN buses, read and written without blocking.
+
+Each kind of bus has its own module in this package.
+"""

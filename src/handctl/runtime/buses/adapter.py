@@ -9,9 +9,9 @@ from typing import NamedTuple
 NETWORK_FOLDER = Path("/sys/class/net")
 """Folder in which Linux lists the network interfaces."""
 FULL_SPEED_MBIT_S = 12
-"""USB full speed [Mbit/s], with one USB frame per millisecond.
+"""Data rate of USB full speed [Mbit/s].
 
-USB high speed has one micro-frame per 125 us.
+Full speed has one USB frame per millisecond. High speed has one micro-frame per 125 us.
 """
 
 
@@ -32,7 +32,7 @@ class UsbAdapter(NamedTuple):
     def is_full_speed(self) -> bool:
         """Return True if the adapter runs at USB full speed.
 
-        It then exchanges CAN frames only once per millisecond.
+        At full speed, an adapter exchanges CAN frames only once per millisecond.
         """
         return 0.0 < self.usb_speed_mbit_s <= FULL_SPEED_MBIT_S
 
@@ -48,7 +48,7 @@ def read_adapter(name: str, network: Path = NETWORK_FOLDER) -> UsbAdapter | None
     if not device.exists():
         return None
     driver = device / "driver"
-    # For a USB adapter, this path is the USB interface. Its parent folder is the USB device.
+    # For a USB adapter, this path is the USB interface, and its parent folder is the USB device.
     usb = device.resolve().parent
     speed = _read_text(usb / "speed")
     return UsbAdapter(
@@ -59,7 +59,10 @@ def read_adapter(name: str, network: Path = NETWORK_FOLDER) -> UsbAdapter | None
 
 
 def _read_text(path: Path) -> str:
-    """Return the content of a text file without the line end, empty if the file cannot be read."""
+    """Return the content of a text file without its line end.
+
+    If the file cannot be read, the text is empty.
+    """
     try:
         return path.read_text(encoding="utf-8", errors="replace").strip()
     except OSError:

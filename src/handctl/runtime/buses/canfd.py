@@ -1,11 +1,11 @@
-"""Conversion of frame batches between records and ``struct canfd_frame``, without a loop over frames.
+"""Conversion of batches of frames between records and ``struct canfd_frame``, without a loop over frames.
 
     can_id 32 | length 8 | flags 8 | reserved 16 | data 64 x 8
 
 The local bus sends this struct. For a classical frame, a CAN socket fills only the first 16 bytes
-of the struct. Ticks exchange the same identifiers, flags and lengths again and again. The converted
-heads of each batch are therefore cached, and a tick copies only the payloads. The head of a struct
-is its first 8 bytes. The head of a record is its 8 bytes from identifier to length. Source: Linux
+of the struct. The head of a struct is its first 8 bytes. The head of a record is its 8 bytes from
+identifier to length. Every tick exchanges the same identifiers, flags and lengths. Therefore the
+converted heads of each batch are cached, and a tick copies only the payloads. Source: Linux
 ``can.h``.
 """
 
@@ -35,7 +35,7 @@ CLASSICAL_FRAME_BYTES = 16
 MAX_PAYLOAD_BYTES = 64
 """Payload of the longest frame [bytes]."""
 CACHED_BATCHES = 256
-"""Number of batches whose heads are cached."""
+"""Largest number of batches whose converted heads are cached."""
 MAX_CACHED_FRAMES = 128
 """Largest number of frames in a cached batch.
 
@@ -54,9 +54,9 @@ WordArray = NDArray[np.uint64]
 
 
 def _payload_masks() -> WordArray:
-    """Return an array (MAX_PAYLOAD_BYTES + 1, 8).
+    """Return masks of the 64-byte data field, as an array (MAX_PAYLOAD_BYTES + 1, 8).
 
-    Row n masks the n payload bytes in the 64-byte data field.
+    Row n selects the first n bytes.
     """
     masks = np.zeros((MAX_PAYLOAD_BYTES + 1, MAX_PAYLOAD_BYTES), np.uint8)
     for length in range(MAX_PAYLOAD_BYTES + 1):
@@ -66,9 +66,15 @@ def _payload_masks() -> WordArray:
 
 PAYLOAD_MASKS = _payload_masks()
 _PAYLOAD_LENGTHS = bytes(min(length, MAX_PAYLOAD_BYTES) for length in range(256))
-"""Table for ``bytes.translate``: from the length byte of a struct to the payload length, at most MAX_PAYLOAD_BYTES."""
+"""Table for ``bytes.translate``.
+
+This table limits the length byte of a struct to MAX_PAYLOAD_BYTES.
+"""
 _ERROR_FRAME_MARKS = bytes((highest << 24 & ERROR_FLAG) != 0 for highest in range(256))
-"""Table for ``bytes.translate``: from the highest byte of an identifier to 1 for an error frame and 0 for others."""
+"""Table for ``bytes.translate``.
+
+The highest byte of an identifier becomes 1 for an error frame, and 0 for any other frame.
+"""
 
 
 class ReceivedHeads(NamedTuple):
@@ -76,9 +82,10 @@ class ReceivedHeads(NamedTuple):
 
     Attributes:
         heads: (n,) identifier, flags, bus and length of each record.
-        payload_words: number of 8-byte words that hold the longest payload of the batch, at least 1.
-        payload_masks: bits that belong to each payload, (n,) for one word and (n, words) for more. It is
-            None if every payload fills all its words.
+        payload_words: number of 8-byte words that contain the longest payload of the batch, at
+            least 1.
+        payload_masks: bits that belong to each payload, (n,) for one word and (n, words) for more.
+            If every payload fills all its words, there are no masks (None).
         has_error_frames: True if there is an error frame among the structs.
     """
 
@@ -90,7 +97,7 @@ class ReceivedHeads(NamedTuple):
 
 @functools.lru_cache
 def _flag_table(mask: int, added: int) -> bytes:
-    """Return a table for ``bytes.translate`` from the flags of a struct to the flags of a record."""
+    """Return a table for ``bytes.translate`` that converts the flags of a struct to the flags of a record."""
     return bytes(flags & mask | added for flags in range(256))
 
 
@@ -111,8 +118,8 @@ def _convert_received(raw: bytes, bus: int, flag_mask: int, added_flags: int) ->
     heads[4::8] = raw[5::8].translate(_flag_table(flag_mask, added_flags))
     heads[6::8] = bytes((bus,)) * count
     heads[7::8] = lengths
-    words = max(1, -(-max(lengths, default=0) // 8))  # rounded up
-    masks = None  # usual case: every payload fills its words, so no byte has to be cleared
+    words = max(1, -(-max(lengths, default=0) // 8))  # division, rounded up
+    masks = None  # usually every payload fills its words, and no byte has to be cleared
     if lengths.count(8 * words) < count:
         masks = PAYLOAD_MASKS[:, 0] if words == 1 else PAYLOAD_MASKS[:, :words]
         masks = masks.take(np.frombuffer(lengths, np.uint8), axis=0)
@@ -126,8 +133,10 @@ class SentHeads(NamedTuple):
 
     Attributes:
         heads: (n,) identifier, length and flags of each struct.
-        payload_words: number of 8-byte words that hold the longest payload of the batch, at least 1.
-        frame_sizes: (n,) bytes to send of each struct: the size of ``can_frame`` or of ``canfd_frame``.
+        payload_words: number of 8-byte words that contain the longest payload of the batch, at
+            least 1.
+        frame_sizes: (n,) number of bytes to send of each struct: the size of ``can_frame`` or of
+            ``canfd_frame``.
     """
 
     heads: WordArray
@@ -171,7 +180,7 @@ class FrameStructs:
     """
 
     def __init__(self, memory: Any) -> None:
-        """Make views into ``memory``, a writable buffer with a whole number of structs."""
+        """Create views into ``memory``, a writable buffer whose size is a whole number of structs."""
         rows = np.frombuffer(memory, WORD_DTYPE).reshape(-1, CANFD_FRAME_BYTES // 8)
         self.count = len(rows)
         self._heads = rows[:, 0]
@@ -205,7 +214,8 @@ class FrameStructs:
         Args:
             count: number of structs to read.
             heads: converted heads of these structs.
-            t_ns: time of reception [ns]: one time for all frames, or one for each.
+            t_ns: time of reception [ns], either a single time for all frames or a time for each
+                frame.
         """
         records: RecordArray = np.zeros(count, FRAME_RECORD_DTYPE)
         records.setfield(t_ns, np.dtype("<i8"), TIME_OFFSET)
@@ -236,7 +246,7 @@ class FrameStructs:
         self._heads[:count] = sent.heads
         if (
             sent.payload_words < self._written
-        ):  # otherwise bytes of longer payloads of the previous batch would remain
+        ):  # clear the bytes that remain from longer payloads of the previous batch
             self._data[:, sent.payload_words :] = 0
         self._written = sent.payload_words
         if sent.payload_words == 1:

@@ -1,11 +1,13 @@
-"""Offset from the wall clock to CLOCK_MONOTONIC. It converts the reception times of CAN frames.
+"""Offset from the wall clock to CLOCK_MONOTONIC.
+
+With this offset, the reception times of CAN frames are converted.
 
 The Linux kernel stamps received frames with the wall clock, and a run uses CLOCK_MONOTONIC.
 
-Both clocks run at the same rate. The offset changes only when the wall clock is set. The bus
-requests a new measurement when a frame has an impossible time stamp. In user-mode Linux each clock
-reading is a system call. Two readings per tick would cost as much there as the exchange of frames,
-so a measurement is used many times. Source: man 2 clock_gettime, man 7 vdso.
+Both clocks run at the same rate. The offset changes only when the wall clock is set. A bus requests
+a new measurement when a frame has an impossible time stamp. In user-mode Linux, each clock reading
+is a system call. There, two readings in each tick would take as long as the exchange of frames.
+Therefore each measurement is used many times. Source: man 2 clock_gettime, man 7 vdso.
 """
 
 import time
@@ -13,10 +15,10 @@ import time
 USES_PER_MEASUREMENT = 256
 """Number of times that each measured offset is used before the next measurement.
 
-A small step of the wall clock goes unnoticed for at most this number of uses.
+After a small step of the wall clock, at most this number of uses has the wrong offset.
 """
 READINGS_PER_MEASUREMENT = 3
-"""Number of clock readings per measurement. The fastest reading counts."""
+"""Number of clock readings in one measurement. The result is that of the fastest reading."""
 
 
 class ClockOffset:
@@ -41,8 +43,8 @@ class ClockOffset:
     def _measure(self) -> None:
         """Measure the offset.
 
-        The fastest of several readings is used, because the operating system may interrupt a
-        reading.
+        The fastest of several readings is used, because the operating system may interrupt the
+        others.
         """
         readings = [
             (time.monotonic_ns(), time.time_ns(), time.monotonic_ns())
@@ -54,5 +56,8 @@ class ClockOffset:
 
 
 def _reading_duration(reading: tuple[int, int, int]) -> int:
-    """Return the duration of a reading, a tuple (time before, wall clock, time after) [ns]."""
+    """Return the duration of a reading [ns].
+
+    A reading is a tuple (time before, wall clock, time after).
+    """
     return reading[2] - reading[0]

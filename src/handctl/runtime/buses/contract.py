@@ -8,11 +8,14 @@ from handctl.drives.frame_records import Frames
 from handctl.runtime.buses.events import BusEvent
 
 TimeConversion = Callable[[int], int]
-"""Function from a CLOCK_MONOTONIC time [ns] to the run's time [ns], linear with a positive slope."""
+"""Function that converts a CLOCK_MONOTONIC time [ns] to the run's time [ns].
+
+The function is linear, with a positive slope.
+"""
 
 
 class Bus(Protocol):
-    """CAN bus with calls that never block and never raise for events on the wire."""
+    """CAN bus whose methods never block. Events on the wire never raise an error."""
 
     @property
     def name(self) -> str:
@@ -25,14 +28,15 @@ class Bus(Protocol):
     def drain(self) -> Frames:
         """Return the frames received since the last call, oldest first.
 
-        Each has its bus index and reception time.
+        Each frame has the index of its bus and its time of reception.
         """
         ...
 
     def send(self, frames: Sequence[Frame]) -> int:
-        """Send a batch and return the number of accepted frames, counted from the first.
+        """Send a batch of frames.
 
-        The frames that are not accepted are dropped, because a command must not be sent late.
+        Return how many of them, counted from the first, the bus has accepted. The other frames are
+        dropped, because a command must not be sent late.
 
         Args:
             frames: frames to send. A ``Frames`` object, as the control loop uses, is sent directly.
@@ -44,7 +48,7 @@ class Bus(Protocol):
         ...
 
     def take_events(self) -> list[BusEvent]:
-        """Return the events of the bus since the last call, see the module ``events``."""
+        """Return the events of the bus since the last call. The module ``events`` explains them."""
         ...
 
     def fileno(self) -> int:
@@ -57,7 +61,7 @@ class Bus(Protocol):
 
 
 def check_payload_size(frame: Frame) -> None:
-    """Raise an error for a payload too long for its kind of frame.
+    """Raise an error if a payload is too long for its kind of frame.
 
     Raises:
         ValueError: the payload is longer than 8 bytes in a classical frame, or longer than 64 bytes

@@ -2,7 +2,7 @@
 
 Kinds:
 
-- ``enobufs``: a full queue refused frames, or frames were refused for an unknown reason
+- ``enobufs``: frames were refused, because a queue was full or for an unknown reason
 - ``enetdown``: the interface is down
 - ``enodev``: the interface or the hub of the simulator has disappeared, or reading fails for an
   unknown reason
@@ -11,14 +11,14 @@ Kinds:
 - ``error_frame``, ``error_warning``, ``error_passive``, ``error_active``, ``bus_off``,
   ``restarted``: states reported by the CAN controller of the interface
 
-A lasting state (``bus_off``, ``error_passive``, ``enodev``) is reported at every call of ``take_events``,
-until it ends. The fault detectors count for how many ticks such a state lasts.
+Every call of ``take_events`` reports a lasting state (``bus_off``, ``error_passive``, ``enodev``)
+again, until it ends. The fault detectors count the ticks for which such a state lasts.
 """
 
 import errno
 
 BusEvent = tuple[str, str, int]
-"""Event of a bus: kind, bus (with a detail), and number of occurrences."""
+"""Event of a bus: kind, name of the bus (possibly with a detail), and number of occurrences."""
 
 ERRNO_KINDS = {
     errno.ENOBUFS: "enobufs",
@@ -60,7 +60,7 @@ CLASS_NAMES = (
     "bus error",
     "restarted",
 )
-"""Names of these classes of errors, in the order of their bits, lowest bit first."""
+"""Names of these classes of errors, in the order of their bits. The lowest bit comes first."""
 OVERFLOW_MASK, TX_OVERFLOW_MASK, WARNING_MASK, PASSIVE_MASK, ACTIVE_MASK = (
     0x03,
     0x02,
@@ -76,10 +76,10 @@ transmit bit of OVERFLOW_MASK. Source: Linux ``can/error.h``.
 
 
 class BusEvents:
-    """Event counts and lasting states of one bus since the last ``take_events``."""
+    """Events of one bus since the last ``take_events``: their counts, and the lasting states."""
 
     def __init__(self, where: str) -> None:
-        """Start without events. ``where`` names the bus in each event."""
+        """Start without events. Each event will give ``where`` as the name of the bus."""
         self.where = where
         self._counts: dict[tuple[str, str], int] = {}
         self._lasting: set[str] = set()
@@ -100,7 +100,7 @@ class BusEvents:
         """Count a failed operation on the bus.
 
         Args:
-            code: errno of the failure, or None if it is unknown.
+            code: errno of the failure, or None for an unknown errno.
             otherwise: kind of event to count if the errno is unknown or not in ``ERRNO_KINDS``.
             number: number of frames in the failed operation.
         """
@@ -108,7 +108,7 @@ class BusEvents:
         if ERRNO_KINDS.get(code or 0) == "enodev":
             self.set_lasting_state(kind, True)
             return
-        if kind == "enetdown":  # an interface that is down has no error states
+        if kind == "enetdown":  # while an interface is down, it has no error states
             self.set_lasting_state("bus_off", False)
             self.set_lasting_state("error_passive", False)
         self.add_event(kind, number)

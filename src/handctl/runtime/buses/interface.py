@@ -1,4 +1,4 @@
-"""Shell commands that set up a CAN interface for a hand, and a check of the bit rates of the interface.
+"""Shell commands that set up a CAN interface for a hand, and a check of the interface's bit rates.
 
 The module ``link`` reads the state of an interface.
 """
@@ -26,13 +26,17 @@ def interface_names() -> tuple[str, ...]:
 def set_up_commands(
     channel: str, bitrate: int, data_bitrate: int | None, exists: bool
 ) -> tuple[CommandWords, ...]:
-    """Return the shell commands that set up an interface for a hand. They need root rights.
+    """Return the shell commands that set up an interface for a hand.
+
+    These commands need root rights.
 
     Args:
         channel: name of the interface. A name that begins with ``vcan`` is a virtual interface.
         bitrate: bit rate in the hand file [bit/s].
-        data_bitrate: bit rate of the data phase in the hand file [bit/s]. None for a classical bus.
-        exists: True if the interface exists. A virtual interface is added otherwise.
+        data_bitrate: bit rate of the data phase in the hand file [bit/s], or None for a classical
+            bus.
+        exists: True if the interface exists. If a virtual interface does not exist, the commands
+            add it.
     """
     link = ("ip", "link", "set", channel)
     queue = (*link, "txqueuelen", str(TX_QUEUE_FRAMES))
@@ -49,12 +53,15 @@ def set_up_commands(
 
 
 def wrong_rate_text(channel: str, bitrate: int, data_bitrate: int | None) -> str:
-    """Return a message about a wrong bit rate of an interface, empty if its rates are right or unknown.
+    """Return a message about a wrong bit rate of an interface.
+
+    The message is empty if all rates are right or unknown.
 
     Args:
         channel: name of the interface.
         bitrate: bit rate in the hand file [bit/s].
-        data_bitrate: bit rate of the data phase in the hand file [bit/s]. None for a classical bus.
+        data_bitrate: bit rate of the data phase in the hand file [bit/s], or None for a classical
+            bus.
     """
     try:
         link = read_link(channel)
@@ -66,7 +73,10 @@ def wrong_rate_text(channel: str, bitrate: int, data_bitrate: int | None) -> str
 def rate_difference(
     channel: str, link: CanLinkState, bitrate: int, data_bitrate: int | None
 ) -> str:
-    """Return a message about a wrong bit rate in ``link``, empty if the rates are right or the interface has none."""
+    """Return a message about a wrong bit rate in ``link``.
+
+    The message is empty if the rates are right or unknown.
+    """
     if link.bitrate is None:
         return ""
     if link.bitrate != bitrate:

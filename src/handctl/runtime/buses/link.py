@@ -9,7 +9,10 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 CANFD_MTU_BYTES = 72
-"""MTU of an interface that carries CAN FD [bytes]. It is the size of ``struct canfd_frame``."""
+"""MTU of an interface that carries CAN FD [bytes].
+
+This MTU is the size of ``struct canfd_frame``.
+"""
 IP_TOOL_TIMEOUT_S = 5.0
 """Longest wait for the program ``ip`` to answer [s]."""
 
@@ -23,14 +26,14 @@ class CanLinkState(NamedTuple):
         tx_queue_frames: length of the transmit queue (txqueuelen) [frames].
         is_fd: True if the interface carries CAN FD.
         bitrate: nominal bit rate [bit/s]. None for an interface without bit timing, such as vcan.
-        data_bitrate: bit rate of the data phase of CAN FD [bit/s]. None for an interface without
-            it.
+        data_bitrate: bit rate of the data phase of CAN FD [bit/s]. None for an interface without a
+            data phase.
         controller_state: state of the CAN controller, such as ``ERROR-ACTIVE``. Empty for an interface without
             a CAN controller.
         tx_error_counter: transmit error counter of the CAN controller.
         rx_error_counter: receive error counter of the CAN controller.
         restart_ms: delay after which the interface restarts from bus-off [ms]. It is 0 if a person
-            must restart it, and None without a CAN controller.
+            must restart the interface, and None if there is no CAN controller.
         event_counts: number of events since the interface was created, by kind: bus_error, error_passive,
             bus_off, tx_dropped, ...
     """
@@ -93,5 +96,5 @@ def parse_link(text: str) -> CanLinkState | None:
 
 
 def _count_dropped(stats: dict[str, Any]) -> dict[str, int]:
-    """Return the numbers of dropped received and sent frames, by kind of event."""
+    """Return how many received frames and sent frames were dropped, by kind of event."""
     return {f"{side}_dropped": int(stats.get(side, {}).get("dropped", 0)) for side in ("rx", "tx")}

@@ -1,12 +1,13 @@
-"""The local bus ``local:NAME``: a Unix stream socket to the hub, the part of a simulator that serves the bus.
+"""The local bus ``local:NAME``: a Unix stream socket to the hub.
 
-Each CAN frame is one record on the socket. A batch of frames needs one system call.
+The hub is the part of a simulator that serves the bus. Each CAN frame is one record on the socket.
+A batch of frames needs a single system call.
 
     can_id 32 | length 8 | flags 8 | dropped 16 | data 64 x 8
 
-A record has 72 bytes, in the layout of ``struct canfd_frame`` of Linux. Its two reserved bytes
-count the frames that the hub has dropped for this receiver. The socket does not report reception
-times, so each frame carries the time at which the host read it.
+A record has 72 bytes, in the layout of ``struct canfd_frame`` of Linux. The two reserved bytes of a
+record count the frames that the hub has dropped for this receiver. The socket reports no times of
+reception. Therefore each frame gets the time at which the host read it.
 """
 
 import socket
@@ -28,16 +29,17 @@ FRAME_RECORD_STRUCT = struct.Struct("<IBBH64s")
 SOCKET_BUFFER_BYTES = 1 << 20
 """Size of the socket buffer requested for each direction [bytes]."""
 MAX_RECORDS_PER_READ = 4096
-"""Largest number of records per read."""
+"""Largest number of records that one read returns."""
 INITIAL_SEND_RECORDS = 64
 """Initial size of the send buffer [records]. The buffer grows for larger batches."""
 QUEUE_REPORT_ID = 0xE0000000
-"""Identifier of a queue report: the hub reports the transmit queue of a simulated wire to its client.
+"""Identifier of a queue report.
 
-A hub that simulates no wire sends no queue report, and limits no queue.
+With it, the hub reports the transmit queue of a simulated wire to its client. A hub that simulates
+no wire sends no queue report, and limits no queue.
 """
 QUEUE_REPORT_STRUCT = struct.Struct("<II")
-"""Payload of a queue report: number of this client's frames that have left the queue (modulo 2**32), queue capacity."""
+"""Payload of a queue report: number of a client's frames that have left the queue (modulo 2**32), queue capacity."""
 MAX_READS_PER_DRAIN = 4
 """Largest number of reads in one ``drain``.
 
@@ -74,7 +76,7 @@ def connect_to_hub(name: str) -> socket.socket:
 
 
 class LocalBus:
-    """Client of a local bus, with the interface ``contract.Bus``.
+    """Client of a local bus. This class has the interface ``contract.Bus``.
 
     Attributes:
         name: specification of the bus.
@@ -93,9 +95,9 @@ class LocalBus:
         Args:
             channel: name of the bus.
             index: index of the bus in the hand's list.
-            stamp: function from a CLOCK_MONOTONIC time to the run's time [ns].
-            max_records: largest number of records per read. With 1, the socket stays readable as
-                long as a frame waits to be read.
+            stamp: function that converts a CLOCK_MONOTONIC time to the run's time [ns].
+            max_records: largest number of records per read. If it is 1, the socket stays readable
+                as long as a frame waits to be read.
 
         Raises:
             BusError: no hub of this name is running.
@@ -139,7 +141,7 @@ class LocalBus:
     def _read(self, buffer: memoryview) -> int:
         """Read from the socket into a buffer.
 
-        Return the number of bytes, 0 if no data have arrived.
+        Return the number of bytes, which is 0 if no data have arrived.
         """
         if self._closed:
             return 0
@@ -149,12 +151,12 @@ class LocalBus:
             return 0
         except OSError:
             size = 0
-        if size == 0:  # the stream has ended: the hub has closed it
+        if size == 0:  # the stream has ended, because the hub has closed it
             self._report_lost_hub()
         return size
 
     def _report_lost_hub(self) -> None:
-        """Report in every call of ``take_events`` from now on that the hub has ended."""
+        """Make every later call of ``take_events`` report that the hub has ended."""
         self._closed = True
         self._events.set_lasting_state("enodev", True)
 
@@ -212,16 +214,16 @@ class LocalBus:
             self._dropped = lost
 
     def _take_control(self, can_id: int, data: bytes) -> None:
-        """Process a frame that carries no data: a queue report from the hub, or an error frame."""
+        """Process a frame that is no data frame: a queue report from the hub, or an error frame."""
         if can_id == QUEUE_REPORT_ID:
             self._transmitted_count, self._queue_frames = QUEUE_REPORT_STRUCT.unpack(data)
         else:
             self._events.add_error_frame(can_id, data)
 
     def _frames_that_fit(self, frames: Sequence[Frame]) -> Sequence[Frame]:
-        """Return the first frames, as many as fit in the queue.
+        """Return as many of the first frames as fit in the queue.
 
-        The others are counted as refused.
+        The other frames count as refused.
         """
         if len(frames) > self._free_queue_places():
             self.early_frames = self.drain()  # a queue report may have arrived since the last read
@@ -234,7 +236,7 @@ class LocalBus:
         """Return the number of frames that still fit in the queue of the simulated wire."""
         waiting = (
             self._sent_count - self._transmitted_count & 0xFFFFFFFF
-        )  # the hub counts modulo 2**32
+        )  # the hub counts frames modulo 2**32
         return max(0, self._queue_frames - waiting)
 
     def send(self, frames: Sequence[Frame]) -> int:
@@ -277,7 +279,9 @@ class LocalBus:
         return self._out[: CANFD_FRAME_BYTES * len(frames)]
 
     def _keep_partial_record(self, waiting: bytes | memoryview, sent: int, frames: int) -> int:
-        """Store the unsent part of a partly sent record for the next call, and drop the records after it.
+        """If a record was sent only in part, store its rest for the next call.
+
+        Drop the records after it.
 
         Args:
             waiting: unsent part of the previous batch, followed by this batch.
@@ -288,7 +292,7 @@ class LocalBus:
             the number of accepted frames. A partly sent frame counts as accepted.
         """
         before = len(self._unsent_bytes)
-        accepted = max(0, -((before - sent) // CANFD_FRAME_BYTES))  # rounded up
+        accepted = max(0, -((before - sent) // CANFD_FRAME_BYTES))  # division, rounded up
         self._unsent_bytes = bytes(waiting[sent : before + accepted * CANFD_FRAME_BYTES])
         if frames > accepted:
             self._events.add_event("enobufs", frames - accepted)

@@ -1,8 +1,8 @@
 """Many datagrams in one system call: ``sendmmsg`` and ``recvmmsg`` of Linux on reused buffers.
 
-The ``socket`` module of Python has no such call. With one system call per frame, these calls would
-cost more than all other work of an exchange. Source: man 2 recvmmsg, man 7 socket (SO_TIMESTAMPNS,
-SO_RXQ_OVFL), man 3 cmsg.
+The ``socket`` module of Python has no such call. If each frame needed its own system call, these
+calls would take longer than all other work of an exchange. Source: man 2 recvmmsg, man 7 socket
+(SO_TIMESTAMPNS, SO_RXQ_OVFL), man 3 cmsg.
 """
 
 import ctypes
@@ -17,7 +17,7 @@ SO_RCVBUFFORCE = 33
 SO_TIMESTAMPNS = 35
 SO_RXQ_OVFL = 40
 _SOL_SOCKET = int(socket.SOL_SOCKET)
-"""Level of these socket options. Source of their numbers: Linux ``asm-generic/socket.h``."""
+"""Level of the socket options above. Source of their numbers: Linux ``asm-generic/socket.h``."""
 
 
 class _Iovec(ctypes.Structure):
@@ -49,15 +49,18 @@ class _MultiMessageHeader(ctypes.Structure):
 CONTROL_MESSAGES_STRUCT = struct.Struct("@NiillNiiI12x")
 """Control messages added to a received datagram by the kernel, in native layout.
 
-    length | level | SO_TIMESTAMPNS | s | ns | length | level | SO_RXQ_OVFL | dropped 32 | padding
-    12
+    length | level | SO_TIMESTAMPNS | s | ns
+    length | level | SO_RXQ_OVFL | dropped 32 | padding 12
 """
 STAMP_OFFSET = struct.calcsize("@Nii")
-"""Offset of the seconds in the control messages [bytes]. The nanoseconds come next."""
+"""Offset of the time stamp's seconds in the control messages [bytes].
+
+The nanoseconds follow them.
+"""
 STAMP_CONTROL_BYTES = struct.calcsize("@Niill")
 """Length of the control messages if they have a time stamp and no loss counter [bytes].
 
-Control messages with only a loss counter are shorter.
+Control messages with a loss counter but no time stamp are shorter.
 """
 COUNTER_CONTROL_BYTES = struct.calcsize("@NiillNiiI")
 """Length of the control messages if they have a time stamp and a loss counter [bytes]."""
@@ -74,7 +77,7 @@ _HEADER_GAP_BYTES = (
 _HEADER_STRUCT = struct.Struct(
     f"@{_MessageHeader.controllen.offset}xN{_HEADER_GAP_BYTES}xI{_HEADER_TAIL_BYTES}x"
 )
-"""Values written into a header by the kernel: length of the control messages, length of the datagram."""
+"""Values that the kernel writes into a header: length of the control messages, length of the datagram."""
 _libc = ctypes.CDLL(None, use_errno=True)
 for _call in ("sendmmsg", "recvmmsg"):
     getattr(_libc, _call).restype = ctypes.c_int
@@ -90,14 +93,14 @@ _libc.recvmmsg.argtypes = (
 
 NS_PER_SECOND = np.int64(1_000_000_000)
 Datagram = tuple[int, int, int]
-"""Received datagram: size [bytes], CLOCK_REALTIME [ns] (0 if missing), datagrams lost so far modulo 2**32.
+"""Received datagram: size [bytes], CLOCK_REALTIME [ns] (0 if missing), number of datagrams lost so far, modulo 2**32.
 
 The kernel omits the loss counter until the first loss. A missing counter counts as 0.
 """
 
 
 class DatagramSlots:
-    """Buffers of equal size for datagrams, with the kernel headers that point at these buffers.
+    """Buffers of equal size for datagrams, and the kernel headers that point at these buffers.
 
     Attributes:
         count: number of slots.
@@ -146,9 +149,9 @@ class DatagramSlots:
     def common_size(self, count: int) -> int:
         """Return the common size of the first ``count`` datagrams [bytes], or 0 if each must be read separately.
 
-        The datagrams have a common size if all have the same length and a time stamp, and none has
-        a loss counter. The kernel usually writes the same bytes into the headers in every tick. The
-        result for the last bytes is therefore cached.
+        The result is not 0 if all datagrams have the same length and a time stamp, and none has a
+        loss counter. The kernel usually writes the same bytes into the headers in every tick.
+        Therefore the result for the last bytes is cached.
         """
         raw = bytes(self._view[: count * _HEADER_STRUCT.size])
         if raw != self._last_size[0]:
@@ -186,19 +189,24 @@ class DatagramSlots:
     def reception_stamps(self, count: int) -> NDArray[np.int64]:
         """Return the CLOCK_REALTIME stamps of the first ``count`` datagrams [ns].
 
-        Each must have a stamp.
+        All of them must have a stamp.
         """
         times: NDArray[np.int64] = self._seconds[:count] * NS_PER_SECOND
         times += self._nanoseconds[:count]
         return times
 
     def set_lengths(self, lengths: NDArray[np.uint64]) -> None:
-        """Set the number of bytes to send from each of the first slots, one number per slot."""
+        """Set how many bytes of each slot are sent.
+
+        ``lengths`` has one number for each of the first slots.
+        """
         self._sizes[: len(lengths)] = lengths
 
 
 def receive_datagrams(fd: int, slots: DatagramSlots) -> int:
-    """Receive the waiting datagrams, at most one per slot, and return the number received.
+    """Receive the waiting datagrams, at most one for each slot.
+
+    Return the number of received datagrams.
 
     Call ``DatagramSlots.reset_headers`` before the slots receive again.
 

@@ -21,17 +21,19 @@ def real_buses(specs: Sequence[str]) -> list[str]:
 def _keep_monotonic_time(t_ns: int) -> int:
     """Return a CLOCK_MONOTONIC time unchanged.
 
-    It is the conversion for programs without a run's time.
+    This conversion is for programs that have no run, and no run's time.
     """
     return t_ns
 
 
 def check_bus_spec(spec: str) -> None:
-    """Raise an error for an invalid bus specification, before any bus is opened.
+    """Raise an error if a bus specification is invalid.
+
+    Callers use this check before they open a bus.
 
     Raises:
-        ConfigError: the kind or the channel is missing, or the name of a local bus has a slash or
-            begins with a dot.
+        ConfigError: the kind or the channel is missing, or the name of a local bus contains a slash
+            or begins with a dot.
     """
     kind, _, channel = spec.partition(":")
     if not kind or not channel or "=" in kind:
@@ -55,13 +57,13 @@ def open_bus(
             ``INTERFACE:CHANNEL`` of python-can.
         index: index of the bus in the hand's list, copied into every frame.
         bitrate: nominal bit rate [bit/s].
-        data_bitrate: bit rate of the data phase of CAN FD [bit/s]. None for a classical bus.
-        stamp: function from a CLOCK_MONOTONIC time to the run's time [ns].
+        data_bitrate: bit rate of the data phase of CAN FD [bit/s], or None for a classical bus.
+        stamp: function that converts a CLOCK_MONOTONIC time to the run's time [ns].
 
     Raises:
         ConfigError: ``spec`` is not a valid bus specification.
-        BusError: the bus cannot be opened. The message contains a command or advice to correct
-            this.
+        BusError: the bus cannot be opened. The message contains a command or advice that corrects
+            the problem.
     """
     check_bus_spec(spec)
     kind, _, channel = spec.partition(":")

@@ -1,8 +1,8 @@
 """CAN buses of all interfaces supported by python-can.
 
-Examples: ``virtual:x``, ``slcan:/dev/ttyACM0@115200``, ``pcan:PCAN_USBBUS1``. The zero of
-python-can's time stamps differs between interfaces. Each frame therefore carries the time at which
-the host read it.
+Examples: ``virtual:x``, ``slcan:/dev/ttyACM0@115200``, ``pcan:PCAN_USBBUS1``. The time stamps of
+python-can have another zero in each interface. Therefore each frame gets the time at which the host
+read it.
 """
 
 import time
@@ -30,7 +30,7 @@ def frame_of_message(message: can.Message, index: int, t_ns: int) -> Frame:
     """Return a python-can message as a frame.
 
     Args:
-        message: classical or CAN FD message, with data or a remote request.
+        message: classical or CAN FD message. Remote requests are allowed.
         index: index of the bus.
         t_ns: time of reception [ns].
     """
@@ -52,7 +52,7 @@ def message_of_frame(frame: Frame, timestamp: float = 0.0) -> can.Message:
     """Return a frame as a python-can message.
 
     Args:
-        frame: classical or CAN FD frame, with data or a remote request.
+        frame: classical or CAN FD frame. Remote requests are allowed.
         timestamp: time stamp of the message [s].
     """
     remote = bool(frame.can_id & REMOTE_FLAG)
@@ -102,7 +102,7 @@ def open_python_can(
 
 
 class PythonCanBus:
-    """A python-can bus, with the interface ``contract.Bus``."""
+    """A bus of python-can. This class has the interface ``contract.Bus``."""
 
     def __init__(
         self,
@@ -121,7 +121,7 @@ class PythonCanBus:
             index: index of the bus in the hand's list.
             bitrate: nominal bit rate [bit/s].
             data_bitrate: bit rate of the data phase of CAN FD [bit/s]. None for a classical bus.
-            stamp: function from a CLOCK_MONOTONIC time to the run's time [ns].
+            stamp: function that converts a CLOCK_MONOTONIC time to the run's time [ns].
 
         Raises:
             BusError: python-can has no such interface, or cannot open it.
@@ -153,7 +153,10 @@ class PythonCanBus:
         return frames_as_records(frames)
 
     def _take_message(self, frames: list[Frame], message: can.Message) -> None:
-        """Append a received message to ``frames``, or count it as an event if it is an error frame."""
+        """Append a received message to ``frames``.
+
+        If it is an error frame, count it as an event instead.
+        """
         if message.is_error_frame:
             self._events.add_error_frame(message.arbitration_id, bytes(message.data))
         elif (
@@ -189,9 +192,9 @@ class PythonCanBus:
 
 
 def _errno_of(error: Exception) -> int | None:
-    """Return the errno of a python-can error, or None if the error carries none.
+    """Return the errno of a python-can error, or None if there is none.
 
-    The errno is in the error, in its ``error_code``, or in its cause.
+    The errno may be in the error itself, in its ``error_code``, or in its cause.
     """
     code = error.errno if isinstance(error, OSError) else getattr(error, "error_code", None)
     if code is None and isinstance(error.__cause__, OSError):

@@ -1,6 +1,6 @@
 """CAN bus of the Linux kernel (SocketCAN) on a raw socket, for classical frames and CAN FD.
 
-A batch of frames needs one system call. The kernel adds the time of reception to each received
+A batch of frames needs a single system call. The kernel adds the time of reception to each received
 frame.
 """
 
@@ -24,7 +24,7 @@ from handctl.runtime.buses.events import BusEvent, BusEvents
 from handctl.runtime.buses.interface import wrong_rate_text
 
 MAX_FRAMES_PER_CALL = 128
-"""Largest number of frames per system call."""
+"""Largest number of frames in one system call."""
 MAX_READS_PER_DRAIN = 64
 """Largest number of reads in one ``drain``.
 
@@ -33,15 +33,15 @@ The limit keeps a flood of frames from delaying a tick.
 RECEIVE_BUFFER_BYTES = 4 << 20
 """Size of the receive buffer requested from the kernel [bytes]."""
 SEND_BUFFER_BYTES = 32 << 10
-"""Size of the send buffer [bytes]. The buffer is small, because a command must not be sent late.
+"""Size of the send buffer [bytes].
 
-About 80 frames fit in the buffer.
+About 80 frames fit in it. The buffer is small, because a command must not be sent late.
 """
 MAX_STAMP_STEP_NS = 20_000_000
-"""Largest step from one time stamp to the next that is accepted without reading the clock [ns].
+"""Largest step from one time stamp to the next that is accepted without a reading of the clock [ns].
 
-After a larger step, either the bus was silent or the wall clock was set. If the wall clock is set
-by less, the next measurement of the clock offset notices it.
+A larger step means that the bus was silent or that the wall clock was set. If the wall clock is set
+by a smaller step, the next measurement of the clock offset detects it.
 """
 CAN_RAW_ERR_FILTER, ALL_ERRORS = 2, 0x1FFFFFFF
 """Socket option that selects error frames, and the mask of all their classes.
@@ -49,20 +49,22 @@ CAN_RAW_ERR_FILTER, ALL_ERRORS = 2, 0x1FFFFFFF
 Source: Linux ``can/raw.h``, ``can/error.h``.
 """
 SIOCGIFFLAGS, SIOCGIFMTU, SIOCGIFTXQLEN, IFF_UP = 0x8913, 0x8921, 0x8942, 1
-"""Requests to the kernel for flags, MTU and queue length of an interface, and the flag of an interface that is up.
+"""Requests to the kernel for the flags, MTU and queue length of an interface.
+
+IFF_UP is the flag of an interface that is up.
 
 Source: Linux ``sockios.h``, ``if.h``.
 """
 MIN_QUEUE_FRAMES = 32
 """Shortest accepted transmit queue [frames].
 
-A tick sends the frames of 11 motors and a SYNC together, and the default length of the queue is 10
-frames.
+A tick sends the frames of 11 motors and a SYNC together. The default queue of 10 frames is too
+short for them.
 """
 
 
 class SocketCanBus:
-    """Raw CAN socket, with the interface ``contract.Bus``."""
+    """Raw CAN socket. This class has the interface ``contract.Bus``."""
 
     def __init__(
         self, link: socket.socket, name: str, index: int, fd_mode: bool, stamp: TimeConversion
@@ -74,7 +76,7 @@ class SocketCanBus:
             name: specification of the bus.
             index: index of the bus in the hand's list.
             fd_mode: True if the socket receives CAN FD frames.
-            stamp: function from a CLOCK_MONOTONIC time to the run's time [ns].
+            stamp: function that converts a CLOCK_MONOTONIC time to the run's time [ns].
         """
         _set_socket_options(link)
         self.name = name
@@ -110,9 +112,9 @@ class SocketCanBus:
     def _convert_datagrams(self, count: int) -> Frames:
         """Return the received datagrams as frames.
 
-        Usually all datagrams are of one kind (classical or CAN FD), and their time stamps follow
-        each other closely. Such datagrams are converted as one batch. All others are converted
-        individually.
+        Usually all datagrams are of one kind (classical or CAN FD), and their time stamps are close
+        to each other. Such datagrams are converted as one batch. Otherwise each datagram is
+        converted separately.
         """
         size = self._in.common_size(count)
         frames = self._take_batch(count, FDF if size == CANFD_FRAME_BYTES else 0) if size else None
@@ -122,9 +124,10 @@ class SocketCanBus:
         return frames
 
     def _take_batch(self, count: int, fd_flag: int) -> Frames | None:
-        """Return the frames of a batch of one kind, or None if they must be converted individually.
+        """Return the frames of a batch of one kind.
 
-        A batch with an error frame or a doubtful time stamp is converted individually.
+        If the batch contains an error frame or a doubtful time stamp, return None. The caller then
+        converts each frame separately.
         """
         heads = self._structs.converted_heads(count, self._index, 0xFF if fd_flag else 0, fd_flag)
         if heads.has_error_frames:
@@ -141,7 +144,7 @@ class SocketCanBus:
         start = stamp(first)
         if (
             stamp(last) - start == last - first
-        ):  # the run's time is neither scaled nor paused in this interval
+        ):  # between these stamps, the run's time is neither scaled nor paused
             times += start - first
         else:
             times = np.array([stamp(t_ns) for t_ns in each])
@@ -149,7 +152,7 @@ class SocketCanBus:
         return Frames(self._structs.read(count, heads, times))
 
     def _take_each(self, datagrams: list[mmsg.Datagram], now: int) -> Frames:
-        """Return frames of any kind, converted individually.
+        """Convert datagrams of any kind, one after the other, and return their frames.
 
         Error frames and lost frames are counted as events instead.
         """
@@ -217,7 +220,7 @@ def _set_socket_options(link: socket.socket) -> None:
     link.setsockopt(socket.SOL_SOCKET, mmsg.SO_TIMESTAMPNS, 1)
     link.setsockopt(socket.SOL_SOCKET, mmsg.SO_RXQ_OVFL, 1)
     link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
-    try:  # only root may request a buffer larger than net.core.rmem_max
+    try:  # only root may request a larger buffer than net.core.rmem_max
         link.setsockopt(socket.SOL_SOCKET, mmsg.SO_RCVBUFFORCE, RECEIVE_BUFFER_BYTES)
     except PermissionError:
         link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
@@ -234,7 +237,7 @@ def open_socketcan(
         bitrate: required nominal bit rate [bit/s].
         data_bitrate: required bit rate of the data phase of CAN FD [bit/s]. None for a classical
             bus.
-        stamp: function from a CLOCK_MONOTONIC time to the run's time [ns].
+        stamp: function that converts a CLOCK_MONOTONIC time to the run's time [ns].
 
     Raises:
         BusError: the kernel has no SocketCAN, or the interface is missing or down, is not in CAN FD
@@ -268,7 +271,10 @@ def open_socketcan(
 
 
 def _interface_problem(link: socket.socket, channel: str, fd_mode: bool) -> str:
-    """Return a message about the problem of an existing interface, empty if the interface can be used."""
+    """Return a message about the problem of an existing interface.
+
+    The message is empty if the interface can be used.
+    """
     if not _read_interface_number(link, channel, SIOCGIFFLAGS) & IFF_UP:
         return "the interface is down"
     if fd_mode and _read_interface_number(link, channel, SIOCGIFMTU) < CANFD_FRAME_BYTES:
@@ -279,7 +285,7 @@ def _interface_problem(link: socket.socket, channel: str, fd_mode: bool) -> str:
 
 
 def _read_interface_number(link: socket.socket, channel: str, request: int) -> int:
-    """Request a number of an interface from the kernel, in the socket's network namespace."""
+    """Ask the kernel for a number about an interface, in the network namespace of the socket."""
     # Layout of struct ifreq: name 16 bytes | flags 16 bits, or MTU 32 bits, or queue length 32 bits
     # | padding
     answer = fcntl.ioctl(link, request, struct.pack("=16sI20x", channel.encode(), 0))

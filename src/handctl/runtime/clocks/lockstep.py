@@ -1,9 +1,9 @@
 """Virtual time for lockstep: the control loop advances the simulator tick by tick, and never sleeps.
 
-The simulator is called the peer. It is an object with the method ``step(t_ns, frames) -> frames``.
-The simulated hand is loaded by its name, because handctl never imports a simulator. If the peer has
-the method ``exchange(t_ns, records) -> records``, the loop calls it instead of ``step``. This
-avoids an object for each frame.
+The simulator is called the peer. The peer is an object with the method ``step(t_ns, frames) ->
+frames``. The class of the peer is loaded by name, because no module of handctl imports a simulator.
+If the peer also has the method ``exchange(t_ns, records) -> records``, the loop calls this method
+instead. ``exchange`` needs no object for each frame.
 """
 
 import importlib
@@ -21,14 +21,17 @@ from handctl.runtime.buses.canfd import without_errors
 from handctl.runtime.buses.events import BusEvents
 
 SIMULATED_HAND_ENTRY = "firmware_sim.lockstep_hand:LockstepHand"
-"""Entry ``module:Class`` of the simulator in the handctl repository."""
+"""Name ``module:Class`` of the simulator in the handctl repository."""
 
 
 class LockstepSimulator(Protocol):
     """Interface of a simulator in lockstep."""
 
     def step(self, t_ns: int, frames: list[Any]) -> list[Any]:
-        """Advance the simulator by one period, and return its answers to the host's frames of the tick at t_ns."""
+        """Advance the simulator by one period.
+
+        Return its answers to the frames that the host sent at t_ns.
+        """
         ...
 
     def close(self) -> None:
@@ -37,7 +40,10 @@ class LockstepSimulator(Protocol):
 
 
 def _exchange_objects(peer: LockstepSimulator, t_ns: int, records: RecordArray) -> RecordArray:
-    """Exchange records with a simulator that has no ``exchange``, by converting them to frame objects and back."""
+    """Exchange records with a simulator that has no ``exchange``.
+
+    The records are converted to frame objects and back.
+    """
     return frames_as_records(
         Frame(*reply) for reply in peer.step(t_ns, list(Frames(records)))
     ).records
@@ -48,7 +54,7 @@ def load_simulator_object(entry: str, user: str) -> Callable[..., Any]:
 
     Args:
         entry: name of the class or function, ``module:name``.
-        user: command or function that needs the class. The error message names this user.
+        user: command or function that needs the class or function, for the error message.
 
     Raises:
         ConfigError: the class or function does not exist, or its optional package is not installed.
@@ -79,15 +85,16 @@ def load_simulator(entry: str, **options: object) -> LockstepSimulator:
 
 
 class LockstepClock:
-    """Clock that stops while controller and simulator compute.
+    """Clock that stops while the controller and the simulator compute.
 
-    The call that waits for a tick advances the simulator by one control period.
+    A call of ``wait`` for the next tick advances the simulator by one control period.
 
     Attributes:
         simulator: the simulator.
         period_ns: control period [ns].
-        frames_to_simulator: frames from the host for the next step of the simulator.
-        frames_from_simulator: answers of the simulator not yet returned by ``LockstepBus.drain``.
+        frames_to_simulator: frames of the host that the next step of the simulator will receive.
+        frames_from_simulator: answers of the simulator that ``LockstepBus.drain`` has not returned
+            yet.
         k: number of the present tick.
         offset_ns: time of the simulator at t = 0 of this run [ns].
     """
@@ -106,8 +113,8 @@ class LockstepClock:
     def restart(self) -> None:
         """Begin another run, one tick after the last frames of the previous run were sent.
 
-        The simulator receives these frames, because they disable the drives. Its answers are
-        discarded, because no bus is open between two runs.
+        The simulator receives these frames, because they disable the drives. The answers of the
+        simulator are discarded, because no bus is open between two runs.
         """
         if self.frames_to_simulator:
             self.wait(self.k + 1)
@@ -139,12 +146,15 @@ class LockstepClock:
         return self.k * self.period_ns
 
     def clock_facts(self) -> dict[str, str]:
-        """Return no facts for the log, because virtual time is the same in every run."""
+        """Return an empty mapping, because virtual time is the same in every run."""
         return {}
 
 
 class LockstepBus:
-    """One object for all buses of a hand in lockstep. Each frame has the index of its bus."""
+    """All buses of a hand in lockstep, as a single object.
+
+    Each frame contains the index of its bus.
+    """
 
     name = "lockstep"
 
@@ -157,8 +167,8 @@ class LockstepBus:
         """Return the answers of the simulator. Error frames become events."""
         frames = join_frames(self.clock.frames_from_simulator)
         self.clock.frames_from_simulator = []
-        # One OR over all identifiers shows if there is an error frame. Usually there is none, and
-        # no frame has to be examined.
+        # One OR over all identifiers shows whether any frame is an error frame. Usually there is
+        # none, and no frame has to be examined on its own.
         if not len(frames) or not int(np.bitwise_or.reduce(frames.records["can_id"])) & ERROR_FLAG:
             return frames
         frames, errors = without_errors(frames.records)

@@ -1,4 +1,7 @@
-"""Real-time priority and locked memory for the control process, and processors that do not sleep."""
+"""Real-time priority and locked memory for the control process.
+
+Idle processors can be kept awake.
+"""
 
 import os
 import sys
@@ -7,14 +10,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 LATENCY_FILE = "/dev/cpu_dma_latency"
-"""File of Linux that limits the time in which an idle processor must wake up."""
+"""File through which a process tells Linux how fast idle processors must wake up."""
 ZERO_LATENCY_BYTES = bytes(4)
 """Wake-up time of 0 us to write into ``LATENCY_FILE``, as a 32-bit integer."""
 
 
 @dataclass(frozen=True, slots=True)
 class GrantedPriority:
-    """Real-time scheduling, memory locking and awake processors, as granted by the operating system.
+    """Permissions that the operating system has granted: real-time scheduling, locked memory, awake processors.
 
     Attributes:
         realtime: True if the system granted SCHED_FIFO, the real-time priority.
@@ -27,7 +30,7 @@ class GrantedPriority:
     processors_awake: bool = False
 
     def __str__(self) -> str:
-        """List in one line the permissions that the system has granted and refused."""
+        """List the granted and the refused permissions in one line."""
         granted = "SCHED_FIFO" if self.realtime else "no real-time priority (not permitted)"
         memory = ", memory locked" if self.memory_locked else ", memory not locked"
         return granted + memory + (", processors kept awake" if self.processors_awake else "")
@@ -38,8 +41,8 @@ def request_priority(level: int = 60) -> GrantedPriority:
 
     The result tells which of them the system refused. No error is raised.
     """
-    # The memory is locked first. Locking fills hundreds of MB, and under SCHED_FIFO no other
-    # process would get the core during this time.
+    # The memory is locked before SCHED_FIFO is requested. Locking fills hundreds of MB. Under
+    # SCHED_FIFO, no other process would get the core during this time.
     locked = _lock_memory()
     return GrantedPriority(_enter_fifo(level), locked)
 
@@ -47,8 +50,8 @@ def request_priority(level: int = 60) -> GrantedPriority:
 def prepare_priority() -> GrantedPriority:
     """Lock the memory, and test if the system will grant SCHED_FIFO to :func:`realtime_priority`.
 
-    The start of a control loop takes a quarter of a second. It runs without real-time priority, so
-    that other processes can use the core.
+    The start of a control loop takes a quarter of a second. During this time it has no real-time
+    priority, so that other processes can use the core.
     """
     locked = _lock_memory()
     with realtime_priority() as granted, awake_processors() as awake:
@@ -70,11 +73,12 @@ def realtime_priority(level: int = 60) -> Iterator[bool]:
 
 @contextmanager
 def awake_processors() -> Iterator[bool]:
-    """Keep idle processors awake during a ``with`` block. Yield True if permitted.
+    """Keep idle processors awake during a ``with`` block.
 
-    An idle processor sleeps, and takes up to a millisecond to wake up, above all in a virtual
-    machine. The system keeps all processors awake as long as a process has ``LATENCY_FILE`` open
-    and has written a latency of 0. Source: Linux, Documentation/power/pm_qos_interface.
+    Yield True if the system permits it. Otherwise an idle processor sleeps. An idle processor may
+    take a millisecond to wake up, above all in a virtual machine. The system keeps all processors
+    awake as long as a process has ``LATENCY_FILE`` open and has written a latency of 0. Source:
+    Linux, Documentation/power/pm_qos_interface.
     """
     try:
         descriptor = os.open(LATENCY_FILE, os.O_WRONLY | os.O_CLOEXEC)
@@ -89,7 +93,7 @@ def awake_processors() -> Iterator[bool]:
 
 
 def restore_priority() -> None:
-    """Return to ordinary scheduling and unlock the memory after the loop."""
+    """Return to ordinary scheduling and unlock the memory, after the control loop has ended."""
     _leave_fifo()
     if sys.platform.startswith("linux"):
         import ctypes
@@ -106,7 +110,7 @@ def _leave_fifo() -> None:
 
 
 def _enter_fifo(level: int) -> bool:
-    """Enter SCHED_FIFO, and return True if granted.
+    """Enter SCHED_FIFO, and return True if the system grants it.
 
     Child processes start with ordinary scheduling.
     """
@@ -125,7 +129,10 @@ MCL_FUTURE = 2
 
 
 def _lock_memory() -> bool:
-    """Lock the present and future pages of this process in memory. Return True if granted."""
+    """Lock the present and future pages of this process in memory.
+
+    Return True if the system permits it.
+    """
     if not sys.platform.startswith("linux"):
         return False
     import ctypes

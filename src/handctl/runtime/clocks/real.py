@@ -1,4 +1,6 @@
-"""Real time of a run: ticks with absolute deadlines on CLOCK_MONOTONIC, and an optional scale of the time.
+"""Real time of a run.
+
+Ticks have absolute deadlines on CLOCK_MONOTONIC. The time of the run may be scaled.
 
 The virtual time of lockstep is in the module ``lockstep``.
 """
@@ -8,14 +10,15 @@ from dataclasses import dataclass
 from typing import Protocol
 
 BUSY_WAIT_NS = 60_000
-"""Time before each deadline in which a process with real-time priority spins instead of sleeping [ns of wall time].
+"""Time before each deadline in which the process reads the clock in a loop [ns of wall time].
 
-``time.sleep`` returns about 50 us late, even under SCHED_FIFO.
+A process with real-time priority does this, because ``time.sleep`` returns about 50 us late, even
+under SCHED_FIFO.
 """
 
 
 class TickClock(Protocol):
-    """Clock of the control loop. All times are the run's time, except where wall time is stated."""
+    """Clock of the control loop. All its times are the run's time, unless a text says wall time."""
 
     def start(self) -> None:
         """Start the run's time. The next tick is tick 0."""
@@ -30,7 +33,10 @@ class TickClock(Protocol):
         ...
 
     def clock_facts(self) -> dict[str, str]:
-        """Return facts about the clock, by name. They are recorded at the end of the log."""
+        """Return facts about the clock, by name.
+
+        The recorder writes these facts at the end of the log.
+        """
         ...
 
 
@@ -43,7 +49,8 @@ class RealClock:
     Attributes:
         period_ns: control period [ns of the run's time].
         time_scale: the run's time divided by wall time.
-        busy_wait: True to spin before each deadline. This is useful only with real-time priority.
+        busy_wait: True to read the clock in a loop before each deadline. This is useful only with
+            real-time priority.
         start_ns: reading of the clock at tick 0 [ns of wall time].
         pauses: number of pauses so far. Only the shared clock can pause.
         paused_ns: total duration of these pauses [ns of wall time].
@@ -57,14 +64,14 @@ class RealClock:
     paused_ns: int = 0
 
     def start(self) -> None:
-        """Start the run's time. The deadline of tick 0 is one period from now."""
+        """Start the run's time. The deadline of tick 0 follows after one period."""
         self.start_ns = self._read_ns() + int(self.period_ns / self.time_scale)
 
     def wait(self, k: int) -> int:
         """Wait for the deadline of tick k, and return the time since the deadline [ns], see ``TickClock``."""
         return int(
             self._wait_until(self._deadline_ns(k)) * self.time_scale
-        )  # from wall time to the run's time
+        )  # convert wall time to the run's time
 
     def now_ns(self) -> int:
         """Return the time since the start of the run [ns]."""
@@ -93,7 +100,7 @@ class RealClock:
             time.sleep(early / 1e9)
         while (
             now := self._read_ns()
-        ) < deadline:  # sleep may return early, and the same loop spins
+        ) < deadline:  # sleep may return early, so the loop checks the clock again
             if not self.busy_wait:
                 time.sleep((deadline - now) / 1e9)
         return now - deadline

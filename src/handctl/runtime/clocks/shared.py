@@ -1,26 +1,29 @@
-"""Clock that a controller and a simulator on one machine share. It pauses when the machine is too slow.
+"""Clock that a controller and a simulator on one machine share.
+
+The clock pauses when the machine is too slow.
 
 A simulated hand and its controller are two processes on one machine. The operating system may stop
-either process for many milliseconds. On real hardware only the controller can be stopped, and a
-late tick is a fault. In a simulation such a stop tells nothing about the hand or the controller.
-The shared clock therefore pauses in two cases:
+either process for many milliseconds. With real hardware, it can only stop the controller, and a
+late tick is a fault. In a simulation, such a stop tells nothing about the hand or the controller.
+Therefore the shared clock pauses in two cases:
 
 - The controller wakes up late. The clock continues from a short time after the deadline.
 - The simulator has not yet answered the frames of the previous tick. The clock stands still until
-  it has.
+  the answers are there.
 
 The time in both processes is CLOCK_MONOTONIC minus the sum of all pauses. The gate is the time at
 which the clock pauses, shortly after the next deadline. The controller moves the gate in every
-tick, and the simulator never advances beyond the gate. Both kinds of pause are limited to a
-fraction of a second. A killed or stopped process therefore leads to a fault, as on a real bus.
+tick, and the simulator never advances beyond the gate. Both kinds of pauses are limited to a
+fraction of a second. Therefore a process that was killed or stopped leads to a fault, as on a real
+bus.
 
 The simulator creates a file with six 64-bit integers, and both processes map it:
 
     version | gate [ns] | sum of the pauses [ns] | ticks sent | ticks answered | reached [ns]
 
-The controller writes the second to fourth integer, the simulator writes the others. Gate and
-reached time are CLOCK_MONOTONIC minus the pauses, without the time scale. A 64-bit integer is
-written at once, so no lock is needed.
+The controller writes the second, third and fourth integer. The simulator writes the others. The
+gate and the reached time are CLOCK_MONOTONIC minus the pauses, without the time scale. No lock is
+needed, because a 64-bit integer is written in one operation.
 """
 
 import mmap
@@ -36,26 +39,29 @@ GATE_INDEX, PAUSED_INDEX, SENT_INDEX, ANSWERED_INDEX, REACHED_INDEX = 1, 2, 3, 4
 """Indices of the integers in the file of the shared clock."""
 INTEGER_COUNT = 6
 OPEN_GATE_NS = 2**63 - 1
-"""Gate while no controller uses the clock: the simulator may always advance."""
+"""Value of the gate while no controller uses the clock.
+
+The simulator may then advance without limit.
+"""
 TOLERATED_LATENESS_FRACTION = 0.1
-"""Lateness of a tick that causes no pause yet, as a fraction of the control period."""
+"""Largest lateness of a tick that causes no pause, as a fraction of the control period."""
 MAX_CONTROLLER_PAUSE_NS = 100_000_000
 """Longest lateness of the controller that the clock turns into a pause [ns].
 
-If the controller is later, the ticks that it has missed count as missed.
+If the controller wakes up even later, the ticks in between count as missed.
 """
 MAX_SIMULATOR_WAIT_NS = 250_000_000
 """Longest wait of the clock for the simulator [ns].
 
-After this time the run continues without the frames of the simulator. They count as missing, as on
-a real bus.
+After this time, the run continues without the frames of the simulator. These frames count as
+missing, as on a real bus.
 """
 SIMULATOR_POLL_PERIOD_S = 50e-6
 """Time between two checks of the simulator's progress [s]."""
 MAX_SIMULATOR_LAG_NS = 1_500_000
-"""Time by which a simulator may be behind the clock without being late [ns of the run's time].
+"""Time by which a simulator may be behind the clock and still be on time [ns of the run's time].
 
-The simulator advances every millisecond.
+The simulator advances in steps of a millisecond.
 """
 
 
@@ -67,7 +73,7 @@ class ClockFile:
     """
 
     def __init__(self, path: Path) -> None:
-        """Map the clock file of a simulator into memory.
+        """Map the file of a simulator's shared clock into memory.
 
         Raises:
             FileNotFoundError: the simulator offers no shared clock.
@@ -83,7 +89,7 @@ class ClockFile:
             raise ValueError(f"{path}: version {self.numbers[0]}; expected {CLOCK_FILE_VERSION}")
 
     def close(self) -> None:
-        """Open the gate, so that the simulator continues without the controller, and unmap the file."""
+        """Open the gate and unmap the file. The simulator then continues without the controller."""
         self.numbers[GATE_INDEX] = OPEN_GATE_NS
         self.numbers.release()
         self._map.close()
@@ -91,7 +97,9 @@ class ClockFile:
 
 @dataclass
 class SharedClock(RealClock):
-    """Clock of a controller that shares the time with its simulator, see ``RealClock``.
+    """Clock of a controller that shares its time with its simulator.
+
+    The shared clock is a kind of ``RealClock``.
 
     Attributes:
         file: mapped clock file of the simulator.
@@ -130,7 +138,7 @@ class SharedClock(RealClock):
     def run_time_of(self, monotonic_ns: int) -> int:
         """Convert a CLOCK_MONOTONIC time stamp to the run's time [ns].
 
-        The result is right for time stamps since the end of the last pause but one.
+        The result is right for time stamps after the last pause but one.
         """
         end_ns, pause_ns = self._last_pause
         since_pause = self._numbers[PAUSED_INDEX] - min(max(end_ns - monotonic_ns, 0), pause_ns)
@@ -152,15 +160,15 @@ class SharedClock(RealClock):
     def _stop_at_gate(self) -> None:
         """Add a pause if the clock has passed the gate. The clock then reads the time of the gate.
 
-        The simulator has never read a time after the gate, so time does not jump back for it.
+        The simulator has never read a time after the gate. Therefore it sees no jump back in time.
         """
         self._numbers[PAUSED_INDEX] += max(0, self._read_ns() - self._numbers[GATE_INDEX])
 
     def _wait_for_simulator(self, deadline: int) -> None:
         """Stop the clock at the gate until the simulator has answered the frames of the previous tick.
 
-        After ``MAX_SIMULATOR_WAIT_NS`` without an answer, the clock continues, and no longer waits in
-        later ticks until the simulator answers again.
+        After ``MAX_SIMULATOR_WAIT_NS`` without an answer, the clock continues. In later ticks it no
+        longer waits, until the simulator has answered again.
         """
         numbers = self._numbers
         if numbers[ANSWERED_INDEX] == self._abandoned_answer:

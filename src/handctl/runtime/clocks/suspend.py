@@ -11,16 +11,16 @@ from handctl.core.tick_types import IoEvent
 MIN_SUSPEND_NS = 20_000_000
 """Shortest suspend that is reported [ns]."""
 MAX_READING_NS = 1_000_000
-"""Longest time that reading both clocks may take [ns].
+"""Longest time that a reading of both clocks may take [ns].
 
-A reading that took longer was interrupted, and is discarded.
+A reading that takes longer has been interrupted, and is discarded.
 """
 
 
 def read_boot_clock_ns() -> int:
     """Return the time since the machine was started [ns].
 
-    The time includes suspends if the system has CLOCK_BOOTTIME.
+    The result includes the time of suspends if the system has CLOCK_BOOTTIME.
     """
     clock: int = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
     return time.clock_gettime_ns(clock)
@@ -45,7 +45,7 @@ class SuspendWatch:
         self._difference_ns = self._clock_difference()
 
     def _clock_difference(self) -> int | None:
-        """Return the difference of the two clocks [ns], or None if reading them was interrupted."""
+        """Return the difference of the two clocks [ns], or None if the reading was interrupted."""
         before = self._monotonic()
         boot = self._boot()
         return boot - before if self._monotonic() - before < MAX_READING_NS else None

@@ -1,8 +1,8 @@
-"""Readings of the drives, load cells and joint encoders of a hand, while no drive makes torque.
+"""Readings of the drives, load cells and joint encoders of a hand, while no drive produces torque.
 
-Every drive is polled as in the mode READY of a run: the drive is configured, its settings are read
-back, and its feedback is requested. No function here requests ENABLE, and ``DriveTarget.POLL``
-disables a drive that is enabled.
+Every drive is polled as in the mode READY of a run. The drive is configured, its settings are read
+back, and its feedback is requested. No function here requests ENABLE. ``DriveTarget.POLL`` disables
+a drive that is enabled.
 """
 
 import math
@@ -20,7 +20,7 @@ from handctl.runtime.clocks.real import TickClock
 from handctl.runtime.diagnostics.scan import collect_frames
 
 LISTEN_DURATION_S = 0.5
-"""Time for which the bus is observed for another host, before the first frame is sent [s]."""
+"""Time for which this host listens for another host, before it sends the first frame [s]."""
 STALE_AFTER_S = 0.5
 """Age above which a reading is too old to be shown [s]."""
 
@@ -29,8 +29,8 @@ class SensorReading(NamedTuple):
     """Reading of a load cell [N] or of a joint encoder [rad].
 
     Attributes:
-        value: latest value as the node sends it, before any tare. NaN before the first frame.
-        t_ns: time of reception [ns], -1 before the first frame.
+        value: latest value that the node has sent, without a tare, or NaN before the first frame.
+        t_ns: time at which this value was received [ns], or -1 before the first frame.
     """
 
     value: float = math.nan
@@ -44,19 +44,19 @@ class SensorReading(NamedTuple):
 
 
 def is_saturated(tension: float, cell_range: tuple[float, float]) -> bool:
-    """Return True if a load cell reading [N] is at an end of the range of the cell [N], as a broken wire causes."""
+    """Return True if a reading of a load cell [N] is at an end of its range [N], as a broken wire causes."""
     return not cell_range[0] < tension < cell_range[1] and not math.isnan(tension)
 
 
 @dataclass
 class BusWatch:
-    """Poll of all drives and sensors of a hand. No drive makes torque.
+    """Poll of all drives and sensors of a hand. During the poll, no drive produces torque.
 
     Attributes:
         drives: drives of the hand.
-        sensors: the sensor node. It may have no frames.
+        sensors: the sensor node. Such a node may have no frames.
         buses: open buses, in the order of the hand file.
-        clock: a started clock. All nodes are polled once per period of the clock.
+        clock: a started clock. All nodes are polled once in each of its periods.
         states: state of each drive.
         amplifiers: state of each measuring amplifier.
         tensions: reading of each load cell, by index of the tendon.
@@ -75,7 +75,7 @@ class BusWatch:
     k: int = 0
 
     def __post_init__(self) -> None:
-        """Start with the initial state of each drive and without readings."""
+        """Set each drive to its initial state, with no readings so far."""
         self.states = [drive.initial_state() for drive in self.drives]
         node = self.sensors
         self.amplifiers = [amplifier.initial_state() for amplifier in node.amplifiers]
@@ -90,9 +90,9 @@ class BusWatch:
         for_s: float = LISTEN_DURATION_S,
         listen: Callable[[Bus, float, list[Frame]], None] = collect_frames,
     ) -> str:
-        """Listen for a time [s], and return the identifier of the first frame that only a host sends.
+        """Listen for a time [s], and return the identifier of the first frame from another host.
 
-        The text is empty if no host sends frames.
+        The text is empty if no other host sends frames.
         """
         own = {(drive.bus, can_id) for drive in self.drives for can_id in drive.host_ids}
         own |= {(self.sensors.bus, can_id) for can_id in self.sensors.host_ids}
@@ -123,7 +123,7 @@ class BusWatch:
         self.k += 1
 
     def send_release(self) -> None:
-        """Send the frames after which the drives accept that the host sends nothing more."""
+        """Send the frames that tell the drives that the host will send no more frames."""
         pairs = zip(self.drives, self.states, strict=True)
         self._send([frame for drive, state in pairs for frame in drive.release_frames(state)])
 
@@ -137,12 +137,15 @@ class BusWatch:
         ]
 
     def ages_s(self, now_ns: int) -> list[float]:
-        """Return the age of the latest feedback of each drive [s], infinity for a drive that has sent none."""
+        """Return the age of each drive's latest feedback [s].
+
+        The age is infinite for a drive that has sent no feedback.
+        """
         times = [state.feedback_t_ns for state in self.states]
         return [(now_ns - t_ns) * 1e-9 if t_ns >= 0 else math.inf for t_ns in times]
 
     def _receive(self, frame: Frame) -> None:
-        """Pass a received frame to the measuring amplifiers, and to the sensor readings or the drives."""
+        """Pass a received frame to the measuring amplifiers, and then to the sensor readings or to the drives."""
         group = self._group.get(frame.can_id, -1) if frame.bus == self.sensors.bus else -1
         for i, amplifier in enumerate(self.sensors.amplifiers):
             self.amplifiers[i] = amplifier.receive(self.amplifiers[i], frame)
@@ -150,7 +153,7 @@ class BusWatch:
                 group in self.sensors.group_ranges[i]
                 and self.amplifiers[i].phase != DrivePhase.READY
             ):
-                return  # before the amplifier is set up, the unit of its readings is unknown
+                return  # until the amplifier is set up, the unit of its readings is unknown
         if group < 0:
             for n, drive in enumerate(self.drives):
                 self.states[n] = drive.receive(self.states[n], frame)
@@ -160,8 +163,8 @@ class BusWatch:
         table = self._tables[group]
         kinds = [signal.quantity for signal in table.message.signals]
         decoded = zip(kinds, table.unpack(frame.data), strict=True)
-        # An amplifier may send NaN for an overload. The reading is then set to the low end of the
-        # range.
+        # An overloaded amplifier may send NaN. The reading is then set to the low end of the range,
+        # so that it counts as saturated.
         low = self.sensors.cell_range[0]
         values = [
             low if math.isnan(value) else value

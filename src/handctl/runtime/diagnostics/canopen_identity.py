@@ -1,4 +1,6 @@
-"""Identity of a CANopen drive (vendor, product, name, ...), read object by object with the ``canopen`` library.
+"""Identity of a CANopen drive (vendor, product, name, ...).
+
+The objects of the drive are read one by one with the ``canopen`` library.
 
 This module is not used while a controller runs.
 
@@ -34,9 +36,9 @@ ANSWER_TIMEOUT_S = 0.3
 
 
 class CanopenIdentity(NamedTuple):
-    """Numbers and texts reported by a node, by the names in ``NUMBER_OBJECTS`` and ``TEXT_OBJECTS``.
+    """Numbers and texts that a node has reported, by the names in ``NUMBER_OBJECTS`` and ``TEXT_OBJECTS``.
 
-    An object that the node does not have is missing in both.
+    Objects that the node lacks are left out.
     """
 
     numbers: dict[str, int]
@@ -60,7 +62,7 @@ def identify_nodes(spec: str, bitrate: int, nodes: Sequence[int]) -> dict[int, C
     before = logger.level
     logger.setLevel(
         logging.CRITICAL
-    )  # the library logs an error for each object that a drive lacks
+    )  # without this line, the library would log an error for each object that a drive lacks
     try:
         network.connect()
         return {number: _read_identity(network, number) for number in nodes}
@@ -85,7 +87,10 @@ def _read_identity(network: canopen.Network, number: int) -> CanopenIdentity:
 
 
 def _upload_object(node: canopen.RemoteNode, index: int, sub: int) -> bytes:
-    """Return the content of an object, empty if the drive refuses the request or does not answer."""
+    """Return the content of an object.
+
+    The content is empty if the drive refuses the request or does not answer.
+    """
     try:
         return bytes(node.sdo.upload(index, sub))
     except SdoError:

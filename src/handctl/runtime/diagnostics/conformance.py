@@ -1,7 +1,8 @@
-"""Conformance checks of a real drive. They run one after the other, within a given torque limit.
+"""Conformance checks of a real drive.
 
-The shaft may turn. Two checks raise the torque until the shaft has moved a little or the limit is
-reached, and then brake the shaft.
+The checks run one after the other, and keep the torque within a given limit. The shaft may turn.
+Two checks raise the torque until the shaft has moved a little or the torque limit is reached. Then
+they brake the shaft.
 """
 
 import math
@@ -21,18 +22,18 @@ from handctl.runtime.diagnostics.torque_step import (
 MAX_FEEDBACK_AGE_NS = 50_000_000
 """Largest age at which feedback still counts as fresh [ns]."""
 MAX_LATE_TICKS_OF_100 = 5
-"""Number of ticks in 100 in which feedback may be older, because other processes delay this one."""
+"""Number of ticks in 100 in which the feedback may be older, because other processes delay this process."""
 HOST_SILENCE_S = 0.3
-"""Shortest time without commands in the check of the watchdog [s]."""
+"""Shortest time for which the check of the watchdog sends no commands [s]."""
 COUNTED_TICKS = 60
-"""Number of ticks in which answers are counted, or torque commands are sent to a disabled drive."""
+"""Number of ticks in which a check counts answers, or sends torque commands to a disabled drive."""
 MIN_ANSWERS_OF_TWO_DRIVES = 1.5
-"""Answers per request above which a second drive must have the same number.
+"""Number of answers per request above which a second drive must have the same node number.
 
-One drive sends one answer to each request, and two drives send two.
+A single drive sends one answer to each request. Two drives with the same number send two answers.
 """
 REPORTED_FRACTION = 0.3
-"""Reported torque above which a disabled drive has obeyed a command, as a fraction of the torque limit."""
+"""Reported torque that shows that a disabled drive has obeyed a command, as a fraction of the torque limit."""
 
 
 class CheckVerdict(Enum):
@@ -82,15 +83,15 @@ class DeviceUnderTest(NamedTuple):
 RequirementCheck = Callable[[DeviceUnderTest], str]
 """Function that checks one requirement of a drive, and returns the observation as text.
 
-It raises CheckFailed or CheckNotApplicable if the check is not passed.
+If the drive does not pass, the function raises CheckFailed or CheckNotApplicable.
 """
 
 
 def run_checks(device: DeviceUnderTest) -> Iterator[ConformanceCheck]:
     """Run all checks in order, and yield each result.
 
-    The remaining checks are not run if a check leaves the drive in an unusable state. Two checks
-    turn the shaft. If the first of them fails, the second is not run.
+    If a check leaves the drive in an unusable state, the remaining checks are left out. Two checks
+    turn the shaft. If the first of them fails, the second is left out.
     """
     usable = True
     reversed_turn = False
@@ -112,8 +113,8 @@ def _omitted_check(
 ) -> ConformanceCheck:
     """Return the result of a check that is not run, because an earlier check has failed.
 
-    The check of the disable command fails if the drive is still enabled. The drive has then not
-    obeyed that command in an earlier check.
+    The check of the disable command fails if the drive is still enabled, because an earlier check
+    has already sent that command.
     """
     if requirement is _check_disables and device.rig.state.phase == DrivePhase.ENABLED:
         return ConformanceCheck(
@@ -145,7 +146,7 @@ def _check_configures(device: DeviceUnderTest) -> str:
 
 
 def _enable_drive(rig: DriveRig) -> None:
-    """Enable the drive. Raises CheckFailed if the drive does not report the state enabled."""
+    """Enable the drive. Raises CheckFailed if the drive does not report that it is enabled."""
     if not rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 2.0):
         raise CheckFailed(
             rig.state.error_text or "does not report that it is enabled within 2 s of the command"
@@ -153,9 +154,9 @@ def _enable_drive(rig: DriveRig) -> None:
 
 
 def _check_single_answers(device: DeviceUnderTest) -> str:
-    """Check that each request to the drive gets one answer.
+    """Check that each request to the drive gets exactly one answer.
 
-    A second drive with the same number would also answer.
+    A second drive with the same node number would send another answer.
     """
     rig = device.rig
     drive = rig.drive
@@ -176,7 +177,7 @@ def _check_single_answers(device: DeviceUnderTest) -> str:
 
 
 def _feedback_frames(rig: DriveRig, target: DriveTarget) -> int:
-    """Return the number of feedback frames received in COUNTED_TICKS ticks."""
+    """Run COUNTED_TICKS ticks, and return the number of feedback frames received in them."""
     before = rig.state.feedback_count
     for _ in range(COUNTED_TICKS):
         rig.run_tick(target)
@@ -184,7 +185,7 @@ def _feedback_frames(rig: DriveRig, target: DriveTarget) -> int:
 
 
 def _check_no_torque_when_ready(device: DeviceUnderTest) -> str:
-    """Check that a drive in the phase READY makes no torque, even if it receives torque commands."""
+    """Check that a drive in the phase READY produces no torque, even if it receives torque commands."""
     rig = device.rig
     before = rig.state.feedback_count
     rig.run_for(DriveTarget.POLL, 0.3)
@@ -222,8 +223,8 @@ def _check_ignores_torque(device: DeviceUnderTest) -> str:
             raise CheckFailed(
                 f"follows torque commands while disabled: {torque:+.3f} N m turned it by {moved:+.3f} rad"
             )
-    # A drive may store its last command and follow it once it is enabled, so the last command is
-    # zero.
+    # A drive may store the last command, and follow it as soon as it is enabled. Therefore the last
+    # command is zero.
     rig.run_tick(DriveTarget.POLL, extra=rig.drive.torque_frames(0.0))
     mean = sum(reported[len(reported) // 2 :]) / (len(reported) - len(reported) // 2)
     if abs(mean) > REPORTED_FRACTION * device.torque_limit_N_m:
@@ -232,7 +233,7 @@ def _check_ignores_torque(device: DeviceUnderTest) -> str:
 
 
 def _check_enables(device: DeviceUnderTest) -> str:
-    """Check that the drive can be enabled, and measure the time that this takes."""
+    """Check that the drive can be enabled, and measure how long this takes."""
     start = device.rig.t_ns
     _enable_drive(device.rig)
     return f"after {(device.rig.t_ns - start) / 1e6:.0f} ms"
@@ -254,7 +255,7 @@ def _check_feedback(device: DeviceUnderTest) -> str:
 
 
 def _rotation_check(sign: int) -> RequirementCheck:
-    """Return the check that a torque with this sign turns the shaft in the direction of the torque."""
+    """Return a check that a torque of the given sign turns the shaft in the direction of the torque."""
 
     def check_rotation(device: DeviceUnderTest) -> str:
         rig = device.rig
@@ -282,7 +283,10 @@ def _rotation_check(sign: int) -> RequirementCheck:
 
 
 def _explain_no_motion(device: DeviceUnderTest, sign: int, torque: float) -> Exception:
-    """Explain why a shaft did not turn at the torque limit, from the torque reported by the drive [N m]."""
+    """Explain why a shaft did not turn at the torque limit.
+
+    The explanation depends on the torque that the drive reports [N m].
+    """
     reported = sign * torque
     limit = f"{sign * device.torque_limit_N_m:+.3f} N m"
     if math.isfinite(reported) and reported < 0.3 * device.torque_limit_N_m:
@@ -293,7 +297,7 @@ def _explain_no_motion(device: DeviceUnderTest, sign: int, torque: float) -> Exc
 
 
 def _check_torque_limit(device: DeviceUnderTest) -> str:
-    """Check that the driver refuses a torque above the limit and a non-finite torque, and sends neither."""
+    """Check that handctl refuses a torque above the limit and a torque that is not finite, and sends neither."""
     rig = device.rig
     _enable_drive(rig)
     for torque in (
@@ -311,7 +315,7 @@ def _check_torque_limit(device: DeviceUnderTest) -> str:
 
 
 def _check_disables(device: DeviceUnderTest) -> str:
-    """Check that the drive reports within a second of the disable command that it is disabled."""
+    """Check that the drive reports that it is disabled, within a second of the disable command."""
     rig = device.rig
     _enable_drive(rig)
     start = rig.t_ns
@@ -320,14 +324,14 @@ def _check_disables(device: DeviceUnderTest) -> str:
     if rig.state.phase == DrivePhase.FAULT:
         raise CheckFailed(f"reports a fault after the disable command: {rig.state.error_text}")
     took = f"after {(rig.t_ns - start) / 1e6:.0f} ms"
-    # Some drives do not report whether they are enabled. Torque commands show if such a drive has
-    # ignored the command.
+    # Some drives do not report whether they are enabled. Such a drive gets torque commands, which
+    # show whether it has ignored the disable command.
     rig.run_for(DriveTarget.DISABLE, 0.05)
     return f"{took}; {_check_ignores_torque(device)}"
 
 
 def _check_watchdog(device: DeviceUnderTest) -> str:
-    """Check that the watchdog disables the drive when the host sends nothing, and that the drive then stays off."""
+    """Check that the watchdog disables the drive when the host sends no frames, and that the drive then stays off."""
     rig = device.rig
     _enable_drive(rig)
     silence = max(HOST_SILENCE_S, 3.0 * device.watchdog_s)
@@ -345,7 +349,7 @@ def _check_watchdog(device: DeviceUnderTest) -> str:
 
 
 def _check_clears(device: DeviceUnderTest) -> str:
-    """Check that the cut disables the drive, and that the drive becomes ready again after a clear."""
+    """Check that the torque cut disables the drive, and that it is ready again after its faults are cleared."""
     rig = device.rig
     _enable_drive(rig)
     rig.cut_torque()
@@ -374,14 +378,14 @@ def release_drive(rig: DriveRig, watchdog_s: float, restoring: Drive | None = No
 
     Returns True if the drive reports that it is off.
 
-    The next program can then use the drive. The drive does not treat the end of this program as a
-    lost host.
+    After these frames, the next program can use the drive. The drive also knows that its host has
+    ended, and reports no lost host.
 
     Args:
         rig: rig with a drive in any state.
         watchdog_s: timeout of the drive's watchdog [s].
-        restoring: description of the drive with the settings to restore. With None, the drive keeps
-            its present settings.
+        restoring: description of the drive with the settings to restore. If it is None, the drive
+            keeps its present settings.
     """
     if not rig.confirm_off(watchdog_s):
         return False
@@ -407,4 +411,4 @@ CHECKED_REQUIREMENTS: tuple[tuple[str, RequirementCheck, bool], ...] = (
     ("is cut at once, and cleared on command only", _check_clears, False),
     ("sends only frames that can be decoded", _check_readable, False),
 )
-"""Each requirement in words, its check, and True if the check turns the shaft."""
+"""For each requirement: its words, its check, and True if the check turns the shaft."""

@@ -1,8 +1,8 @@
-"""Jog of one drive on a bench in torque, position or velocity mode. Host and drive both limit the motion.
+"""Jog of one drive on a bench, in torque, position or velocity mode.
 
-The host ramps the command. It stops the drive as soon as the shaft turns too fast or leaves the
-permitted travel, or the drive makes too much torque or sends no feedback. After such a stop the
-drive is not enabled again.
+The host and the drive both limit the motion. The host changes the command along a ramp. The host
+stops the drive if the shaft turns too fast or leaves the permitted travel. Too much torque and
+missing feedback also stop the drive. After such a stop, the drive is not enabled again.
 """
 
 import math
@@ -17,18 +17,18 @@ PERIOD_S = PERIOD_NS * 1e-9
 HOST_LIMIT_FRACTION = 0.8
 """Speed and acceleration of the host's ramps, as fractions of the drive's limits.
 
-These limits then have no effect.
+With these ramps, the drive never reaches its own limits.
 """
 TORQUE_RAMP_S = 0.2
 """Duration of a ramp of the torque command from zero to the limit [s]."""
 OVERSPEED_FACTOR = 1.5
 """Measured speed above which the jog stops, as a multiple of the speed limit."""
 OVERSPEED_MARGIN_RAD_S = 0.5
-"""Speed added to this threshold, because the measured speed of a slow shaft is noisy [rad/s]."""
+"""Speed added to the overspeed threshold, because the measured speed of a slow shaft is noisy [rad/s]."""
 OVERTORQUE_FACTOR = 1.5
 """Reported torque above which the jog stops, as a multiple of the torque limit."""
 MAX_TICKS_BEYOND_LIMIT = 4
-"""Number of consecutive ticks with too much speed or torque before the jog stops."""
+"""Number of consecutive ticks with too much speed or torque after which the jog stops."""
 SILENCE_TIMEOUT_NS = 100_000_000
 """Age of the latest feedback above which the jog stops [ns]."""
 HOLD_TIME_S = 0.2
@@ -60,10 +60,10 @@ class JogResult(NamedTuple):
     """Result of a motion, as the drive reported it.
 
     Attributes:
-        failure: reason of an early stop in one line, empty for a complete motion.
+        failure: reason of an early stop, in one line. The text is empty for a complete motion.
         moved_rad: angle of the shaft at the end, relative to its start [rad].
         max_speed_rad_s: largest measured speed [rad/s].
-        max_torque_N_m: largest reported torque [N m], NaN if the drive reports none.
+        max_torque_N_m: largest reported torque [N m], or NaN if the drive reports no torque.
         final_speed_rad_s: speed at the end, shortly before the drive is disabled [rad/s].
     """
 
@@ -75,11 +75,13 @@ class JogResult(NamedTuple):
 
 
 def distance_at(t_s: float, distance: float, speed: float, acceleration: float) -> float:
-    """Return the position in a motion from rest to rest with a trapezoidal velocity.
+    """Return the position in a motion from rest to rest.
+
+    The velocity of the motion is a trapezoid over time.
 
     Args:
         t_s: time since the start of the motion [s].
-        distance: whole distance of the motion, with its sign [rad].
+        distance: whole distance of the motion [rad]. A negative distance is a motion backwards.
         speed: largest speed of the motion [rad/s].
         acceleration: acceleration and deceleration [rad/s2].
     """
@@ -120,18 +122,24 @@ class _JogExecution:
         return COMMAND_UNITS[self._goal.mode] == "rad"
 
     def hold_command(self, state: DriveState) -> float:
-        """Return the command that keeps the shaft still: the last position, or zero velocity, or zero torque."""
+        """Return the command that keeps the shaft still.
+
+        By mode, it is the last position, zero velocity or zero torque.
+        """
         if not self._position_mode:
             return 0.0
         return self._command if state.phase == DrivePhase.ENABLED else state.position
 
     def enable_at_rest(self) -> str:
-        """Enable the drive at rest. Returns the problem in words, empty if the drive is enabled."""
+        """Enable the drive at rest.
+
+        Returns the problem in words, or an empty text if the drive is enabled.
+        """
         rig = self._rig
         if not rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0):
             return rig.state.error_text or f"stays in {rig.state.phase.name}"
-        # The start is read from feedback of the ready drive. A position that was sent before the
-        # settings may have another scale.
+        # The start position is read after the drive is ready. A position that the drive sent before
+        # it got its settings may have another scale.
         rig.run_for(DriveTarget.POLL, HOLD_TIME_S)
         self._start = rig.state.position
         if not math.isfinite(self._start):
@@ -187,7 +195,7 @@ class _JogExecution:
         )
 
     def _ramped_command(self, target: float) -> float:
-        """Return the last command, moved one step of the ramp towards a target velocity or torque."""
+        """Return the next command of a ramp, which is one step closer to a target velocity or torque."""
         goal = self._goal
         rate = goal.max_torque_N_m / TORQUE_RAMP_S
         if goal.mode == DriveMode.VELOCITY:
@@ -196,22 +204,25 @@ class _JogExecution:
         return self._command + min(step, max(-step, target - self._command))
 
     def _run_tick(self, command: float) -> str:
-        """Send a command and judge the drive's answer.
+        """Send a command, and check the drive's answer against the limits.
 
-        Returns the reason to stop, empty if there is none.
+        Returns the reason to stop, or an empty text.
         """
         self._command = command
         state = self._rig.run_tick(DriveTarget.ENABLE, command)
         if state.phase != DrivePhase.ENABLED:
             return state.error_text or f"went to {state.phase.name}"
-        # The rig's time is already that of the next tick, so the age is one period larger than at
-        # the tick itself.
+        # The time of the rig is already that of the next tick. Therefore this age is one period
+        # larger than it was in the tick.
         if self._rig.t_ns - state.feedback_t_ns > SILENCE_TIMEOUT_NS:
             return f"no feedback for {SILENCE_TIMEOUT_NS / 1e6:.0f} ms"
         return self._violated_limit(state)
 
     def _violated_limit(self, state: DriveState) -> str:
-        """Return the reason to stop if speed, torque or travel exceed their limits, empty otherwise."""
+        """Return the reason to stop if speed, torque or travel exceed their limits.
+
+        Otherwise return an empty text.
+        """
         goal = self._goal
         speed = abs(self._rig.velocity_rad_s)
         torque = abs(state.torque)

@@ -12,11 +12,11 @@ from handctl.runtime.clocks.real import TickClock
 PERIOD_NS = 5_000_000
 """Period of a tick [ns]."""
 VELOCITY_TICKS = 4
-"""Number of ticks from the first to the last position of which the velocity is computed."""
+"""Number of ticks between the two positions from which the velocity is computed."""
 
 
 def _no_torque(state: DriveState) -> float:
-    """Return the command that moves nothing in torque mode: a torque of zero."""
+    """Return the command that does not move the shaft in torque mode: a torque of zero."""
     return 0.0
 
 
@@ -30,8 +30,8 @@ class DriveRig:
         torque: last commanded torque [N m].
         drive_events: all events of the bus so far.
         inertia: measured inertia of the shaft [kg m2]. NaN before the measurement.
-        idle_command: function from the state of the drive to the command that moves nothing. In
-            position mode this command is the present position.
+        idle_command: function that takes the state of the drive, and returns the command that does
+            not move the shaft. In position mode, this command is the present position.
     """
 
     def __init__(self, drive: Drive, bus: Bus, clock: TickClock) -> None:
@@ -42,7 +42,8 @@ class DriveRig:
             bus: open bus of the drive.
             clock: clock with period PERIOD_NS, not started yet.
         """
-        # Otherwise the first tick would compile code, and the watchdog of the drive would expire.
+        # This call compiles the code before the first tick. Otherwise the watchdog of the drive
+        # would expire during that tick.
         compile_kernels()
         self.drive = drive
         self._bus = bus
@@ -57,7 +58,7 @@ class DriveRig:
         clock.start()
 
     def replace_drive(self, drive: Drive) -> None:
-        """Continue with another description of the same drive, and with its initial state."""
+        """Continue with another description of the same drive, starting from its initial state."""
         self.drive = drive
         self.state = drive.initial_state()
 
@@ -68,9 +69,9 @@ class DriveRig:
 
     @property
     def velocity_rad_s(self) -> float:
-        """Return the velocity of the shaft, from its last positions [rad/s].
+        """Return the velocity of the shaft, computed from its last positions [rad/s].
 
-        NaN while there are too few positions.
+        The velocity is NaN while there are too few positions.
         """
         return (self._positions[-1] - self._positions[0]) / (VELOCITY_TICKS * PERIOD_NS * 1e-9)
 
@@ -81,8 +82,8 @@ class DriveRig:
 
         Args:
             target: requested state of the drive.
-            torque: command to the enabled drive [N m in torque mode]. With None, ``idle_command``
-                computes it.
+            torque: command to the enabled drive [N m in torque mode]. If it is None,
+                ``idle_command`` computes the command.
             extra: further frames to send in this tick.
         """
         self._clock.wait(self.k)
@@ -101,9 +102,9 @@ class DriveRig:
     def run_until(
         self, target: DriveTarget, reached: Callable[[DriveState], bool], for_s: float
     ) -> bool:
-        """Run ticks with the idle command until ``reached`` returns True for the state of the drive.
+        """Run ticks with the idle command until ``reached`` is true for the state of the drive.
 
-        Returns False if the time ``for_s`` [s] passes before.
+        Returns False if this does not happen within the time ``for_s`` [s].
         """
         return any(
             reached(self.run_tick(target)) for _ in range(math.ceil(for_s * 1e9 / PERIOD_NS))
@@ -119,11 +120,11 @@ class DriveRig:
         self.run_tick(DriveTarget.POLL, extra=frames)
 
     def cut_torque(self) -> None:
-        """Run a tick that sends only the frames that remove the torque of the drive."""
+        """Run a tick that sends the frames that remove the torque of the drive, and no others."""
         self.run_tick(DriveTarget.LISTEN, extra=self.drive.cut_frames())
 
     def send_release(self) -> None:
-        """Run a tick that sends only the frames for the regular end of a run."""
+        """Run a tick that sends the frames for the regular end of a run, and no others."""
         self.run_tick(DriveTarget.LISTEN, extra=self.drive.release_frames(self.state))
 
     def bring_to_ready(self) -> bool:
@@ -136,8 +137,8 @@ class DriveRig:
     def confirm_off(self, watchdog_s: float) -> bool:
         """Disable the drive, and return True if the drive reports that it is off.
 
-        If the drive does not obey, the host sends nothing until the watchdog of the drive has
-        expired. It then disables the drive again.
+        If the drive does not obey, the host sends no frames until the watchdog of the drive has
+        expired. Then it disables the drive again.
         """
         for silence in (0.0, 3.0 * watchdog_s + 0.2):
             self.run_for(DriveTarget.LISTEN, silence)

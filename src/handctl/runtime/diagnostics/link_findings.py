@@ -7,7 +7,8 @@ from handctl.runtime.buses.adapter import UsbAdapter
 from handctl.runtime.buses.link import CanLinkState
 from handctl.runtime.buses.socketcan import MIN_QUEUE_FRAMES, setup_command
 
-# Rules for udev. They repeat a setting after each restart of the machine. Source: man 7 udev.
+# Rules for udev. With them, a setting is made again after each restart of the machine. Source: man
+# 7 udev.
 UDEV_QUEUE_RULE = 'SUBSYSTEM=="net", ACTION=="add", KERNEL=="{0}", ATTR{{tx_queue_len}}="128"'
 UDEV_NAME_RULE = 'SUBSYSTEM=="net", ACTION=="add", ATTRS{{serial}}=="THE ADAPTER\'S", NAME="{0}"'
 UDEV_SERIAL_RULE = 'SUBSYSTEM=="net", ACTION=="add", ATTRS{{serial}}=="{1}", NAME="{0}"'
@@ -36,7 +37,7 @@ class LinkFinding(NamedTuple):
     Attributes:
         observation: text of the finding.
         good: True if nothing needs to be corrected.
-        fix: command or advice to correct the problem.
+        fix: command or advice that corrects the problem.
         fatal: True if the bus cannot be used.
     """
 
@@ -69,7 +70,8 @@ def interface_findings(
         name: name of the interface.
         link: state of the interface.
         bitrate: bit rate in the hand file [bit/s].
-        data_bitrate: bit rate of the data phase in the hand file [bit/s]. None for a classical bus.
+        data_bitrate: bit rate of the data phase in the hand file [bit/s], or None for a classical
+            bus.
     """
     set_up = setup_command(name, bitrate, data_bitrate, exists=True)
     result = [
@@ -140,7 +142,7 @@ def adapter_findings(
 
 
 def _rate_finding(what: str, has: int | None, required: int, fix: str) -> LinkFinding:
-    """Return the finding that compares the bit rate of an interface with the required bit rate [bit/s]."""
+    """Compare the bit rate of an interface with the required bit rate [bit/s], and return the finding."""
     return LinkFinding(
         f"{what} {has or 'not set'}, the hand needs {required}", has == required, fix
     )

@@ -1,4 +1,4 @@
-"""Round-trip time of a node: from sending a request to receiving its answer.
+"""Round-trip time of a node: time from the sending of a request to the reception of its answer.
 
 The request has no effect on the node.
 """
@@ -16,7 +16,7 @@ REQUEST_COUNT = 20
 ANSWER_TIMEOUT_S = 0.1
 """Longest wait for an answer [s]."""
 SECOND_ANSWER_WAIT_S = 0.005
-"""Time after the first answer in which a second answer is awaited [s]."""
+"""Time for which a second answer is awaited after the first answer [s]."""
 
 
 class RoundTrip(NamedTuple):
@@ -28,8 +28,8 @@ class RoundTrip(NamedTuple):
         shortest_s: shortest round-trip time [s], NaN without an answer.
         median_s: median round-trip time [s], NaN without an answer.
         longest_s: longest round-trip time [s], NaN without an answer.
-        double_answers: number of requests with more than one answer. This happens if two drives have the
-            same number.
+        double_answers: number of requests with more than one answer. Such answers show that two
+            drives have the same node number.
     """
 
     answers: int
@@ -41,14 +41,17 @@ class RoundTrip(NamedTuple):
 
     @property
     def is_number_shared(self) -> bool:
-        """Return True if most requests had more than one answer, because two drives have the same number."""
+        """Return True if most requests had more than one answer.
+
+        Then two drives have the same node number.
+        """
         return self.double_answers > self.requests / 2
 
 
 def measure_round_trips(bus: Bus, node: DiscoveredNode, times: int = REQUEST_COUNT) -> RoundTrip:
     """Measure the round-trip time of a node.
 
-    Each request is sent after the answer to the previous one.
+    Each request is sent after the answer to the previous request.
     """
     trips = [_measure_round_trip(bus, node) for _ in range(times)]
     took = sorted(first for first, _ in trips if first is not None)
@@ -64,7 +67,7 @@ def _measure_round_trip(bus: Bus, node: DiscoveredNode) -> tuple[float | None, b
     The time is None if no answer arrives.
     """
     discovery = DISCOVERY_BY_PROTOCOL[node.protocol]
-    bus.drain()  # a late answer to the previous request must not count
+    bus.drain()  # a late answer to the previous request must not count as the answer to this one
     start = time.perf_counter()
     bus.send((discovery.ping(node),))
     first = None
@@ -79,5 +82,5 @@ def _measure_round_trip(bus: Bus, node: DiscoveredNode) -> tuple[float | None, b
             break
         time.sleep(
             0.0001 if passed < 0.01 else 0.002
-        )  # short pauses at first for accuracy, longer ones later to save CPU time
+        )  # the first pauses are short for accuracy, later pauses are longer to save CPU time
     return first, answers > 1

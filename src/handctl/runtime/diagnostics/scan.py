@@ -1,8 +1,7 @@
 """Scan of a CAN bus that finds the drives and other nodes on the bus.
 
-The scan listens first, and sends requests only if no other host is active on the bus.
-
-The scan sends no commands to drives, only requests.
+The scan listens first. The scan sends requests only if no other host is active on the bus. The scan
+never sends commands to drives.
 """
 
 import time
@@ -21,18 +20,24 @@ from handctl.drives.protocol_registry import DISCOVERY_BY_PROTOCOL
 from handctl.runtime.buses.contract import Bus
 
 MAX_BURST_FRAMES = 4
-"""Largest number of frames sent in each BURST_PAUSE_S.
+"""Largest number of frames that are sent in each BURST_PAUSE_S.
 
-An interface may have a queue of only 10 frames.
+The queue of an interface may be as short as 10 frames.
 """
 BURST_PAUSE_S = 0.003
-"""Time in which MAX_BURST_FRAMES frames may be sent, and pause after a refused frame [s]."""
+"""Time in which MAX_BURST_FRAMES frames may be sent [s].
+
+This is also the pause after a refused frame.
+"""
 MAX_SEND_TRIES = 50
-"""Number of attempts to send a frame refused by the interface."""
+"""Number of attempts to send a frame that the interface refuses."""
 
 
 MAX_IGNORED_FRAMES = 1
-"""Number of ignored frames from another host. A host that has just ended may have sent them."""
+"""Largest number of frames from another host that are ignored.
+
+A host that has just ended may have sent them.
+"""
 ListenFunction = Callable[[Bus, float, list[Frame]], None]
 """Function that collects the frames received on a bus during a time [s]."""
 
@@ -42,8 +47,10 @@ class BusScan(NamedTuple):
 
     Attributes:
         found_nodes: discovered drives and other nodes, by protocol and number.
-        foreign_frames: received frames from another host. If there are any, the scan has sent no request.
-        omitted_requests: requests not sent, because a drive on the bus would have obeyed them as commands.
+        foreign_frames: frames received from another host. If there are any, the scan has sent no
+            requests.
+        omitted_requests: requests that were not sent, because a drive on the bus would have obeyed
+            them as commands.
         bus_events: events of the bus during the scan.
         frame_count: number of received frames.
     """
@@ -77,7 +84,7 @@ def scan_bus(
     Args:
         bus: open bus.
         force: True to send requests even if another host seems to be active.
-        report: function that receives a text about each step of the scan.
+        report: function that is called with a text about each step of the scan.
         listen: function to collect frames during a time, see ``ListenFunction``.
     """
     seen: list[Frame] = []
@@ -100,15 +107,15 @@ def scan_bus(
 
 
 def requests_without_answers() -> tuple[Frame, ...]:
-    """Return the requests of a scan on a bus without any answer."""
+    """Return the requests that a scan sends on a bus where no node answers."""
     return tuple(frame for turn in PROBE_ROUNDS for frame in _round_requests(turn, [], []))
 
 
 def _round_requests(turn: int, seen: list[Frame], omitted: list[Frame]) -> list[Frame]:
     """Return the requests of all protocols for a round of the scan.
 
-    A drive of another protocol on the bus may obey a request as a command. Such a request is
-    appended to ``omitted`` instead.
+    A drive of another protocol on the bus might obey a request as a command. Such requests are left
+    out, and appended to ``omitted``.
     """
     requests: list[Frame] = []
     for name, discovery in DISCOVERY_BY_PROTOCOL.items():
@@ -129,8 +136,8 @@ def _commands_of_others(name: str, seen: list[Frame]) -> list[frozenset[int]]:
 def _foreign_frames(seen: list[Frame]) -> tuple[Frame, ...]:
     """Return the received frames from another host.
 
-    A frame does not count if its identifier is a command identifier of a discovered drive of
-    another protocol.
+    In the rules of one protocol, a frame may look like a frame of another host, although it belongs
+    to a discovered drive of another protocol. Such frames are left out.
     """
     foreign: list[Frame] = []
     for name, discovery in DISCOVERY_BY_PROTOCOL.items():

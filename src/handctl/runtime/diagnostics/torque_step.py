@@ -1,8 +1,8 @@
-"""Torque-step test: turning a shaft a little and bringing the shaft to rest, with torques below a limit.
+"""Torque-step test: a shaft is turned a little and brought to rest, with torques below a limit.
 
 The test also measures the inertia of the shaft. A shaft without a load, with an inertia of 1e-4 kg
-m2, accelerates fast. The measured velocity is about 30 ms old. Braking with a fixed gain would
-therefore make such a shaft oscillate, so the gain depends on the inertia.
+m2, accelerates fast. The measured velocity is about 30 ms old. A brake with a fixed gain would make
+such a shaft oscillate. Therefore the gain depends on the inertia.
 """
 
 import math
@@ -18,15 +18,15 @@ MIN_MOTION_RAD = 0.05
 TORQUE_RAMP_S = 1.0
 """Duration of the torque ramp from zero to the limit [s]."""
 COAST_TICKS = 12
-"""Number of ticks after a torque pulse until the measured velocity shows its whole effect."""
+"""Number of ticks after which the measured velocity shows the whole effect of a torque pulse."""
 MAX_REST_VELOCITY_RAD_S = 0.1
 """Largest measured velocity at which a shaft counts as at rest [rad/s]."""
 MAX_BRAKE_S = 4.0
-"""Longest duration of braking [s]."""
+"""Longest time for which a shaft is braked [s]."""
 BRAKE_TIME_CONSTANT_S = 0.2
-"""Time constant with which braking reduces the velocity [s].
+"""Time constant with which the brake reduces the velocity [s].
 
-It is far longer than the delay of the measured velocity.
+This time is far longer than the delay of the measured velocity.
 """
 
 
@@ -34,8 +34,8 @@ class TorqueStep(NamedTuple):
     """Response of a shaft to a torque ramp.
 
     Attributes:
-        moved_rad: angle in the direction of the torque, minus the angle by which the shaft would have
-            coasted anyway [rad].
+        moved_rad: angle by which the shaft turned in the direction of the torque [rad]. The angle
+            by which it would have coasted without torque is subtracted.
         commanded_torque_N_m: last commanded torque [N m].
         reported_torque_N_m: torque reported by the drive at the end of the ramp [N m].
         enabled: True if the drive was enabled until the end.
@@ -48,7 +48,9 @@ class TorqueStep(NamedTuple):
 
 
 def apply_torque_step(rig: DriveRig, sign: int, torque_limit: float) -> TorqueStep:
-    """Raise the torque until the shaft has moved by MIN_MOTION_RAD or the limit is reached, then let the shaft coast.
+    """Raise the torque until the shaft has moved by MIN_MOTION_RAD or the limit is reached.
+
+    Then let it coast.
 
     Args:
         rig: rig with an enabled drive.

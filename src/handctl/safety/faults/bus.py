@@ -18,18 +18,21 @@ from handctl.safety.safety_limits import LOAD_CELLS, MIN_SILENT_TICKS, SILENT_S
 
 LOSS_WINDOW_TICKS = 100
 MALFORMED_WINDOW_TICKS = 20
-"""Number of recent ticks in which lost frames are counted, and number in which malformed frames are counted."""
+"""Lengths of the windows in which lost frames, and malformed frames, are counted [ticks]."""
 HOLD_LOST_FRAMES = 20
 RELAX_LOST_FRAMES = 40
-"""Number of a node's lost frames within ``LOSS_WINDOW_TICKS`` ticks above which the reaction is HOLD, or RELAX."""
+"""Numbers of lost frames of a node, within ``LOSS_WINDOW_TICKS`` ticks, that are faults.
+
+The reaction is HOLD above the first number, and RELAX above the second.
+"""
 MALFORMED_FRAMES_LIMIT = 3
-"""Number of malformed frames from a node within ``MALFORMED_WINDOW_TICKS`` ticks from which there is a fault."""
+"""Smallest number of malformed frames from a node, within ``MALFORMED_WINDOW_TICKS`` ticks, that is a fault."""
 MAX_UNKNOWN_FRAMES_PER_S = 50.0
 """Number of frames with unknown identifiers per second above which there is a fault."""
 NO_ACKNOWLEDGE_KINDS = ("no acknowledge", "bus error", "protocol")
 """Texts of the error frames that an interface reports if no node on the bus acknowledges."""
 
-# Texts of the fault catalogue, for protocols with which a fault is not visible directly.
+# Texts of the fault catalogue for faults that a protocol does not show directly.
 _COUNTER_VISIBILITY = (
     f"{WEAKER_SIGN}: load cells by their counter (CiA 404 amplifiers: only by the time of arrival), drives by N14, "
     "because their replies have no counter"
@@ -176,7 +179,7 @@ B11A = declare_fault(
     cause="A node or another program sends without pause (babbling idiot).",
     remedy="Unplug one node after the other until the traffic stops. Replace or reconfigure the last one.",
 )  # fmt: skip
-# B11b has the condition of B11a, but a longer debounce. So it is the second stage of this fault.
+# B11b is the second stage of the fault B11a. It has the same condition, but a longer debounce.
 B11B = declare_fault(
     "B11b", "the bus stays flooded", "In ten ticks, more frames arrive than all nodes can send",
     SafetyAction.CUT, ENDED_BY_OPERATOR, HAND_INSTANCE, debounce=10, name="bus",

@@ -2,12 +2,12 @@
 
 A row of the catalogue describes a possible failure. A fault is a row, or a stage of a row, that is
 checked in every tick. Each row and each fault is declared once, in the module of its kind: ``bus``,
-``node``, ``tendon``, ``host``. The tables in the documents, the deadlines in the campaign, the
-event texts, and the reactions are derived from the declarations.
+``node``, ``tendon``, ``host``. The tables in the documents, the deadlines in the fault campaign,
+the event texts, and the reactions are derived from the declarations.
 
-A fault with ``per`` is detected by compiled code in ``core.detectors``. Its declaration returns the
-index for the detector's result: ``evidence[N07, motor]``. A fault with ``reports`` is reported by a
-bus, the host, or the recorder.
+Compiled code in ``core.detectors`` detects each fault whose declaration has ``per``, the kinds of
+its instances. The declaration returns the index for the detector's result: ``evidence[N07,
+motor]``. A bus, the host, or the recorder reports each fault whose declaration has ``reports``.
 """
 
 from dataclasses import dataclass
@@ -178,8 +178,8 @@ def declare_fault(
     """Declare a fault. For the arguments see ``Fault``.
 
     Returns:
-        First row of the fault in the table of the detectors' results. -1 for a fault without a
-        detector, which a drive or a bus reports.
+        First row of the fault in the table of the detectors' results. It is -1 for a reported
+        fault, which has no detector.
     """
     declared = Fault(
         id_,

@@ -18,7 +18,7 @@ from handctl.safety.safety_limits import MIN_STALLED_TICKS, STALLED_S
 LATE_FRACTION = 0.25
 """Delay of a tick's start above which the tick counts as late, as a fraction of the control period."""
 REFUSED_REQUESTS_LIMIT = 3
-"""Number of malformed requests within a second from which there is a fault."""
+"""Smallest number of malformed requests within a second that is a fault."""
 FOREIGN_CONTROLLER_EVENT = "foreign"
 """Kind of the event that reports a second controller."""
 

@@ -8,7 +8,10 @@ from handctl.safety.faults.table import FAULT_CATALOGUE, FAULT_TABLE
 REQUIRED_MS = 5.0
 """Control period that the project's fault catalogue assumes [ms]."""
 RATE_HZ = 500.0
-"""Control rate for the reaction times in the catalogue [Hz], that of the packaged hand with one motor per digit."""
+"""Control rate for which the catalogue states reaction times [Hz].
+
+The packaged hand with one motor per digit has this rate.
+"""
 
 
 def fault_table_markdown(table: tuple[Fault, ...] = FAULT_TABLE) -> str:

@@ -1,6 +1,6 @@
 """Rows N01 to N17 of the fault catalogue: faults of drives and sensors.
 
-The inventory before arming checks N03 and N12.
+The inventory before arming checks the rows N03 and N12.
 """
 
 from handctl.safety.action import RelaxMethod, SafetyAction
@@ -29,11 +29,15 @@ STUCK_JOINT_DEG = 10.0
 """Thresholds for a stuck sensor: time with a constant reading, and motion of each of its references in this time.
 
 A motor's encoder is stuck if meanwhile the goal moves by 0.5 mm, or the tension changes by 8 N (80
-um of tendon stretch). A joint encoder is stuck if the angle by the spools changes by 10 degrees.
+um of tendon stretch). A joint encoder is stuck if the joint angle computed from the spools changes
+by 10 degrees.
 """
 SLIP_WARN_DEG = 3.0
 SLIP_TRIP_DEG = 6.0
-"""Difference between joint encoder and spool above which the reaction is WARN, and above which RELAX [deg]."""
+"""Differences between joint encoder and spool that are faults [deg].
+
+The reaction is WARN above the first difference, and RELAX above the second.
+"""
 NOISE_FACTOR = 9.0
 """Mean squared jerk of a noisy position, as a multiple of the value expected from torque and encoder rounding."""
 WARM_TICKS = 20
@@ -78,7 +82,7 @@ REPORTED_FRACTION = 0.4
 REPORTED_S = 0.25
 """Smallest ratio of reported to commanded torque changes, and time constant of the comparison [s]."""
 
-# Texts of the fault catalogue, for protocols with which a fault is not visible directly.
+# Texts of the fault catalogue for faults that a protocol does not show directly.
 _HEARTBEAT_VISIBILITY = f"{DETECTED_FAULT}: by the heartbeat, every 100 ms"
 _EXCESS_REPLY_VISIBILITY = (
     f"{NOT_VISIBLE}: excess replies look like cyclic messages, which come in addition to replies"

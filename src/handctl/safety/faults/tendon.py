@@ -1,6 +1,6 @@
 """Rows T01 to T09 of the fault catalogue: faults of tendons and their load cells.
 
-Commissioning checks T07.
+Commissioning checks the row T07.
 """
 
 from handctl.safety.action import RelaxMethod, SafetyAction
@@ -26,17 +26,24 @@ SNAP_MEMORY_S = 0.1
 """Thresholds for a snapped tendon: tension fraction, commanded tension [N], spool speed [m/s], memory [s].
 
 A tendon counts as snapped if more than ``SNAP_N`` is commanded and its tension is below
-``SNAP_FRACTION`` of the command, while the spool winds faster than ``SNAP_SPEED``. It must have
-been taut within the last ``SNAP_MEMORY_S``. So a tendon that is taken up does not count as snapped.
+``SNAP_FRACTION`` of the command, while the spool winds faster than ``SNAP_SPEED``. The tendon must
+also have been taut within the last ``SNAP_MEMORY_S``. So a slack tendon whose spool takes it up
+does not count as snapped.
 """
 SLACK_WARN_S = 0.05
 SLACK_TRIP_S = 0.5
-"""Duration of slack above which the reaction is WARN, and above which RELAX [s]."""
+"""Durations of slack that are faults [s].
+
+The reaction is WARN above the first duration, and RELAX above the second.
+"""
 RELAXED_S = 0.1
 """Time after the start of relaxing in which the tension falls below its trip limit if the motor obeys [s]."""
 RESIDUAL_WARN_N = 5.0
 RESIDUAL_TRIP_N = 10.0
-"""Unexplained tension above which the reaction is WARN, and above which RELAX [N]."""
+"""Unexplained tensions that are faults [N].
+
+The reaction is WARN above the first tension, and RELAX above the second.
+"""
 FRICTION_WARN_N = 3.0
 """Friction in excess of the friction in the hand file above which there is a fault [N]."""
 CELL_TICKS = 40
@@ -47,13 +54,13 @@ The noise of a healthy load cell is eight counts.
 """
 MIN_REPEATS = 8
 REPEAT_WINDOW = 16
-"""Number of repeated readings from which their probability is tested, and number of readings that estimate it."""
+"""Number of repeated readings after which chance is tested as a cause, and of readings that give its probability."""
 SATURATED_TICKS = 3
 """Number of consecutive ticks with a saturated load cell after which there is a fault."""
 DERAILED_DEG = 15.0
 DERAILED_WITHOUT_CELL_DEG = 10.0
 DERAILED_READINGS = 3
-"""Thresholds for a derailed tendon: difference of joint and spool beyond any stretch [deg], and readings in a row.
+"""Thresholds for a derailed tendon: joint minus spool angle that no stretch explains [deg], and readings in a row.
 
 The second threshold is for a tendon without load cell, because no other fault reports soon that such a tendon has
 torn. Without a fault, three readings in a row of ``orca_like`` differed by 2.8 degrees with three times the usual

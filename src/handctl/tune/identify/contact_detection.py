@@ -8,7 +8,7 @@ Source: score test (Rao 1948).
 
 A contact over the whole sweep causes no kink. If a contact blocks one of n joints during the whole
 sweep, the digit behaves like a free digit with other springs. These springs have n / (n - 1) of the
-stiffness and (n - 1) / n of the preload. The travel distinguishes the two cases: if the digit
+stiffness and (n - 1) / n of the preload. The travel shows whether a joint is blocked: if the digit
 closes farther than n - 1 joints can, all joints move.
 """
 
@@ -30,22 +30,22 @@ every joint, and errors of joint encoders are neglected. A finger of the hand ja
 thumb between 14 and 25 degrees has scores from 4.7 to 17.
 """
 CLEAR_SCORE = 3.0
-"""Largest score of a ramp in a fit that proves that the digit was not blocked."""
+"""A fit can exclude a blocked digit only if the score of its ramp is at most this value."""
 MIN_CLEAR_ROWS = 80
-"""Smallest number of rows of the sweep in a fit that proves that the digit was not blocked."""
+"""A fit can exclude a blocked digit only if its sweep has at least this number of rows."""
 MAX_CLEAR_MEAN_SQUARE = 1.5
-"""Largest mean square of the residuals in a fit that proves that the digit was not blocked."""
+"""A fit can exclude a blocked digit only if the mean square of its residuals is at most this value."""
 MAX_CLEAR_OUTLIERS = 0.005
-"""Largest fraction of outliers in a fit that proves that the digit was not blocked."""
+"""A fit can exclude a blocked digit only if its fraction of outliers is at most this value."""
 RAMP_START_COUNT = 40
 """Number of angles at which a ramp is tried to begin."""
 SWEEP_END_FRACTION = 0.04
 """Fraction of the sweep at each end in which no ramp may begin.
 
-Too few rows would determine such a ramp.
+Too few rows would determine a ramp that begins near an end of the sweep.
 """
 MIN_OWN_FRACTION = 1e-6
-"""Smallest part of the squared norm of a ramp that the parameters must leave unexplained, as a fraction."""
+"""Smallest fraction of a ramp's squared norm that the parameters must leave unexplained."""
 
 
 class ResidualRamp(NamedTuple):
@@ -59,7 +59,7 @@ class ResidualRamp(NamedTuple):
         rows: number of bins in the sweep.
         outliers: fraction of the sweep's rows that the fit excluded as outliers.
         mean_square: mean square of the sweep's residuals without outliers.
-        contact_score: smallest score that counts as a contact of this digit.
+        contact_score: smallest score at which a ramp in the data of this digit counts as a contact.
     """
 
     score: float

@@ -1,6 +1,6 @@
 """Excitation of a digit for the identification, within the limits of the digit.
 
-It takes about twenty seconds per digit.
+The excitation takes about twenty seconds per digit.
 """
 
 import math
@@ -12,9 +12,9 @@ from handctl.programs.excitation import ExciteStep
 from handctl.tune.identify.excitation_antagonists import antagonist_steps
 
 SWEEP_MARGIN_DEG = 6.0
-"""Smallest distance of free sweeps from the open stop and from the closed ends of the joints [deg]."""
+"""Smallest distance of free sweeps from both ends of the joints' ranges [deg]."""
 SWEEP_TOP_DEG = 32.0
-"""Upper end of free sweeps, as an angle from the open stop [deg].
+"""Upper end of free sweeps, as an angle from the stop of the open joint [deg].
 
 At larger angles, the fingers of the packaged hands touch thumb or palm.
 """
@@ -27,16 +27,16 @@ SWING_HIGH_HZ = 6.0
 PRESS_FRACTIONS = (0.08, 0.15, 0.5)
 """Three tensions, as fractions of the largest tension of the tendon.
 
-They are the tension after the presses, and the lower and the upper tension of a press against an
-obstacle.
+The first is the tension after the presses. The others are the lower and the upper tension of a
+press against an obstacle.
 
 A motor that is 30 % weaker than in the hand file reaches only two thirds of the commanded tension.
-At higher tensions, the monitor would report a wrong load cell (T04b) on such a hand.
+At higher tensions, the monitor would report a wrong load cell (T04b) because of so weak a motor.
 """
 MIN_TENSION_N = 1.1
-"""Lower tension when a tendon is stretched at the open stop [N]."""
+"""Lower tension when a tendon is stretched while its digit rests on the open stop [N]."""
 LIFT_FRACTION = 0.6
-"""Upper tension of a stretch at the open stop, as a fraction of the tension that lifts the digit off this stop.
+"""Upper tension of a stretch, as a fraction of the tension at which the digit leaves its open stop.
 
 The lifting tension is calculated with the springs of the hand file.
 """
@@ -46,13 +46,13 @@ MIN_STRETCH_RANGE_N = 0.5
 A smaller difference would be hidden in the noise of the load cell.
 """
 STRETCH_DURATION_S = 0.9
-"""Duration of a stretch up or down [s].
+"""Duration of one rise or one fall of the tension in a stretch [s].
 
 The friction of the motor is larger than the tension, and the gains may be low. On faster ramps, the
 tension would change by only a third of the commanded range.
 """
 STRETCH_COUNT = 4
-"""Number of stretches up and down."""
+"""Number of times that the tension of a stretched tendon rises and falls."""
 SWEEP_DURATIONS_S = (0.8, 0.3, 0.55, 0.8)
 """Durations of the free sweeps [s]."""
 
@@ -198,6 +198,6 @@ def lift_off_tension(hand: Hand, digit: str) -> float:
         arms.tolist(),
         strict=True,
     )
-    # By virtual work, the tension times its moment arm balances the torque of the spring at the
-    # open stop.
+    # When a joint leaves its open stop, the tension times the tendon's moment arm equals the torque
+    # of the joint's spring (virtual work).
     return min(float(stiffness * angle / arm) for stiffness, angle, arm in preload if arm > 0.0)

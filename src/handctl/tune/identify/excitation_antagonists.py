@@ -1,8 +1,8 @@
 """Excitation of a digit that tendons both close and open: n + 1 tendons without springs, or spool pairs.
 
-First the digit sweeps about a posture. Its joints move together, and then against each other, so
-that each tendon winds while others pay out. Then the digit swings. At the end, its tendons are
-stretched while the digit rests on its lower stops.
+First the digit sweeps about a posture. The joints of the digit move together, and then against each
+other, so that each tendon winds while others pay out. After the sweeps, the digit swings. At the
+end, its tendons are stretched while the digit rests on its lower stops.
 """
 
 import math
@@ -44,9 +44,9 @@ SWING_TORQUE = 0.25
 STRETCH_FRACTION = 0.3
 """Largest tension while a tendon is stretched, as a fraction of ``tension_max_N``.
 
-The tendons that hold the digit open have this tension for seconds. At higher tensions, the monitor
-would mistake a motor that makes 30 % less torque than commanded for a wrong load cell (T04b) or an
-oscillation (N14b).
+The tendons that hold the digit open have this tension for several seconds. At higher tensions, the
+monitor would mistake a motor that makes 30 % less torque than commanded for a wrong load cell
+(T04b) or an oscillation (N14b).
 """
 PAIR_LOW_FRACTION = 0.07
 """Smallest net tension while a spool pair is stretched, as a fraction of ``tension_max_N``."""
@@ -55,7 +55,7 @@ CLOSE_FRACTION = 0.12
 CLOSING_DURATION_S = 2.5
 """Time in which spool pairs move their digit to its lower stops [s].
 
-The control law damps this motion.
+The control law damps the motion to the lower stops.
 """
 OPENING_DURATION_S = 1.5
 """Time in which the digit moves back from its lower stops [s]."""
@@ -183,9 +183,10 @@ def sweep_range(digit: DigitModel) -> tuple[Array, Array]:
 
 
 def _sign_patterns(count: int) -> list[Array]:
-    """Return factors (count,) for the motion of the coordinates.
+    """Return patterns for the motion of the coordinates, each with one factor per coordinate (count,).
 
-    First all coordinates move together, then each one against the others.
+    In the first pattern, all coordinates move together. In each other pattern, one coordinate moves
+    against the others.
     """
     patterns = [np.ones(count)]
     if count > 1:
@@ -224,20 +225,23 @@ def _tension_limits(hand: Hand, digit: DigitModel) -> tuple[Array, Array]:
 
 
 def _balanced_tensions(hand: Hand, digit: DigitModel) -> Array:
-    """Return tensions (n_t,) above the tension floors whose joint torques cancel each other [N]."""
+    """Return tensions (n_t,) [N] with joint torques that cancel each other.
+
+    All returned tensions are above the tension floors.
+    """
     floor = np.array([tendon.tension_floor_N for tendon in hand.tendon])
     ceiling = np.array([tendon.tension_max_N for tendon in hand.tendon])
     return TAUT_TENSION_RATIO * redundancy_of_hand((digit,), floor, ceiling, hand.is_pair).balance
 
 
 def _stretched_tensions(hand: Hand, digit: DigitModel) -> tuple[Array, list[tuple[Array, Array]]]:
-    """Return the tensions with which a digit rests, and the lower and upper tensions of each stretch [N].
+    """Return the tensions that hold a digit at rest, and the lower and upper tensions of each stretch [N].
 
     The tendons are stretched while the digit rests on its lower stops.
 
     All spool pairs are stretched at once. Without spool pairs, all tendons that open the digit are
-    stretched at once. Then each tendon that closes the digit is stretched alone. Its torque stays
-    small enough that the opening tendons hold the digit open.
+    stretched at once. Then each tendon that closes the digit is stretched alone. The torque of the
+    closing tendon stays small enough that the opening tendons hold the digit open.
     """
     floor, largest = _tension_limits(hand, digit)
     if hand.is_pair[digit.tendons].any():

@@ -1,6 +1,6 @@
 """Fit of all parameters of a tendon to all its equations at once.
 
-The slow drift of the load cell is fitted together with them.
+The slow drift of the load cell is fitted together with these parameters.
 
 Parameters are divided by their values in the hand file, so that they are of order 1. Residuals are
 divided by the standard deviation of the load cell.
@@ -39,7 +39,7 @@ SCALE_DELAY_S = 1e-3
 SCALE_OFFSET_M = 1e-4
 """Scale of the parameter `stretch_offset` [m]."""
 PRIOR_DEVIATIONS = {"link_mass": 0.3, "stop_softness": 0.5, "stretch_offset": 100.0}
-"""Prior standard deviation of the parameters about which there is prior knowledge, divided by their scale.
+"""Prior standard deviation of each parameter for which prior knowledge exists, divided by the parameter's scale.
 
 The masses of the links are well known, because the links were weighed. The stretch offset is
 practically unknown.
@@ -47,9 +47,9 @@ practically unknown.
 STOP_SOFTNESS = 0.04
 """Compliance of the open stop, as a fraction of the compliance of the tendon in the hand file.
 
-Tendon and stop are springs in series, and no measurement separates them. Therefore this value is
-assumed, with an uncertainty of half the value. In the packaged simulator the compliance of the
-stops at the tendon is 3.8e-7 m/N, which is 0.038 of the tendon's compliance.
+Tendon and stop are springs in series, and no measurement separates them. Therefore the compliance
+of the stop is assumed, with an uncertainty of half its value. In the packaged simulator the
+compliance of the stops at the tendon is 3.8e-7 m/N, which is 0.038 of the tendon's compliance.
 """
 DEFAULT_PRIOR_DEVIATION = 3.0
 """Prior standard deviation of all parameters that are not in `PRIOR_DEVIATIONS`, divided by their scale.
@@ -63,8 +63,8 @@ DRIFT_KNOT_S = 1.0
 STOP_BIN_S = 0.05
 """Duration of the bins of data at the open stop [s].
 
-At the stop, the travel changes slowly. In a bin of this duration, it passes enough encoder counts
-for the quantisation to average out.
+At the stop, the travel changes slowly. In a bin of this duration, the travel passes so many encoder
+counts that the quantisation averages out.
 """
 MIN_SCALED_PARAMETER = 0.02
 """Lower bound of scaled parameters that must be positive."""
@@ -137,8 +137,8 @@ class TendonFitProblem:
             cell_noise_N=_cell_noise(
                 data.tension[data.slack | stop], hand.sensor_node.tension_noise_N
             ),
-            # The drift is a random walk. Its standard deviation increases with the square root of
-            # time, and the hand file has the value after 100 s.
+            # The drift is a random walk. The standard deviation of the drift increases with the
+            # square root of time, and the hand file has the value after 100 s.
             drift_step_N=max(hand.sensor_node.tension_bias_drift_N, 1e-3)
             * (DRIFT_KNOT_S / 100.0) ** 0.5,
         )
@@ -168,7 +168,8 @@ class TendonFitProblem:
     def _first_offset(self) -> float:
         """Return a first estimate of the stretch offset [m].
 
-        It comes from the data at the stop, or else is the smallest travel in free motion.
+        The estimate comes from the data at the stop. Without such data, it is the smallest travel
+        in free motion.
         """
         stiffness = self.parameter_scales[PARAMETER_NAMES.index("tendon_stiffness")]
         if len(self.stop_bins.t):
@@ -340,7 +341,10 @@ def fit_tendon(problem: TendonFitProblem) -> TendonFit:
 
 
 def _unexplained_ramp(problem: TendonFitProblem, solution: FitSolution) -> ResidualRamp | None:
-    """Return the ramp of tension with the largest score in the residuals of the free sweeps, None without sweeps."""
+    """Return the tension ramp with the largest score in the residuals of the free sweeps.
+
+    Without free sweeps, return None.
+    """
     free = problem.free_bins
     load = problem.digit_load
     if load is None or not len(free.t):
@@ -365,11 +369,11 @@ def _row_times(problem: TendonFitProblem) -> Array:
 
 
 def _cell_noise(quiet: Array, stated: float) -> float:
-    """Return the standard deviation of a load-cell sample, estimated from the differences of neighbours [N].
+    """Return the standard deviation of a load-cell sample, estimated from neighbouring samples [N].
 
     Args:
         quiet: tensions at rest and in slow stretches, where neighbouring samples differ only by noise [N].
-        stated: value of the hand file, which is returned if there are too few samples [N].
+        stated: value in the hand file [N]. It is returned if there are too few samples.
     """
     quiet = quiet[np.isfinite(quiet)]
     return (
@@ -414,7 +418,7 @@ def merge_solution(
 def with_model_error(fit: TendonFit, errors: Mapping[str, float]) -> TendonFit:
     """Return a fit whose variances include errors of the model.
 
-    The scatter of the residuals does not show such errors.
+    The scatter of the residuals does not show errors of the model.
 
     Args:
         fit: fit of a tendon.

@@ -32,14 +32,16 @@ from handctl.tune.identify.least_squares import FitSolution, solve_least_squares
 from handctl.tune.identify.tendon_data import Array, TendonData, average_samples
 
 SHARED_PARAMETERS = ("spring_stiffness", "spring_preload", "joint_damping", "link_mass")
-"""Names of the parameters that a digit has once. They are factors that multiply values of the hand file.
+"""Names of the parameters that all tendons of a digit share.
+
+These parameters are factors that multiply values of the hand file.
 
 In the vector of the fit, the capstan coefficients of the tendons follow after these parameters.
 """
 HALF_WINDOW_S = 0.01
 """Time before and after a joint reading over which signals are averaged [s]."""
 MIN_SPEED_M_S = 2.5e-3
-"""Smallest speed that all tendons of a digit must have in a sample that is used [m/s].
+"""A sample is used only if all tendons of the digit move at least at this speed [m/s].
 
 At lower speeds, the direction of friction is not known at every pulley.
 """
@@ -255,7 +257,7 @@ def fits_with_digit(
 
 
 def _unexplained_ramp(solution: FitSolution, balance: TorqueBalance) -> ResidualRamp | None:
-    """Return the ramp of the torque at a single joint with the largest score in the residuals of the sweeps."""
+    """Return the torque ramp at a single joint that has the largest score in the residuals of the sweeps."""
     units = [np.tile(row, len(balance.t)) for row in balance.whitening_matrix]
     return steepest_ramp(
         solution.jacobian, solution.residual, 0, np.asarray(balance.q.mean(axis=1)), units

@@ -26,10 +26,11 @@ from handctl.tune.identify.tendon_data import Array, Mask, TendonData
 BIN_DURATION_S = 0.01
 """Duration of a bin of samples [s].
 
-The digit moves little during a bin. A fit with bins has a fifth of the rows.
+The digit moves little during a bin. A fit of bins has a fifth of the rows that a fit of single
+samples would have.
 """
 MIN_SPEED_M_S = 4e-3
-"""Smallest speed of the tendon in a sample of free motion that is used [m/s].
+"""A sample of free motion is used only if the tendon moves at least at this speed [m/s].
 
 At lower speeds, the direction of friction is not known at every pulley.
 """
@@ -133,7 +134,10 @@ def average_in_bins(
 
 
 def _central_rates(travel: Array, period: float, reach: int) -> tuple[Array, Array]:
-    """Return speed and acceleration of a travel, from differences over `reach` periods, zero at the ends."""
+    """Return speed and acceleration of a travel, from differences over `reach` periods.
+
+    At both ends of the data, they are zero.
+    """
     speed = np.zeros_like(travel)
     acceleration = np.zeros_like(travel)
     after = travel[2 * reach :]
@@ -231,8 +235,8 @@ class DigitLoad:
         stiffness = p.spring * self.spring
         q = [mean.copy() for _ in self.arms]
         f = np.full_like(mean, 10.0)
-        # Newton's method changes the tension until the travel is right. From a tension, the joint
-        # angles follow one by one, beginning at the palm.
+        # Newton's method changes the tension until the travel is right. A given tension determines
+        # the joint angles one by one, beginning at the palm.
         for _ in range(NEWTON_STEPS):
             angle = np.full_like(mean, self.wrap)
             excursion = f / p.stiffness

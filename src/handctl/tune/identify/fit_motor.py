@@ -29,7 +29,10 @@ Half lengths are whole numbers of samples, because only then the sums equal the 
 SPACING_FRACTION = 0.4
 """Distance between the centres of windows, as a fraction of their half length."""
 MIN_SPEED_RAD_S = 0.25
-"""Smallest speed of the spool [rad/s]. At lower speeds the sign of the friction is not known."""
+"""Smallest speed of the spool in a window that is used [rad/s].
+
+At lower speeds the sign of the friction is not known.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +136,10 @@ def motor_windows(data: TendonData, spool: float) -> MotorWindows:
 
 
 def quick_speed(travel: Array, period: float, reach: int = 3) -> Array:
-    """Return the speed of a travel, from differences over a few control periods [m/s], zero at the ends."""
+    """Return the speed of a travel [m/s], from differences over a few control periods.
+
+    At both ends of the data, it is zero.
+    """
     speed = np.full(len(travel), np.nan)
     speed[reach:-reach] = (travel[2 * reach :] - travel[: -2 * reach]) / (2 * reach * period)
     return np.asarray(np.nan_to_num(speed))

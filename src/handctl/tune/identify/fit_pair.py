@@ -108,7 +108,7 @@ class PairWindows:
         friction_fraction: friction of the tendons divided by its full value at high speed, with its sign.
         travel: mean travel of the spool at the times of the joint readings [m].
         excursion: mean excursion at the joint readings, with the moment arms of the hand file [m].
-            It is NaN if there are too few readings.
+            The excursion is NaN if there are too few readings.
         reading_count: effective number of joint readings in the window.
     """
 
@@ -250,7 +250,7 @@ def tension_of_pair(net: Array, pretension: float, passed: Array) -> Array:
 
 
 def stretch_of_pair(net: Array, stiffness: float, pretension: float) -> Array:
-    """Return the length (m,) by which the spool of a pair is ahead of its joints at a net tension (m,) [N] [m]."""
+    """Return the length (m,) [m] by which a pair's spool is ahead of its joints at a net tension (m,) [N]."""
     single = np.sign(net) * (np.abs(net) - pretension) / stiffness
     return np.where(np.abs(net) < 2.0 * pretension, 0.5 * net / stiffness, single)
 
@@ -319,7 +319,7 @@ class PairProblem:
     def stretch(self, z: Array) -> Array:
         """Return the length (m,) by which the spool is ahead of the joints [m].
 
-        It is NaN in windows without enough joint readings.
+        The length is NaN in windows without enough joint readings.
         """
         w = self.windows
         skew = np.where(w.free, z[-1] * SENSOR_SKEW_S * w.motor.speed, 0.0)
@@ -424,11 +424,11 @@ def _start_parameters(windows: PairWindows) -> Array:
 
 
 def _start_candidates(first: Array) -> list[Array]:
-    """Return several starts of the fit, which differ in their pretension.
+    """Return several start points of the fit, with different pretensions.
 
     If the pretension is too small at the start, the solver may end at a wrong solution: a pair with
-    one slack tendon and twice the stiffness. No small step leads from there to the right
-    parameters.
+    one slack tendon and twice the stiffness. No small step leads from this wrong solution to the
+    right parameters.
     """
     starts = []
     for factor in PRETENSION_START_FACTORS:

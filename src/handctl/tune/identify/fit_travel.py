@@ -5,7 +5,8 @@
 The travel x of the spool is the sum of the excursion s(q) of the joints and the stretch f / k of
 the tendon. The factor m multiplies the moment arms of the hand file. Joint encoders are read
 somewhat later or earlier than motor encoders. This time difference adds d x' while the joints move.
-The offset o follows the drift of the load cell. Stops and springs have no part in this equation.
+The offset o follows the drift of the load cell. The joint stops and return springs have no part in
+this equation.
 """
 
 from dataclasses import replace

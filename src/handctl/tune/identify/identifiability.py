@@ -1,4 +1,4 @@
-"""Identifiability of the parameters of a fit: which ones the data do not determine, and which trade off.
+"""Identifiability of the parameters of a fit: parameters that the data do not determine or cannot tell apart.
 
 The analysis uses the Jacobian of the data, scaled by the values of the hand file and by the noise
 of the load cell. The solver returns a value for every parameter. But if a parameter, or a
@@ -16,7 +16,7 @@ from handctl.tune.identify.fit import MAX_HALF_WIDTH, PARAMETER_NAMES, SCALE_DEL
 from handctl.tune.identify.tendon_data import Array, TendonData
 
 MAX_CORRELATION = 0.95
-"""Absolute correlation of two estimated parameters above which they are reported as trading off."""
+"""Largest absolute correlation of two estimated parameters that are not reported as trading off."""
 COHERENCE_SEGMENTS = 6
 """Number of parts into which the excitation is divided, to average the coherence.
 
@@ -58,8 +58,8 @@ def assess_identifiability(fit: TendonFit, hand: Hand, digit: str, tendon: str) 
     """
     unseen = unobservable_parameters(hand, digit, tendon)
     jacobian = fit.sensitivity
-    # Each right singular vector is a combination of parameters. Its singular value is the
-    # information of the data about this combination.
+    # Each right singular vector is a combination of parameters. The singular value of the vector is
+    # the information of the data about this combination.
     _, sizes, directions = np.linalg.svd(jacobian, full_matrices=False)
     widths = fit.half_widths
     values = fit.parameter_values
@@ -156,7 +156,7 @@ def unobservable_parameters(hand: Hand, digit: str, tendon: str) -> dict[str, st
 
 
 def _never_identifiable(fit: TendonFit, hand: Hand, name: str) -> list[str]:
-    """Return the parameters that no such excitation can identify, however long it lasts, each with the reason."""
+    """Return the parameters that excitation of this kind cannot identify, however long it lasts, with reasons."""
     problem = fit.problem
     tendon = hand.tendon[hand.tendon_names.index(name)]
     if tendon.pretension_N is not None:

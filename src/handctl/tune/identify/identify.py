@@ -29,7 +29,7 @@ from handctl.tune.identify.tendon_data import Array, TendonData, tendon_data
 EXCITATION_BAND_HZ = (0.7, 6.0)
 """Frequency band over which the coherence is averaged [Hz].
 
-It is the band of the sinusoidal swing.
+The sinusoidal swing of a digit sweeps through this band.
 """
 SWEEP_PARAMETERS = (*DIGIT_KEYS, "capstan")
 """Parameters that are invalid if the digit touched an obstacle during the sweeps.
@@ -51,8 +51,8 @@ class TendonResult:
         spectrum: frequencies [Hz], and the coherence at each of them.
         balance: data for the fit of the digit, if the digit has several tendons and joint encoders,
             else None.
-        blocked_event: text of the event with which the controller reported the digit as blocked, empty
-            without such an event.
+        blocked_event: text of the event with which the controller reported the digit as blocked, or
+            an empty text.
         contact_text: text that describes a contact during the sweeps, empty without a contact.
     """
 
@@ -204,8 +204,8 @@ def _with_contacts(hand: Hand, result: TendonResult, event: str) -> TendonResult
     """Return the result of a tendon with information about contacts that make parameters invalid.
 
     The controller uses the springs of the hand file. If the real springs are a third stiffer, the
-    controller reports an obstacle that does not exist. Therefore its event is ignored if the fit
-    explains the whole sweep.
+    controller reports an obstacle that does not exist. Therefore the event of the controller is
+    ignored if the fit explains the whole sweep.
     """
     contact = contact_text(hand, result)
     ramp = result.fit.ramp
@@ -214,7 +214,7 @@ def _with_contacts(hand: Hand, result: TendonResult, event: str) -> TendonResult
 
 
 def contact_text(hand: Hand, result: TendonResult) -> str:
-    """Return a text that describes a contact during the sweeps, empty without a contact."""
+    """Return a text that describes a contact during the sweeps, or an empty text if there was none."""
     ramp = result.fit.ramp
     if ramp is not None and ramp.is_contact:
         several = len(hand.tendon[hand.digit_tendons[result.data.digit]]) > 1
@@ -231,7 +231,7 @@ def contact_text(hand: Hand, result: TendonResult) -> str:
 
 
 def _blocked_joint_text(hand: Hand, result: TendonResult) -> str:
-    """Return a text that describes a blocked joint in a digit with one tendon, empty if all joints move."""
+    """Return a text that describes a blocked joint in a digit with one tendon, or an empty text if all move."""
     load = result.fit.problem.digit_load
     data = result.data
     values = result.fit.parameter_values
@@ -254,12 +254,12 @@ def _blocked_joint_text(hand: Hand, result: TendonResult) -> str:
 
 
 def blocked_digits(log: RunLog) -> dict[str, str]:
-    """Return the first event that reports a blocked digit, for each digit during whose excitation this happened.
+    """Return, for each excited digit, the first event during its excitation that reports a blocked digit.
 
     The keys of the result are the names of the excited digits.
 
-    If two digits touch each other, the controller may report the other digit as blocked. The event
-    is assigned to the excited digit all the same.
+    If two digits touch each other, the controller may report the other digit as blocked. Even then,
+    the event is assigned to the digit that is excited at the time.
     """
     events = [
         event_entry

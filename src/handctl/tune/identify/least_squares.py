@@ -98,7 +98,8 @@ def _block_rows(times: Array) -> Iterator[NDArray[np.intp]]:
 def _parameter_covariance(jacobian: Array, residual: Array, times: Array) -> tuple[Array, Array]:
     """Return the covariance of the parameters, and the degrees of freedom of each variance.
 
-    Both follow from the variation between blocks of time, and from the priors.
+    Covariance and degrees of freedom follow from the variation of the residuals between blocks of
+    time, and from the priors.
 
     The residuals of each block are corrected to those of a fit without this block. The covariance
     is never smaller than that of independent noise.
@@ -117,8 +118,8 @@ def _parameter_covariance(jacobian: Array, residual: Array, times: Array) -> tup
     for rows in _block_rows(times):
         part = jacobian[rows]
         left = np.eye(len(rows)) - part @ plain @ part.T
-        # If a block alone determines a parameter, (I - H) is singular. Least squares take the place
-        # of its inverse.
+        # If a block alone determines a parameter, (I - H) is singular. Therefore a least-squares
+        # solution replaces the inverse of (I - H).
         alone = np.linalg.lstsq(left, np.column_stack([residual[rows], part]), rcond=1e-9)[0]
         score = part.T @ alone[:, 0]
         middle += np.outer(score, score)

@@ -28,7 +28,7 @@ CONTACT_PHASES = ("close", "open")
 The motor force may jump within one sample.
 """
 SETTLE_S = 0.02
-"""Time at the beginning of each step whose data are not used [s]."""
+"""Duration of the beginning of each step, from which no data are used [s]."""
 TRANSIENT_S = 0.35
 """Time after which the springs have opened the digit and a relaxed tendon is slack [s]."""
 STOP_DISTANCE_DEG = 2.0
@@ -142,7 +142,7 @@ def _logged_gain(log: RunLog, tendons: int) -> list[float]:
 
 
 def _digit_has_tendon(hand: Hand, digit: str, tendon: int) -> bool:
-    """Return True if the tendon with an index in the hand belongs to a digit."""
+    """Return True if a tendon, given by its index in the hand, belongs to a digit."""
     tendons = hand.digit_tendons[digit]
     return bool(tendons.start <= tendon < tendons.stop)
 

@@ -65,7 +65,8 @@ MAX_REDUCTIONS = 6
 MAX_COMMON_REDUCTIONS = 3
 """Largest number of steps by which all forces are reduced together.
 
-They are reduced if the margins are kept but the hand does not come to rest in simulation.
+The forces are reduced if the loops keep their margins but the hand does not come to rest in
+simulation.
 """
 FORCE_RATIO = 2.0
 """Ratio of a tendon's authority to the common authority, above which the tendon gets a separate force."""
@@ -101,7 +102,7 @@ class GainDesign:
     def with_unproven_before(self) -> "GainDesign":
         """Return the design with zero margins for the old gains.
 
-        This is for old gains with which the hand did not come to rest in simulation.
+        The margins are zero if the hand did not come to rest in simulation with the old gains.
         """
         before = {loop: unproven_margins(margin) for loop, margin in self.margins_before.items()}
         return replace(
@@ -109,7 +110,7 @@ class GainDesign:
         )
 
     def as_weights(self) -> Gains:
-        """Return the designed gains with the default authority, and errors that are scaled instead.
+        """Return the designed gains, expressed with the default authority and scaled errors.
 
         The controller stays the same, because LQR only depends on ratios of weights.
         """
@@ -240,7 +241,7 @@ def _positive_root(square: float, expected: str) -> float:
     """Return the square root of a positive number.
 
     Raises:
-        ValueError: The number is not positive. Then no weights lead to the requested poles.
+        ValueError: The number is not positive, so that no weights lead to the requested poles.
     """
     if square <= 0.0:
         raise ValueError(f"no weights have these poles; expected {expected}")
@@ -255,7 +256,7 @@ def model_with_gains(model: HandModel, gains: Gains) -> HandModel:
 def worst_margins(
     model: HandModel, plants: tuple[PlantFactors, ...], kinds: Iterable[LoopKind] = LoopKind
 ) -> LoopMargins:
-    """Return the smallest value of each margin over all plants, loops, and tendons that differ.
+    """Return the smallest value of each margin over all plants, all loops, and one of each group of equal tendons.
 
     Eigenvalues of the closed loops confirm the margins.
     """
@@ -279,8 +280,8 @@ def keeps_required_margins(
 ) -> bool:
     """Return True if the loops of the given tendons have the required margins on every plant.
 
-    Without `tendons`, all tendons are checked. The check ends at the first loop with too small a
-    margin.
+    Without `tendons`, all tendons are checked. The check ends at the first loop whose margin is too
+    small.
     """
     return all(
         margin.are_sufficient for margin in _each_margin(model, plants, kinds, tendons=tendons)

@@ -4,9 +4,9 @@ The controller is linearised by finite differences of its own code. The model of
 calculated from the hand file.
 
 The finite differences call the same code as a tick of the controller. Thus the matrices follow
-every change of filter or control law. Each tendon is treated alone, as in the design of the gains.
-Friction is neglected, because during motion it is constant. In each tick, the controller acts on
-the samples of the previous tick. This is the delay of the bus.
+every change of the code of the filter or control law. Each tendon is treated alone, as in the
+design of the gains. Friction is neglected, because during motion it is constant. In each tick, the
+controller acts on the samples of the previous tick. This delay of one tick models the bus.
 
 The control law is linearised without its limits, because a saturated loop would seem to have no
 gain and unlimited margins. At the operating point the goals equal the estimates, and all errors are
@@ -58,11 +58,11 @@ OPERATING_ANGLE_RAD = 0.6
 DIFFERENCE_STEPS = {"travel": 1e-7, "tension": 1e-2, "state": 2.0**-14}
 """Steps of the finite differences: travel [m], tension [N], and states as a fraction of their typical size."""
 UNREACHABLE_LIMIT = 1e12
-"""Limit of motor torque [N m] and force [N] that is too large to be reached with any gains."""
+"""Value for the limits of motor torque [N m] and force [N]. No gains reach a limit of this size."""
 MOVING_TENSION_N = 1e4
 """Expected tension of a moving digit, chosen far outside of its friction band [N].
 
-The control law then predicts the tension at the edge of this band.
+With this value, the control law predicts the tension at the edge of the friction band.
 """
 MIN_LIMIT_DISTANCE = 0.1
 """Smallest distance of the operating point from the limits of a joint, as a fraction of the joint's range."""
@@ -135,7 +135,7 @@ def plant_system(
         model: model of the hand.
         tendon: index of the tendon.
         kind: kind of the loop. In a tension loop, the digit is blocked.
-        factors: factors of the plant relative to the hand file.
+        factors: factors by which the plant's parameters differ from the hand file.
 
     Returns:
         The system with the states travel, travel rate, excursion, excursion rate, motor force. For
@@ -292,18 +292,19 @@ STATE_ROWS = [
     s.PLANNED_TENSION,
     s.PLANNED_TENSION_RATE,
 ]
-"""Rows of the states of a tendon that are part of the feedback: first of the filter, then of the control law."""
+"""Rows of the tendon states that are part of the feedback: first those of the filter, then those of the control law."""
 MEASUREMENT_ROWS = [s.MEASURED_TRAVEL, s.MEASURED_TENSION, s.MEASURED_EXCURSION]
 """Rows of the state block that contain the measurements of a tendon."""
 _STATE_SIZE = 2.0 ** np.array([-17, -7, -17, -7, 0, 0, -17, 0, 0, 0, 0, 0])
 """Typical sizes of the states in `STATE_ROWS`, with which the finite differences are scaled.
 
-The sizes are powers of two. Thus the derivative of a copied state is exactly one.
+The sizes are powers of two. Thus the finite difference of a state that is only copied is exactly
+one.
 """
 
 
 class _LinearizationBench:
-    """Filter and linear control law of a hand, which can be applied to a block of state.
+    """Filter and linear control law of a hand, for use on a block of state.
 
     Attributes:
         model: model of the hand with its gains, but without limits and motor friction.
@@ -430,8 +431,8 @@ def _operating_block(bench: _LinearizationBench, tendon: int, kind: LoopKind) ->
 def _half_closed(digit: DigitModel) -> Matrix:
     """Return coordinates (n_c,) of a digit at which all joints are well inside their ranges [rad].
 
-    If coupling and joint limits permit, all joints are at `OPERATING_ANGLE_RAD`. Otherwise, the
-    result is the point that is farthest from all limits.
+    If coupling and joint limits permit, all joints are at `OPERATING_ANGLE_RAD`. If this is not
+    possible, the result is the point that is farthest from all limits.
     """
     low = digit.joint_min
     high = digit.joint_max
@@ -465,7 +466,7 @@ def _winding_rates(model: HandModel, d: int, tendon: int, speed: float) -> Matri
 
 
 def _joint_gain(model: HandModel) -> Matrix:
-    """Return 1 for each tendon whose excursion joint encoders measure, and NaN for all others, (N,)."""
+    """Return 1 for each tendon whose excursion is measured by joint encoders, and NaN for all others, (N,)."""
     seen = [bool(np.any(blocks[TendonRegime.FREE].K[:, 2])) for blocks in model.filter.blocks]
     return np.where(seen, 1.0, math.nan)
 

@@ -1,9 +1,9 @@
 """Margins of a control loop: gain, phase, disk, and delay margin, crossover frequency, and step response.
 
 A search needs thousands of margins. Therefore each margin is calculated from a frequency response.
-    The tests compare them with the margins of the package `control`. The eigenvalues of the closed
-    loop confirm reported margins: no change of gain, phase, or delay within its margin moves a pole
-    to the unit circle.
+    The tests compare the calculated margins with those of the Python package `control`. The
+    eigenvalues of the closed loop confirm reported margins: no change of gain, phase, or delay
+    within its margin moves a pole to the unit circle.
 Source: balanced disk margin 1 / max |S - 1/2| (Seiler, Packard, Gahinet, 2020).
 """
 
@@ -84,7 +84,7 @@ class LoopMargins:
     def shortfall(self) -> float:
         """Return the missing part of the gain or phase margin, as a fraction of the required margin.
 
-        The value is 0 or less if every margin is large enough.
+        The missing part is 0 or less if every margin is large enough.
         """
         if not self.stable:
             return 1.0 + min(self.peak, 100.0)
@@ -99,7 +99,7 @@ def unproven_margins(linear_margins: LoopMargins) -> LoopMargins:
 
 
 def smaller_margins(first: LoopMargins, second: LoopMargins) -> LoopMargins:
-    """Return the smaller of two values of each margin, and the larger crossover and peak."""
+    """Return for each margin the smaller of two values, and the larger crossover frequency and peak."""
     return LoopMargins(
         gain_db=min(first.gain_db, second.gain_db),
         phase_deg=min(first.phase_deg, second.phase_deg),

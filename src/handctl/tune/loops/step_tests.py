@@ -1,4 +1,6 @@
-"""Step tests in a lockstep simulation, which check that the hand comes to rest with the whole controller.
+"""Step tests in a lockstep simulation.
+
+They check that the hand comes to rest with the whole controller.
 
 The linear models of the loops neglect friction, limits, quantisation, the drives, and the other
 digits. Therefore gains are accepted only after a test on the simulated plant. The hand must come to
@@ -30,12 +32,12 @@ TENSION_STEP_N = 10.0
 OSCILLATION_ANGLE_RAD = 1e-3
 """Angle of an eigenvalue above which the eigenvalue counts as oscillating [rad per tick].
 
-The value is 0.08 Hz at a control rate of 500 Hz.
+At a control rate of 500 Hz, this angle corresponds to an oscillation of 0.08 Hz.
 """
 REST_DURATION_S = 0.5
 """Time for which the goals stay constant after a step [s]."""
 EVALUATED_DURATION_S = 0.25
-"""Time at the end of this rest in which oscillations are measured [s]."""
+"""Time at the end of `REST_DURATION_S` in which oscillations are measured [s]."""
 MAX_ANGLE_SWING_RAD = 0.01
 """Largest oscillation of a mean joint angle at which a digit counts as at rest, peak to peak [rad]."""
 MAX_FREE_SWING_N = 1.0
@@ -121,8 +123,8 @@ def simulate_swing(
 
     Args:
         hand: description of the simulated hand.
-        model: model with the gains.
-        factors: factors of the plant relative to the description.
+        model: model of the hand with its gains.
+        factors: factors by which the plant's parameters differ from the description.
         seed: seed of the simulated noise.
     """
     ticks, truth, failure = simulate_program(hand, model, StepExercise(), factors, seed)
@@ -176,7 +178,7 @@ def is_loop_ringing(model: HandModel, factors: PlantFactors) -> bool:
     `MAX_HOLD_SWING_N`.
 
     Args:
-        model: model with the gains.
+        model: model of the hand with its gains.
         factors: linear factors of the plant.
     """
     ticks = (REST_DURATION_S - EVALUATED_DURATION_S) / model.period
@@ -202,26 +204,29 @@ GAINS_WITHOUT_FEEDBACK = {
 }
 """Gains with almost no feedback while a tension is held."""
 RUNS_WITHOUT_FEEDBACK = 3
-"""Number of runs without feedback. The largest oscillation of these runs is used.
+"""Number of runs without feedback. The largest oscillation of all runs without feedback is used.
 
 The chatter of pressed links varies by a factor of two between seeds of the noise.
 """
 LOWEST_FRICTION_FACTORS = {"friction": 1.0 - MIN_FACTOR_SPREAD["friction"]}
-"""Factors of a plant that is nominal except for its friction, which is the lowest of any ensemble."""
+"""Factors of a plant with the lowest friction of any ensemble.
+
+All other parameters of the plant are nominal.
+"""
 
 
 @dataclass
 class RestTest:
-    """Test in a lockstep simulation whether the hand comes to rest with given gains.
+    """Test of gains in a lockstep simulation, in which the hand must come to rest.
 
     Four plants are simulated: the nominal plant, the nominal plant with the lowest friction of any
     ensemble, the plant with the smallest margins, and the plant with the highest friction. A
     simulation is necessary because the linear models neglect friction.
 
-    The links of a digit that presses on an object may chatter even at constant motor torque. This
-    oscillation is a property of the plant. It is measured on the same plant without feedback, and
-    subtracted for each tendon. Nothing is subtracted if the eigenvalues of a linear tension loop
-    show that the loop itself oscillates.
+    The links of a digit that presses on an object may chatter even at constant motor torque. The
+    chatter is a property of the plant. The oscillation is measured on the same plant without
+    feedback, and subtracted for each tendon. Nothing is subtracted if the eigenvalues of a linear
+    tension loop show that the loop itself oscillates.
 
     Attributes:
         hand: description of the simulated hand.
@@ -249,7 +254,10 @@ class RestTest:
         return not self.reason
 
     def _simulate(self, model: HandModel) -> str:
-        """Simulate the plants, and return the reason why the hand does not come to rest, empty if it does."""
+        """Simulate the plants, and return the reason why the hand does not come to rest.
+
+        If it does, return an empty text.
+        """
         friction = [factors.get("friction", 1.0) for factors in self.factors]
         indices = sorted({0, weakest_plant(model, self.plants), friction.index(max(friction))})
         cases = {

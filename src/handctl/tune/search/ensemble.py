@@ -20,8 +20,8 @@ MIN_FACTOR_SPREAD = {
 }
 """Smallest half width of the range of each factor, even if an identification is more precise.
 
-The reason is that stiffness and friction of a tendon change during use. The keys are those of the
-option `perturb` of the simulator.
+These limits exist because stiffness and friction of a tendon change during use. The keys are those
+of the option `perturb` of the simulator.
 """
 
 MAX_FACTOR_SPREAD = 0.9
@@ -38,8 +38,8 @@ def draw_ensemble(
     Args:
         count: number of plants, including the nominal plant.
         seed: seed of the sequence.
-        spread: half width of the range of each factor, for example from an identification. Values
-            below those of `MIN_FACTOR_SPREAD` are increased to them.
+        spread: half width of the range of each factor, for example from an identification. A value
+            below that of `MIN_FACTOR_SPREAD` is increased to it.
 
     Returns:
         `count` tables, each with the factor of each key.
@@ -67,7 +67,7 @@ FACTOR_OF_PARAMETER = {
     "spring_stiffness": "spring",
     "motor_inertia": "motor_inertia",
 }
-"""Key of the factor in the ensemble for each identified parameter."""
+"""Key of the ensemble's factor that scales each identified parameter."""
 
 
 def ensemble_widths(identified: Mapping[str, IdentifiedParameters]) -> dict[str, float]:

@@ -3,8 +3,8 @@
 Trials are requested from Optuna in batches of a fixed size, and their scores are reported in the
 same order. Each batch has a separate sampler, whose seed follows from the seed of the study and the
 number of the batch. Therefore the result does not depend on the number of processes, and an
-interrupted study can be resumed. It resumes with those trials of the last batch that have no score.
-If the request of a batch was interrupted, the whole batch is requested again.
+interrupted study can be resumed. A resumed study begins with those trials of the last batch that
+have no score. If the request of a batch was interrupted, the whole batch is requested again.
 """
 
 import fcntl
@@ -23,7 +23,7 @@ from handctl.tune.search.search_space import GAIN_RANGES, clamped_gains
 from handctl.tune.search.workers import SearchWorkers
 
 BATCH_SIZE = 8
-"""Number of trials in a batch. Further workers would be idle."""
+"""Number of trials in a batch. With more worker processes than this, some would be idle."""
 RANDOM_BATCH_COUNT = 2
 """Number of batches with random trials. Later batches use the results of earlier trials."""
 STUDY_NAME = "handctl"
@@ -62,7 +62,8 @@ class SearchPlan:
     def trial_job(self, number: int, values: Mapping[str, float]) -> dict[str, Any]:
         """Return the job with which a worker evaluates a trial.
 
-        The first trial is the reference. It is simulated even if its margins are too small.
+        The first trial is the reference for the others. Therefore it is simulated even if its
+        margins are too small.
         """
         return {
             "hand": self.hand,
@@ -242,7 +243,7 @@ def _open_study(plan: SearchPlan, path: Path) -> Any:
 def _truncate_partial_line(path: Path) -> None:
     """Remove the last line of a journal if it is incomplete, for example after a power failure.
 
-    Optuna would append its next entry to this line.
+    Optuna would append its next entry to the incomplete line.
 
     Raises:
         OSError: The file cannot be read or written.

@@ -1,6 +1,6 @@
 """Worker process of a search.
 
-It reads jobs as JSON lines from standard input, and writes scores to standard output.
+The process reads jobs as JSON lines from standard input, and writes scores to standard output.
 """
 
 import json
@@ -12,7 +12,10 @@ from handctl.tune.scoring import evaluate_job
 
 
 def main() -> int:
-    """Evaluate jobs until the input ends. The worker ignores Ctrl-C, which the search handles."""
+    """Evaluate jobs until the input ends.
+
+    The worker ignores Ctrl-C, because the search handles it.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for line in sys.stdin:
         try:

@@ -39,7 +39,7 @@ class SearchWorkers(Protocol):
 
 
 class InProcessWorkers:
-    """Workers of which all jobs run in this process, one after the other."""
+    """Workers that run all jobs in the calling process, one after the other."""
 
     def compute_scores(self, jobs: Sequence[ScoreJob]) -> Iterator[tuple[int, ScoreResult]]:
         """Yield index and score of each job. See `SearchWorkers`."""

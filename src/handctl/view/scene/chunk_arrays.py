@@ -44,7 +44,7 @@ def static_chunk(entity: str, columns: Iterable[ComponentColumn]) -> Chunk:
 
 
 def chunk_on_run_time(chunk: Chunk, offset_ns: int) -> Chunk:
-    """Return a chunk of Rerun's MCAP reader on the timeline of the run.
+    """Return a chunk of Rerun's MCAP reader, moved to the timeline of the run.
 
     A chunk without times stays unchanged.
     """

@@ -17,7 +17,7 @@ COMMAND_LINE_WIDTH = 1.0
 LIMIT_LINE_WIDTH = 2.2
 """Width of the lines for tension limits [points].
 
-The widths above are for estimates and commands.
+The constants above are the widths of the lines for estimates and commands.
 """
 
 
@@ -69,8 +69,8 @@ def _band_style(entity: str, names: Sequence[str], colours: Sequence[Colour], un
 def _tension_styles(run: RunInfo) -> Iterator[Chunk]:
     """Yield the styles of the tension plot: estimates in the colours of the digits, commands dimmed, limits red."""
     names = run.hand.tendon_names
-    # There is one slice of tendons for each digit. Each digit has its own colour, and each of its
-    # tendons has a shade of it.
+    # There is one slice of tendons for each digit. Each digit has its own colour, and each tendon
+    # of the digit has a shade of this colour.
     tendon_slices = run.hand.digit_tendons.values()
     colours = [
         shade

@@ -20,7 +20,7 @@ little.
 
 
 class FrameLoad:
-    """Calculator for the load of each bus: the fraction of the last `LOAD_WINDOW_NS` that the frames take at worst.
+    """Calculator for the load of each bus: the worst-case share of the last `LOAD_WINDOW_NS` that the frames take.
 
     The ticks must be passed in order.
     """

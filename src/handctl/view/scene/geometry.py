@@ -33,7 +33,7 @@ def solid_chunks(chunk: Chunk, run: RunInfo) -> Iterator[Chunk]:
 
     A link with a mesh yields nothing.
 
-    By default, Rerun draws such shapes as wire frames.
+    By default, Rerun draws the shapes of a URDF as wire frames.
     """
     path = entity_path(chunk.entity_path)
     link = path.split("/")[2]

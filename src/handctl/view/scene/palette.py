@@ -72,7 +72,10 @@ ACTION_COLOURS = {
 
 
 def digit_colour(index: int) -> Colour:
-    """Return the colour with a given number. For a digit, ``colour_numbers`` gives this number."""
+    """Return the colour with a given number.
+
+    ``colour_numbers`` gives the number for each digit of a hand.
+    """
     return DIGIT_PALETTE[index % len(DIGIT_PALETTE)]
 
 

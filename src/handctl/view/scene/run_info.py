@@ -1,4 +1,4 @@
-"""Data about the run and the hand of a log, which the converters and the layout of the dashboard use."""
+"""Data about the run and the hand of a log, for the converters and the layout of the dashboard."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -27,7 +27,7 @@ class RunInfo:
         header: names, period and offset of the run.
         hand: description of the hand from the log.
         name: name of the log for the user.
-        truth: truth of the simulator that covers the run, or None.
+        truth: true values from the simulator during the run, or None.
     """
 
     header: RunHeader

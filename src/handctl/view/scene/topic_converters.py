@@ -69,7 +69,7 @@ class TopicConverters:
         return [f"^{topic}$" for topic in exact] + ["^/actuator/.*/temperature$"]
 
     def __call__(self, chunk: Chunk) -> Iterator[Chunk]:
-        """Yield the chunks for the dashboard that a chunk of the log gives."""
+        """Yield the chunks for the dashboard that result from a chunk of the log."""
         entity = chunk.entity_path
         if "/visual_geometries/" in entity:
             yield from solid_chunks(chunk, self._run)
@@ -140,7 +140,7 @@ class TopicConverters:
 def lines_with_band(values: FloatArray, sigma: FloatArray) -> rr.ComponentColumnList:
     """Return values (n, lines) as plot lines with a band of one standard deviation.
 
-    Where the standard deviation is unknown, there is no band.
+    The band has a gap where the standard deviation is unknown.
     """
     measured = rr.Measurements.columns(
         values=values.ravel(), variances=np.nan_to_num(sigma**2).ravel()

@@ -1,4 +1,7 @@
-"""Object and table of a simulated run. Their poses come from the simulator's truth file."""
+"""Object and table of a simulated run.
+
+The poses of object and table come from the simulator's truth file.
+"""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -14,17 +17,22 @@ from handctl.view.scene.palette import Colour
 from handctl.view.scene.run_info import RunInfo
 
 POSE_PERIOD_NS = 20_000_000
-"""Interval between the poses [ns]. The transforms of the links have the same interval."""
+"""Interval between the drawn poses of object and table [ns].
+
+The transforms of the links have the same interval.
+"""
 SHAPE_COLOURS = {"object": Colour(216, 206, 186), "table": Colour(112, 122, 134)}
 POSE_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 """Names of the truth file's columns with the object's pose.
 
-The quaternion is in the order of Rerun.
+The components of the quaternion are in Rerun's order.
 """
 
 
 def true_shape_chunks(run: RunInfo) -> Iterator[Chunk]:
-    """Yield the chunks with shapes and poses of object and table. A run without a truth that has shapes yields none.
+    """Yield the chunks with shapes and poses of object and table.
+
+    Yield none if the run has no truth file with shapes.
 
     Raises:
         LogError: the truth file names an unknown shape or lacks a column.
