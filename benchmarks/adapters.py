@@ -1,8 +1,8 @@
-"""Control rates that are possible with each class of CAN adapter, measured with a simulated hand in simulated time.
+"""Measurement of the control rates that each class of CAN adapter permits, with a simulated hand in simulated time.
 
-Each run is the demo: commission, grasp, hold, release. A rate is possible if the run ends without a
-fault. The result does not depend on the machine, because the time is simulated. Computing a run
-takes 20 s to several minutes.
+Each run is `handctl demo`: commission the hand, grasp an object, hold it and release it. A rate is
+possible if the run ends without a fault. The result does not depend on the machine, because the
+time is simulated. The computation of one run takes 20 s to several minutes.
 
     python benchmarks/adapters.py --hand jamia --adapters usb-fs --rates 250 333 500 --seeds 1
 """
@@ -34,7 +34,7 @@ def run_demo_with_adapter(hand: str, adapter: str, rate: float, seed: int) -> Ad
     run = demo.run
 
     def at_rate(args: argparse.Namespace) -> int:
-        args.rate = rate  # The demo has no option for the adapter.
+        args.rate = rate  # `handctl demo` has no option that selects an adapter.
         return run(args)
 
     output, errors = io.StringIO(), io.StringIO()

@@ -1,15 +1,16 @@
-"""CPU time and wall time of exchanging the commands and replies of one tick, for handctl and for alternatives.
+"""CPU time and wall time that handctl and alternatives need to exchange the commands and replies of one tick.
 
 ``python benchmarks/bus.py [--quick] [--json]``. The benchmark uses four and eleven MIT motors, on
 the local bus and on vcan (in user-mode Linux if the kernel has no vcan). The simulated motors run
-in the same process, and their time is not counted. An exchange converts torques to payloads, sends
-the frames, receives the replies, and converts payloads to values. handctl also updates the state of
-each drive, as in a tick. Compare only ratios within one run.
+in the same process. The benchmark subtracts their time. An exchange converts torques to payloads,
+sends the frames, receives the replies, and converts payloads to values. As in a tick of the
+controller, handctl also updates the state of each drive. Only ratios between results of the same
+run are comparable.
 
-The lower bound is the time of a C program with the system calls and the codec of handctl. On the
-local bus, handctl sends all frames of a tick in one packet, so that this bound hardly grows with
-the number of motors. A second C program sends one packet per frame (sendmmsg, recvmmsg), as a CAN
-socket does.
+The lower bound is the time of a C program that makes the same system calls as handctl and uses the
+same codec. On the local bus, handctl sends all frames of a tick in one packet, so this lower bound
+hardly grows with the number of motors. A second C program sends one packet per frame (sendmmsg,
+recvmmsg), as a CAN socket does.
 """
 
 import argparse
@@ -51,9 +52,11 @@ def main() -> None:
 
 
 def use_one_core() -> str:
-    """Run all alternatives on one core, with real-time priority if allowed. Return a description of core and priority.
+    """Bind this process to one core, with real-time priority if the system allows it.
 
-    In user-mode Linux, the kernel and the programs are processes of the host. On two cores the
+    Return a description of core and priority.
+
+    In user-mode Linux, the kernel and the programs are processes of the host. On two cores these
     processes would wait for each other.
     """
     if sys.platform != "linux":
@@ -68,7 +71,7 @@ def use_one_core() -> str:
 
 
 def measure_both_buses(ticks: int) -> dict:
-    """Measure the exchange on both buses. For an unavailable bus, the result has the reason instead of numbers."""
+    """Measure the exchange on both buses. If a bus is not available, its result is the reason."""
     with tempfile.TemporaryDirectory(prefix="h-") as short:
         os.environ["HANDCTL_RUN_DIR"] = short
         floor = compile_reference(Path(short))
@@ -108,9 +111,9 @@ def measure_vcan(floor: str, ticks: int) -> dict:
 
 
 def measure_bus(medium: str, floor: str, ticks: int) -> dict:
-    """Measure wall and CPU time of each alternative [us], by number of motors.
+    """Measure wall time and CPU time of each alternative, for each number of motors [us].
 
-    For an alternative that cannot run, the result has the reason.
+    If an alternative cannot run, its result is the reason.
 
     Each round measures all alternatives, because other work on the machine disturbs some rounds more than others. The
     result is the wall time of the fastest round. The CPU time is the mean of all rounds, because user-mode Linux counts
@@ -137,7 +140,7 @@ def combine_rounds(rows: list[dict]) -> dict:
 
 
 def measure_round(medium: str, floor: str, motors: int, ticks: int):
-    """Yield the name and the times of one alternative after another."""
+    """Measure the alternatives one after another, and yield the name and the times of each."""
     sys.path.insert(0, str(BENCHMARKS_FOLDER))
     from exchange.package_clients import CLIENT_BY_PACKAGE
     from exchange.simulated_motors import MOTORS_BY_MEDIUM, motors_on
@@ -178,7 +181,7 @@ def measure_client(client, peer, motors: int, ticks: int) -> dict:
     torques = [0.01 * i for i in range(motors)]
 
     def measure_ticks(clock, count: int) -> list[int]:
-        """Measure the times of a number of ticks, and subtract the time of reading the clock.
+        """Measure the time of each of ``count`` ticks, without the time that reading the clock takes.
 
         In user-mode Linux, reading the clock takes as long as sending a frame.
         """
@@ -206,7 +209,7 @@ def measure_client(client, peer, motors: int, ticks: int) -> dict:
 
 
 def add_ratios(rows: dict) -> dict:
-    """Add to each row the ratios of its wall time to both C programs, and its speed-up over python-can."""
+    """Add ratios to each row: its wall time divided by that of each C program, and the speed-up over python-can."""
     reference = rows[REFERENCE_ALTERNATIVE]
     for row in rows.values():
         if "skipped" not in row:

@@ -1,4 +1,7 @@
-"""Profile of a run by parts of the program. Time in a library belongs to the part that called the library."""
+"""Profile of a run: the fraction of CPU time that each part of the program takes.
+
+The time in a library counts for the part that called the library.
+"""
 
 import cProfile
 import pstats
@@ -22,22 +25,24 @@ PART_MARKS = {
     "reading a log": ("handctl/log/", "handctl/replay/"),
     "lockstep clock and bus, this script": ("handctl/runtime/", "benchmarks/"),
 }  # fmt: skip
-"""Parts of the program, each with pieces of the paths or names of its functions.
+"""Parts of the program. Each part has substrings of the paths or names of its functions.
 
-A function belongs to the first part that has a fitting piece.
+A function belongs to the first part that has a matching substring.
 
 The profiler does not see compiled functions: their time belongs to the Python function that calls
 them. Each stage of the tick is therefore recognised by the method that runs it. The compiled step
-calls ``mj_step``, so that the time of ``mj_step`` includes tendons and rotors.
+of tendons and rotors calls ``mj_step``. The part ``mj_step`` therefore includes the time of tendons
+and rotors.
 """
 
 ProfiledFunction = tuple[str, int, str]
 
 
 def cpu_time_fractions(work: Callable[[], None]) -> dict[str, float]:
-    """Return the fraction of the time that each part takes.
+    """Measure the fraction of CPU time that each part of the program takes.
 
-    The profiler slows down Python calls, so that compiled code seems faster.
+    The profiler slows down Python calls but not compiled code. The fraction of compiled code is
+    therefore too small.
     """
     profile = cProfile.Profile()
     profile.runcall(work)
@@ -53,9 +58,10 @@ def cpu_time_fractions(work: Callable[[], None]) -> dict[str, float]:
 def _parts_of_function(
     stats: dict, function: ProfiledFunction, depth: int
 ) -> Iterator[tuple[str, float]]:
-    """Yield the parts to which a function belongs, with fractions.
+    """Yield each part to which a function belongs, with the fraction of the function's time for this part.
 
-    These are its own part, or the parts of its callers in proportion to their time.
+    If the function matches no part, its time is divided among the parts of its callers, in
+    proportion to their times.
     """
     name = f"{function[0]}/{function[2]}"
     part = next(

@@ -1,14 +1,15 @@
 """Error of the tension estimate, compared with the raw load cell, simpler filters, and a reference filter.
 
 ``python benchmarks/estimation.py [--quick] [--json] [--seeds N] [--keep FOLDER] [--page]``. Two
-hands move freely, grasp a cylinder and slacken their tendons, in lockstep over the simulated bus. The
-hand `jamia_bench` pulls beyond the knee of its tendons. The plant has the effects of the hand files
-and of firmware_sim: capstan and motor friction, tendon damping, current loop, encoder and load-cell
-resolution, noise, drift, one period of bus delay. The factors below change the parameters of the
-plant, and the controller does not use these factors.
+simulated hands move freely, grasp a cylinder and slacken their tendons. Hands and controller run in
+lockstep over a simulated bus. The hand `jamia_bench` also pulls above the knee, the tension at
+which the stiffness of its tendons changes. The plant has the effects of the hand files and of
+firmware_sim: capstan and motor friction, tendon damping, current loop, encoder and load-cell
+resolution, noise, drift, one period of bus delay. The factors in this module change the parameters
+of the plant. The controller does not know these factors.
 
 A sample is one control period old when the filter receives it. The filter and the raw load cell are
-compared with the true tension at two instants: at the time of the sample, and at present. The
+compared with the true tension at two instants: the instant of the sample, and the present. The
 control loop uses the estimate for the present.
 """
 
@@ -86,7 +87,7 @@ RATIO_COLUMNS = (
 
 
 def trials_of_seed(hand: str, plant: str, seed: int) -> list[LockstepTrial]:
-    """Return the trials of a hand on a plant with one seed."""
+    """Return the trials of one hand, with one set of plant parameters and one seed."""
     if hand == "jamia_bench":
         return [
             LockstepTrial(hand, _task_program(STRONG_GRASP), seed, SCENE_NAME, TRIED_PLANTS[plant])
@@ -118,7 +119,7 @@ def squared_error_sums(job: tuple[str, str, int]) -> dict[str, dict[str, list[fl
 
 
 def _sum_and_count(values: np.ndarray, mask: np.ndarray) -> list[float]:
-    """Return sum and number of the values in the ticks of a regime that are not NaN."""
+    """Return the sum and the number of those values under the mask that are not NaN."""
     values_in_regime = values[mask]
     values_in_regime = values_in_regime[~np.isnan(values_in_regime)]
     return [float(values_in_regime.sum()), float(len(values_in_regime))]
@@ -127,8 +128,8 @@ def _sum_and_count(values: np.ndarray, mask: np.ndarray) -> list[float]:
 def _squared_quantities(record: TrialRecord, regime: str) -> dict[str, np.ndarray]:
     """Return the squared quantities of a regime, each (ticks, N).
 
-    These are squared errors of each estimator and variance of the reference [N^2], NIS, and
-    innovations.
+    These are the squared error of each estimator and the variance of the reference filter [N^2],
+    the NIS, and the innovations.
     """
     numbers = record.numbers
     period_ns = int(record.t_ns[1] - record.t_ns[0])
@@ -159,14 +160,14 @@ def _squared_quantities(record: TrialRecord, regime: str) -> dict[str, np.ndarra
 
 @cache
 def _reference_sigmas(hand: str, is_held: bool) -> np.ndarray:
-    """Return the standard deviations of the reference at the last sample and at present (N, 2) [N]."""
+    """Return the standard deviations of the reference filter, at the last sample and at present (N, 2) [N]."""
     name = hand.removesuffix(CLEAR_SUFFIX)
     model = HandModel.from_hand(hand_by_name(name), Gains(), RATES_HZ[name])
     return np.array([reference_sigma(model, i, is_held) for i in range(model.tendon_count)])
 
 
 def tabulate_regimes(results: list[dict]) -> dict[str, dict[str, float]]:
-    """Tabulate the figures of each regime.
+    """Make a table of the figures of each regime.
 
     The figures are the RMSE of each estimator [N], the spread of the RMSE of the estimate over the
     seeds, ratios of RMSEs, NIS, and whiteness.
@@ -204,20 +205,21 @@ def tabulate_regimes(results: list[dict]) -> dict[str, dict[str, float]]:
 
 
 def _means_of_quantities(sums: dict[str, list[float]]) -> dict[str, float]:
-    """Return the mean of each quantity, which is given as [sum, count, sum, count, ..]."""
+    """Return the mean of each quantity. Each list is [sum, count, sum, count, ..]."""
     return {name: sum(parts[::2]) / max(sum(parts[1::2]), 1.0) for name, parts in sums.items()}
 
 
 def measure_estimators(seeds: int, wrong_seeds: int, plants: list[str], plan: JobPlan) -> dict:
     """Measure all tables.
 
-    In the result, ``seeds`` gives the number of seeds of each case that the plan had time for.
+    In the result, ``seeds`` is the number of seeds that were computed for each case within the time
+    of the plan.
     """
     cases = [(hand, plant) for plant in plants for hand in MEASURED_HANDS]
     cases.insert(len(MEASURED_HANDS), ("jamia_bench", "as known"))
     counts = [seeds if case[1] == "as known" else wrong_seeds for case in cases]
-    # The jobs are in the order of their seeds, so that a stopped benchmark has equally many results
-    # of each case.
+    # The jobs are in the order of their seeds, so that a stopped benchmark has results for the same
+    # number of seeds in each case.
     jobs = [
         (*case, k)
         for k in range(max(counts))

@@ -1,10 +1,10 @@
-"""Benefit of gravity compensation on a hand that lies on its side, where gravity acts on the joints.
+"""Benefit of gravity compensation for a hand that lies on its side, so that gravity acts on its joints.
 
 ``python benchmarks/gravity.py [--json] [--seeds N] [--page]``. The packaged hands stand upright:
 gravity points along the hinges and has no torque about them. In this benchmark the hands lie on
-their side, and their fingertips are ten times as heavy. There are two pairs of control laws. The
-laws of a pair differ only in gravity compensation. They move every digit as in the tracking
-benchmark, with the same weights.
+their side, and their fingertips are ten times as heavy as in the hand files. There are two pairs of
+control laws. The laws of a pair differ only in gravity compensation. Both laws move every digit as
+in the tracking benchmark, with the same weights.
 """
 
 import argparse
@@ -21,13 +21,19 @@ from trials.lockstep import RATES_HZ, LockstepTrial, run_trial
 WEIGHTS_LAW = dict(
     zip(GRAVITY_LAWS, ("+ gravity and springs",) * 2 + ("+ full computed torque",) * 2, strict=True)
 )
-"""For each control law of this benchmark, the law of the tracking benchmark whose weights (with margins) it uses."""
+"""For each control law of this benchmark, the law of the tracking benchmark from which it takes its weights.
+
+The tracking benchmark has selected these weights to keep the stability margins.
+"""
 MEASURED_SPEEDS = ("slow", "fast")
 FIGURE_LABELS = {"rmse_deg": "RMSE", "steady_deg": "steady"}
 
 
 def run_gravity_trial(job: tuple) -> dict[str, dict[str, float]]:
-    """Run one trial and return its figures by speed. If the trial ended early, all figures are NaN."""
+    """Run one trial and return its figures for each speed.
+
+    If the trial ended early, all figures are NaN.
+    """
     hand, law, seed = job
     gains = GRAVITY_LAWS[law].gains(
         *tracking.tuned_weights(hand, WEIGHTS_LAW[law], with_margins=True), RATES_HZ[hand]
@@ -48,7 +54,10 @@ def run_gravity_trial(job: tuple) -> dict[str, dict[str, float]]:
 
 
 def measure_gravity_compensation(seeds: int, plan: JobPlan) -> dict:
-    """Measure mean and spread over the seeds for each hand, control law, speed and figure."""
+    """Measure all figures for each hand, control law and speed.
+
+    Return mean and spread over the seeds.
+    """
     jobs = [
         (hand, law, k)
         for hand in tracking.MEASURED_HANDS
@@ -76,7 +85,7 @@ def _over_seeds(values: list[float]) -> dict[str, float]:
 
 
 def page_section(result: dict) -> str:
-    """Return the Markdown section of a result."""
+    """Return the section on gravity compensation as Markdown, for a result."""
     head = [
         "hand, law",
         *(f"{speed}, {name} [deg]" for speed in MEASURED_SPEEDS for name in FIGURE_LABELS.values()),

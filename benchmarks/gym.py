@@ -1,9 +1,10 @@
 """Steps per second and time of a reset of ``handctl.gym``, compared with a MuJoCo environment of the same rigid bodies.
 
 ``python benchmarks/gym.py [--quick] [--json]``. The MuJoCo environment has the same rigid bodies,
-time step and rate of actions, joint torques as actions, and no tendons, drives, bus or controller.
-The actions are random, and so slow that the hand has no fault. The benchmark measures CPU time, and
-wall time for vectors of environments.
+time step and rate of actions. The actions of the MuJoCo environment are joint torques. It has no
+tendons, drives, bus or controller. The actions are random, but change so slowly that the hand has
+no fault. The benchmark measures CPU time for one environment, and wall time for several
+environments in parallel.
 """
 
 import argparse
@@ -34,7 +35,7 @@ PROCESS_COUNT = 2
 class BareEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """Environment with only the rigid bodies.
 
-    An action has joint torques, and an observation has joint angles and rates.
+    An action consists of joint torques. An observation consists of joint angles and rates.
     """
 
     def __init__(self, hand: str, scene: str | None, step_s: float) -> None:
@@ -55,7 +56,7 @@ class BareEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         return self._observation(), {}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
-        """Apply the torques of an action until the next action."""
+        """Apply the joint torques of an action for the time of one action."""
         self.engine.applied[:] = TORQUE_N_M * action
         mujoco.mj_step(self.engine._model, self.engine._data, nstep=self.count)
         return self._observation(), 0.0, False, False, {}
@@ -110,7 +111,7 @@ def measure_environment(hand: str, name: str, steps: int) -> dict[str, Any]:
 
 
 def random_action(space: gymnasium.spaces.Box, rng: np.random.Generator) -> np.ndarray:
-    """Return a random action near the open hand."""
+    """Return a random action that keeps the hand nearly open."""
     return np.asarray(-1.0 + 0.1 * rng.uniform(0.0, 1.0, space.shape), np.float32)
 
 
@@ -140,7 +141,10 @@ def reset_cpu_s(env: gymnasium.Env) -> float:
 
 
 def vector_steps_per_s(vector: AsyncVectorEnv, steps: int) -> float:
-    """Return the steps of all processes per second of wall time, including the time of resets."""
+    """Measure the steps of all processes together per second of wall time.
+
+    The time of resets is included.
+    """
     rng = np.random.default_rng(0)
     vector.reset(seed=0)
     begin = time.monotonic()

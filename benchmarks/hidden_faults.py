@@ -1,8 +1,11 @@
-"""Faults that are hard to detect: the reported faults, the delay of the detection, and the largest true tension.
+"""Benchmark of faults that are hard to detect.
 
-Each fault is injected into the first finger of a hand in lockstep. The stage is free motion, a hold
-at 24 N, the rise of the tension, or a hold at 90 N. If the controller does not react within 2 s,
-the benchmark stops the run, as an operator would.
+The benchmark measures which faults are reported, the delay of the reaction, and the largest true
+tension.
+
+Each fault is injected into the first finger of a hand in lockstep. The stage of the task at this
+moment is free motion, a hold at 24 N, a rise of the tension, or a hold at 90 N. After 2 s without a
+reaction of the controller, the benchmark requests a stop, as an operator would.
 
     python benchmarks/hidden_faults.py --hand jamia --protocol mit --seeds 20
 """
@@ -59,7 +62,10 @@ HIDDEN_FAULTS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
 
 
 def rising_hold_task() -> dict[str, Any]:
-    """Return the task of the campaign, with an added phase in which the tension rises to 90 N and stays there."""
+    """Return the task of the fault campaign, with an additional phase.
+
+    In this phase the tension rises to 90 N and stays there.
+    """
     other = copy.deepcopy(CAMPAIGN_TASK)
     hold = other["phase"][-1]
     hold["duration_s"] = 1.5
@@ -75,7 +81,10 @@ def rising_hold_task() -> dict[str, Any]:
 
 
 def is_at_stage(stage: str, out: Any, first: int) -> bool:
-    """Return True if a run is at a stage. ``first`` is the number of ticks that the free phase has lasted."""
+    """Return True if a run has reached a stage.
+
+    ``first`` is the number of ticks of the free phase so far.
+    """
     tension = float(out.telemetry.tension.max())
     if stage == FREE_STAGE:
         return bool(out.phase == "free" and first > 100)
@@ -87,7 +96,7 @@ def is_at_stage(stage: str, out: Any, first: int) -> bool:
 
 
 def run_with_fault(simulation: SimulatedRun, text: str) -> dict[str, Any]:
-    """Inject a fault and run to the end.
+    """Inject a fault, and continue the run to its end.
 
     The result has the identifiers of the reported faults, the delay of the reaction [ms], and the
     largest true tension [N].
@@ -130,7 +139,8 @@ def fault_rows(
 ) -> Iterator[dict[str, Any]]:
     """Yield a row for every fault in every stage of one run.
 
-    Each fault is injected in a forked copy of this process.
+    Each fault is injected in a forked copy of this process, so all faults begin from the same
+    state.
     """
     hand = hand_with_protocol(hand_name, protocol)
     rate = default_rate(hand)
@@ -174,7 +184,11 @@ def fault_rows(
 
 
 def results_table(results: list[dict[str, Any]]) -> str:
-    """Tabulate relaxed runs, reported faults, latest reaction and largest true tension for each fault and stage."""
+    """Make a table with a row for each fault and stage.
+
+    The columns are the number of runs in which the controller relaxed or cut, the reported faults,
+    the longest delay of a reaction, and the largest true tensions.
+    """
     lines = ["| fault | stage | relaxed or cut | by (runs) | at the latest, ms | true tension, N | after a stop, N |",
              "|---|---|---|---|---|---|---|"]  # fmt: skip
     for name, stage in dict.fromkeys((one["fault"], one["stage"]) for one in results):

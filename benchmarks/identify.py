@@ -1,9 +1,9 @@
-"""Accuracy of ``handctl identify`` on simulated hands that differ from their file: error and coverage.
+"""Accuracy of ``handctl identify`` on simulated hands that differ from their file: errors and coverage of intervals.
 
-Each seed gives a random hand. The parameters of this hand differ by up to 30 % from the hand file,
-and its gains by up to a factor of 3. A hand whose tendons return its digits has its packaged gains,
-and its moment arms differ by up to 10 %. The packaged gains of a hand with spool pairs have a
-smaller authority.
+Each seed gives a random hand. The parameters of a random hand differ from the hand file by up to 30
+%, and the gains of its controller differ from the packaged gains by up to a factor of 3. A digit
+without springs is moved with the packaged gains, and its moment arms differ from the hand file by
+up to 10 %. The packaged gains of a hand with spool pairs give its controller less authority.
 
 One digit of the hand is moved in lockstep, and its parameters are fitted to the log. The true
 parameters are used only to calculate the errors.
@@ -62,13 +62,16 @@ DETUNED_GAIN_KEYS = ("motion.position_error_m", "motion.speed_error_m_s", "motio
 
 
 def gains_for(hand: Hand, digit: str, seed: int) -> Gains:
-    """Return the gains with which a digit is moved: detuned gains if it has springs, otherwise the packaged gains."""
+    """Return the gains that move a digit: random gains if it has springs, otherwise the packaged gains."""
     packaged = packaged_gains(hand.name)
     return draw_gains(packaged, seed) if has_springs(hand, digit) else packaged
 
 
 def draw_plant(seed: int, sprung: bool = True) -> dict[str, float]:
-    """Draw factors on the parameters of a plant. For digits without springs, also draw a factor on the moment arms."""
+    """Draw random factors on the parameters of a plant.
+
+    For digits without springs, also draw a factor on the moment arms.
+    """
     chance = random.Random(f"plant {seed}")
     factors = {
         key: chance.uniform(1.0 - MAX_PARAMETER_ERROR, 1.0 + MAX_PARAMETER_ERROR)
@@ -82,7 +85,7 @@ def draw_plant(seed: int, sprung: bool = True) -> dict[str, float]:
 
 
 def draw_gains(packaged: Gains, seed: int) -> Gains:
-    """Draw gains that differ from the packaged gains by up to a factor of 3."""
+    """Draw random gains, which differ from the packaged gains by up to a factor of 3."""
     chance = random.Random(f"gains {seed}")
     values = {}
     for key in DETUNED_GAIN_KEYS:
@@ -110,7 +113,8 @@ def true_parameters(hand: Hand, tendon: str, factors: dict[str, float]) -> dict[
         values["torque_gain"] = factors["torque_constant"]
     else:
         values["pretension"] = known.pretension_N / unit
-    # In digits without springs, the moment arms are identified instead of the springs.
+    # A digit without springs has no spring stiffness to identify. The fit estimates its moment arms
+    # instead.
     name = "moment_arm" if "moment_arm" in factors else "spring_stiffness"
     return values | {name: factors["moment_arm" if "moment_arm" in factors else "spring"]}
 
@@ -118,7 +122,9 @@ def true_parameters(hand: Hand, tendon: str, factors: dict[str, float]) -> dict[
 def excite_and_fit(
     hand_name: str, digit: str, seed: int, factors: dict[str, float], gains: Gains, folder: Path
 ) -> tuple[dict[str, TendonResult], ResultRow]:
-    """Move one digit of a simulated hand and fit its parameters. Return the fit, and the CPU time or the failure.
+    """Move one digit of a simulated hand and fit its parameters.
+
+    Return the fit, and a row with the CPU time or the failure.
 
     Args:
         hand_name: name of a packaged hand or path of a hand file, for controller and plant.
@@ -156,9 +162,10 @@ def excite_and_fit(
 
 
 def measure_digit(seed: int, digit: str, folder: Path, hand_name: str = "jamia") -> ResultRow:
-    """Move and fit one digit of a random hand.
+    """Move one digit of a random hand and fit its parameters.
 
-    Return error and coverage of every parameter, or the reason of a failure.
+    Return a row with the error and the interval of every parameter, or with the reason for a
+    failure.
     """
     hand = load_hand(hand_name)
     sprung = has_springs(hand, digit)
@@ -192,7 +199,10 @@ def measure_digit(seed: int, digit: str, folder: Path, hand_name: str = "jamia")
 
 
 def compare_parameter(name: str, tendon: str, real: float, result: TendonResult) -> ResultRow:
-    """Compare one parameter with its true value. Error and half widths are fractions of the true value."""
+    """Compare an identified parameter with its true value.
+
+    The error and the half widths of its intervals are fractions of the true value.
+    """
     identified = name in result.identifiability.names
     error = result.fit.parameter_values[name] / real - 1.0
     width = result.fit.half_widths[name] / real
@@ -211,7 +221,10 @@ def compare_parameter(name: str, tendon: str, real: float, result: TendonResult)
 
 
 def summarise_results(rows: list[ResultRow]) -> ResultRow:
-    """Summarise every parameter: accurate fits, intervals that contain the true value, and errors."""
+    """Count accurate fits, and intervals with the true value, for every parameter.
+
+    Also summarise the errors.
+    """
     good = [row["parameters"] for row in rows if "failure" not in row]
     result: ResultRow = {
         "seeds": len(rows),
@@ -241,7 +254,10 @@ def summarise_results(rows: list[ResultRow]) -> ResultRow:
 
 
 def collect_rows(args: argparse.Namespace) -> list[ResultRow]:
-    """Return the rows of all requested seeds. Rows that are already in the file of results are not computed again."""
+    """Return the rows of all requested seeds.
+
+    Compute only rows that the file of results does not contain yet.
+    """
     rows = (
         [json.loads(line) for line in args.into.read_text().splitlines()]
         if args.into and args.into.exists()

@@ -1,10 +1,12 @@
-"""Speed of the whole stack in lockstep, compared with ``mj_step`` alone for the same motion, and a profile.
+"""Speed and profile of the whole stack in lockstep.
+
+The reference is ``mj_step`` alone with the same motion.
 
 ``python benchmarks/lockstep.py [--quick] [--json]``. A first run of the whole stack records the
-forces on the joints in each step. ``mj_step`` alone then repeats these forces, and must end at the
-same positions, to the bit. Several runs are timed, and one runs under the profiler. All runs are
-bit-identical. The benchmark uses the shortest time of each tick and of each step, which is the time
-without other load on the core and its caches.
+torques on the joints in each step. ``mj_step`` alone is then called with these torques, and must
+end at bit-identical positions. Several further runs are timed, and one further run is profiled. All
+runs are bit-identical. The benchmark uses the shortest time of each tick and of each step. Other
+load on the core and its caches affects this time least.
 """
 
 import argparse
@@ -23,7 +25,7 @@ RUNS_PER_CASE = 4
 
 
 class BodyRollout(NamedTuple):
-    """Forces on the bodies in each step of a run, and the positions at its end.
+    """Forces on the rigid bodies in each step of a run, and their positions at the end of the run.
 
     Attributes:
         torque: (steps, joints) torque that tendons apply to each joint [N m].
@@ -64,7 +66,7 @@ SETUP_BY_SCENE = {"free": FreeMotionSetup, "contact": GraspSetup}
 
 
 def measure_lockstep_speed(hand: str, rate_hz: float, scene: str, seconds: float) -> dict:
-    """Measure one hand in one scene."""
+    """Measure the CPU times of one hand in one scene."""
     made = SETUP_BY_SCENE[scene]
     rollout = record_rollout(LockstepStack(hand, rate_hz, made), seconds)
     bare = sum_of_shortest(
@@ -93,7 +95,10 @@ def measure_lockstep_speed(hand: str, rate_hz: float, scene: str, seconds: float
 
 
 def sum_of_shortest(runs: Iterable[list[float]]) -> float:
-    """Return the sum over all ticks or steps, each with its shortest time among the runs [s]."""
+    """Find the shortest time of each tick or step among the runs.
+
+    Return the sum of these times [s].
+    """
     return sum(map(min, zip(*runs, strict=True)))
 
 

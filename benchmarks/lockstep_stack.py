@@ -23,7 +23,7 @@ TASK_HEAD = 'schema = 1\nname = "benchmark"\ndescription = "for lockstep.py"\n'
 
 @dataclass(frozen=True)
 class FreeMotionSetup:
-    """Program that moves the fingers without an object."""
+    """Setup of a task that moves the fingers in a scene without an object."""
 
     scene: ClassVar[str | None] = None
     task: ClassVar[str] = (
@@ -35,7 +35,7 @@ class FreeMotionSetup:
 
 @dataclass(frozen=True)
 class GraspSetup:
-    """Program that grasps a cylinder on a table and holds it."""
+    """Setup of a task that grasps a cylinder from a table and holds it."""
 
     scene: ClassVar[str | None] = "cylinder"
     task: ClassVar[str] = (
@@ -48,12 +48,12 @@ class GraspSetup:
 
 
 class LockstepStack:
-    """A homed simulated hand with its controller, which runs tick by tick.
+    """A simulated hand with homed motors, and its controller. Both run tick by tick.
 
     Attributes:
         engine: rigid bodies and contact.
         simulation: state of the simulated run.
-        peer: simulated nodes on the bus.
+        peer: simulated hand, whose nodes exchange frames with the controller.
     """
 
     def __init__(
@@ -86,7 +86,10 @@ class LockstepStack:
         return took
 
     def simulator_tick_times(self, seconds: float) -> list[float]:
-        """Run for a simulated time [s]. Return the CPU time of the simulator with its plant in each tick [s]."""
+        """Run for a simulated time [s].
+
+        Return the CPU time of the simulator in each tick, including the plant [s].
+        """
         clock = self.simulation._clock
         took = []
         now = time.process_time

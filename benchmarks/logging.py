@@ -1,8 +1,9 @@
 """Comparison of the log writer of handctl with mcap-ros2-support, rosbags, JSON and the Foxglove SDK.
 
 ``python benchmarks/logging.py [--quick] [--json]``. Each library writes the same messages of a run
-of the hand jamia11 at 1 kHz. The messages include the raw frames. Compare only ratios within one
-run. handctl passes a record to another process, and the other libraries write in the control loop.
+of the hand jamia11 at 1 kHz. The messages include the raw frames. Only ratios between results of
+the same run are comparable. The control loop of handctl passes each record to another process,
+which writes it. The other libraries write in the control loop.
 """
 
 import sys
@@ -11,7 +12,7 @@ from pathlib import Path
 BENCHMARKS_FOLDER = Path(__file__).resolve().parent
 if (
     __name__ == "logging"
-):  # Other scripts in this folder need Python's ``logging``, which this file would hide.
+):  # As an imported module, this file would hide Python's ``logging``, which other scripts need.
     import importlib.machinery
     import importlib.util
 

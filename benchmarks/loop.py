@@ -1,7 +1,8 @@
-"""Comparison of the control loop with a hand-written loop: lateness, and highest rate with 4 and 11 motors.
+"""Comparison of the control loop with a hand-written loop: lateness of ticks, and highest rate with 4 and 11 motors.
 
-``python benchmarks/loop.py [--quick] [--json]``. Both loops run on the same bus with the same
-process of simulated drives. This process has no plant. Compare only ratios within one run.
+``python benchmarks/loop.py [--quick] [--json]``. Both loops run on the same bus. One process
+simulates the drives for both, without a plant. Only ratios between results of the same run are
+comparable.
 """
 
 import argparse
@@ -19,9 +20,9 @@ import numpy as np
 LATENESS_HZ = 500.0
 MAX_MISSED = 0.01
 RATE_STEP = 0.85
-"""Ratio of the next rate to a rate that was too high, in the search for the highest rate."""
+"""The search for the highest rate multiplies a rate that was too high by this factor."""
 LOOP_MODULES = {"ours": "loops.handctl_loop", "usual": "loops.handwritten_loop"}
-"""Module of each loop, by the key of its results."""
+"""For each key in the results, the module of its loop."""
 
 
 def main() -> None:
@@ -48,7 +49,7 @@ def main() -> None:
 
 
 def measure_loops(seconds: float, quick: bool) -> dict:
-    """Measure lateness, behaviour at fixed rates and highest rate, with 4 and 11 motors."""
+    """Measure the lateness of ticks, the behaviour at fixed rates and the highest rate, with 4 and 11 motors."""
     result: dict = {"motors": {}}
     for hand, motors in (("jamia", 4), ("jamia11", 11)):
         with simulated_drives(hand) as bus:
@@ -94,7 +95,7 @@ def free_and_highest_rate(which: str, hand: str, bus: str, seconds: float, quick
 
 
 def rate_ratio(rates: dict, name: str) -> float | None:
-    """Return the ratio of handctl to the hand-written loop.
+    """Return the rate of handctl divided by the rate of the hand-written loop.
 
     If all rates were too high for one of the loops, the result is None.
     """
@@ -126,7 +127,7 @@ def measure_in_this_process(which: str, hand: str, bus: str, seconds: str, rate:
         run = __import__(LOOP_MODULES[which], fromlist=["run_loop"]).run_loop
         try:
             outcome = run(hand, bus, float(seconds), float(rate) or None, log)
-        except RuntimeError:  # At this rate the drives cannot even be set up.
+        except RuntimeError:  # At this rate the controller could not even set up the drives.
             outcome = 0.0, 1.0, []
     hz, missed, late, *more = outcome
     result = {"hz": hz, "missed": missed, "late_us": percentiles_us(late)}
@@ -137,7 +138,7 @@ def measure_in_this_process(which: str, hand: str, bus: str, seconds: str, rate:
 
 
 def percentiles_us(times_ns: list[int]) -> dict:
-    """Return percentiles of times [us]."""
+    """Return the percentiles of a list of times [us]."""
     percentiles = np.percentile(times_ns, [50, 99, 99.9, 100]) / 1e3 if times_ns else [0.0] * 4
     return dict(
         zip(("p50", "p99", "p99_9", "max"), (float(mark) for mark in percentiles), strict=True)
@@ -145,9 +146,10 @@ def percentiles_us(times_ns: list[int]) -> dict:
 
 
 def bare_spin(seconds: float, rate_hz: float) -> tuple[float, float, list[int]]:
-    """Measure the lateness of the controller's clock, without the work of a tick.
+    """Measure how late the controller's clock ends its wait, without the work of a tick.
 
-    This clock sleeps until shortly before a deadline. With real-time priority it then spins.
+    This clock sleeps until shortly before a deadline. With real-time priority, the clock then polls
+    until the deadline.
     """
     from handctl.runtime.clocks.priority import request_priority
     from handctl.runtime.clocks.real import RealClock
@@ -176,7 +178,7 @@ def both_cores_loaded():
 
 
 def bare_sleep(seconds: float, rate_hz: float) -> tuple[float, float, list[int]]:
-    """Measure the lateness of sleeping until absolute deadlines, without work and with the priority of the loop."""
+    """Measure how late ``time.sleep`` ends, without the work of a tick and with the priority of the control loop."""
     from handctl.runtime.clocks.priority import request_priority
 
     request_priority()

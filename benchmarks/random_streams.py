@@ -1,9 +1,10 @@
-"""Random streams of angles to all digits of each packaged hand, in lockstep: how many runs end with a fault.
+"""Random streams of angles to all digits of each packaged hand, in lockstep: the number of runs that end with a fault.
 
-``python benchmarks/random_streams.py [--hands HAND ...] [--seeds N] [--seconds S] [--json]``. An untrained
-policy sends a random target for every digit 50 times a second, anywhere in the range of the joints.
-The digits run into each other and into the palm. There are three kinds of targets: *noise* is a new
-random angle each time, *steps* holds a random angle for 0.1 to 0.6 s, *walk* adds random steps.
+``python benchmarks/random_streams.py [--hands HAND ...] [--seeds N] [--seconds S] [--json]``. An
+untrained policy sends a random target for every digit 50 times a second, anywhere in the range of
+the joints. The digits collide with each other and with the palm. There are three kinds of targets:
+*noise* sends a new random angle each time, *steps* keeps a random angle for 0.1 to 0.6 s, and
+*walk* adds a random step to the last angle.
 """
 
 import argparse
@@ -23,7 +24,7 @@ Array = NDArray[np.float64]
 ANY_SPEED_DEG_S = 1e6
 """Largest rate of change of the targets [deg/s].
 
-With this value only the controller limits the rate.
+This value is so large that only the controller limits the rate of change.
 """
 WALK_STEP = 0.125
 """Standard deviation of a step of the random walk, as a fraction of the range of a joint."""
@@ -54,7 +55,7 @@ ACTION_SOURCES: dict[str, Callable[[np.random.Generator, Array, int], Array]] = 
 
 
 def stream_random_targets(env: TrackEnv, kind: str, seed: int) -> tuple[str, float]:
-    """Stream random targets until the end of an episode or a fault.
+    """Stream random targets to a hand until the episode ends or a fault ends it.
 
     Args:
         env: environment of the hand.
@@ -62,7 +63,7 @@ def stream_random_targets(env: TrackEnv, kind: str, seed: int) -> tuple[str, flo
         seed: seed of the simulated hand and of the targets.
 
     Returns:
-        The fault, empty if there was none, and the largest true tension [N].
+        The text of the fault (empty if there was none), and the largest true tension [N].
     """
     env.reset(seed=seed)
     random = np.random.default_rng(seed)

@@ -2,7 +2,7 @@
 
 ``python benchmarks/reexecute.py [LOG ...] [--quick] [--json]``, by default the logs in
 ``logs/golden``. Each log is executed several times. The benchmark uses the shortest time of each
-tick, without other load on the core.
+tick, because other load on the core affects it least.
 """
 
 import argparse
@@ -43,7 +43,7 @@ def measure_log(path: Path, passes: int) -> dict:
     """Measure the re-execution of one log."""
     with RunLog(path) as log:
         controller = rebuild_controller(log)
-        gc.disable()  # The control loop of a run disables the garbage collector too.
+        gc.disable()  # In a run, the control loop also disables the garbage collector.
         runs = [execute_once(log, controller) for _ in range(passes)]
         gc.enable()
         ticks = len(log)
@@ -64,13 +64,13 @@ def measure_log(path: Path, passes: int) -> dict:
 def execute_once(log: RunLog, controller: Controller) -> dict:
     """Re-execute a log once.
 
-    The result has the CPU times [s] of reading, of each tick, and of comparing, and the number of
-    ticks with equal outputs.
+    The result contains three CPU times [s]: of reading the log, of each tick, and of comparing the
+    outputs. A fourth entry counts the ticks with outputs equal to the logged outputs.
     """
     cpu = time.process_time
     began = cpu()
     for _ in zip(log.ticks(), log.packed_telemetry(), strict=True):
-        pass  # The outputs are not kept, as in a re-execution.
+        pass  # As in an ordinary re-execution, the outputs are not stored.
     read = cpu() - began
     logged = list(zip(log.ticks(), log.packed_telemetry(), strict=True))
     state = controller.initial_state()

@@ -1,9 +1,9 @@
-"""Run the demo in lockstep with every packaged hand and protocol over many seeds, and report the worst figures.
+"""Run `handctl demo` in lockstep with every packaged hand and protocol, with many seeds, and report the worst figures.
 
     nice -n 5 python benchmarks/seeds.py --results seeds.jsonl --table docs/evidence/seeds.md
 
-Each result is one line in the file of results. If the benchmark was stopped, it continues after the
-last result.
+The file of results has one line for each run. A stopped benchmark continues after the last result
+in the file.
 """
 
 import argparse
@@ -20,18 +20,23 @@ from handctl.cli.main import main as handctl
 from handctl.hand.hand_loading import load_hand, packaged_hands
 
 FIGURE_LIMITS = {"tracking_deg": 1.0, "tension_error_N": 2.0, "object_motion_mm": 1.0}
-"""Limits of the figures. A run has passed if they hold, and if it had no failure, missed tick or lost frame.
+"""Limits of the figures.
 
-See `figure_limits` for the tension error of a run whose load cells drift.
+A run passes with figures within these limits, and without a failure, missed tick or lost frame.
+
+If the load cells of a hand drift, `figure_limits` raises the limit of the tension error.
 """
 DRIFT_SIGMAS = 3.0
-"""Load-cell drift that a run may show in its tension error, as a multiple of its standard deviation."""
+"""Part of the tension error that is excused by load-cell drift, in standard deviations of the drift."""
 DemoCase = tuple[str, str, int]
 """Hand, protocol and seed of a run."""
 
 
 def run_demo(hand: str, protocol: str, seed: int) -> dict[str, Any]:
-    """Run one demo and return its figures. If the run has not passed, the figures include the reason."""
+    """Run `handctl demo` once and return the figures of the run.
+
+    If the run does not pass, the figures include the reason.
+    """
     out = io.StringIO()
     err = io.StringIO()
     with tempfile.TemporaryDirectory(prefix="handctl-seeds-") as folder:
@@ -64,7 +69,7 @@ def run_demo(hand: str, protocol: str, seed: int) -> dict[str, Any]:
 def figure_limits(hand: str, duration_s: float) -> dict[str, float]:
     """Return the limits of the figures of a run.
 
-    No sensor of the hand shows the drift of its load cells. The limit of the tension error is
+    No sensor of the hand can reveal the drift of its load cells. The limit of the tension error is
     therefore at least `DRIFT_SIGMAS` standard deviations of the drift in the time of the run.
     """
     drift = (
@@ -76,7 +81,7 @@ def figure_limits(hand: str, duration_s: float) -> dict[str, float]:
 
 
 def failure_reason(figures: dict[str, Any], run_result: dict[str, Any]) -> str:
-    """Describe why a run has not passed. Return an empty string if it has passed."""
+    """Describe why a run does not pass. Return an empty string if it passes."""
     if run_result["failure"] or run_result["missed"] or run_result["frames_lost"]:
         return (
             run_result["failure"]
@@ -93,7 +98,10 @@ def failure_reason(figures: dict[str, Any], run_result: dict[str, Any]) -> str:
 
 
 def results_table(results: list[dict[str, Any]]) -> str:
-    """Make a Markdown table with a row per hand and protocol, and a line for each run that has not passed."""
+    """Make a Markdown table with a row for each hand and protocol.
+
+    Below it, write a line for each run that does not pass.
+    """
     rows = [
         "| hand | protocol | seeds passed | tracking error [deg] | tension error [N] | object motion [mm] |",
         "|---|---|---|---|---|---|",

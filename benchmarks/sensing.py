@@ -1,9 +1,9 @@
-"""Loss of accuracy without load cells and joint encoders: errors of the estimates, contact delay, detected faults.
+"""Loss of accuracy without load cells or joint encoders: errors of the estimates, contact delay, detected faults.
 
-``python benchmarks/sensing.py [--json] [--seeds N] [--page]``. Each run is the grasp of a cylinder
-in the demo, in lockstep with the simulated hand: move, close until contact, hold while the table
-sinks, release, open. The sensors are removed from the hand file of the controller. The plant stays
-the same. ``--page`` writes docs/evidence/control-sensing.md.
+``python benchmarks/sensing.py [--json] [--seeds N] [--page]``. In each run, the simulated hand
+grasps a cylinder in lockstep: move, close until contact, hold while the table sinks, release, open.
+The hand file of the controller lacks some sensors. The plant stays the same. ``--page`` writes
+docs/evidence/control-sensing.md.
 """
 
 import argparse
@@ -39,9 +39,12 @@ SENSING_CASES = [
     ("jamia", "neither"),
     *(("n_plus_1", sensors) for sensors in SENSOR_SETS),
 ]
-"""Hand and sensors of each case. There are no cases with joint encoders for jamia, because jamia has none."""
+"""Hand and sensors of each case.
+
+The hand jamia has no joint encoders, so it has no cases with joint encoders.
+"""
 CONTACT_N = 0.3
-"""True force of a digit on the object above which the digit is in contact [N]."""
+"""A digit is in contact when its true force on the object is above this force [N]."""
 MOVING_PHASES = ("home", "preshape", "open")
 SETTLED_S = 1.0
 """Time from the start of a hold until the tensions have settled [s]."""
@@ -60,7 +63,7 @@ INJECTED_FAULTS = {
 
 
 def hand_with_sensors(name: str, sensors: str) -> Hand:
-    """Return a packaged hand with only the given sensors."""
+    """Return a packaged hand that has only the given sensors."""
     cells, encoders = SENSOR_SETS[sensors]
     content: dict[str, Any] = hand_content(name)
     if not cells and not encoders:
@@ -103,7 +106,10 @@ def grasp_task_of(hand: Hand) -> Task:
 
 
 def cylinder_scene_of(name: str) -> str:
-    """Return a scene with a cylinder in front of the palm, on a table that sinks when the hand holds the cylinder."""
+    """Return a scene with a cylinder on a table in front of the palm.
+
+    The table sinks when the hand holds the cylinder.
+    """
     diameter = DIAMETER_M[name]
     return (
         f'name = "cylinder"\n[object]\nshape = "cylinder"\ndiameter_m = {diameter}\nlength_m = 0.093\nmass_kg = 0.15\n'
@@ -114,7 +120,7 @@ def cylinder_scene_of(name: str) -> str:
 
 @dataclass
 class SensingRun:
-    """Record of a run with one row per tick with an active hand, and the reported faults."""
+    """Record of a run: a row for each tick in which the hand is active, and the reported faults."""
 
     phase: list[str] = field(default_factory=list)
     error: list[np.ndarray] = field(default_factory=list)
@@ -167,7 +173,7 @@ def rms(values: Any) -> float:
 
 
 def case_figures(records: list[SensingRun], period: float) -> dict[str, float]:
-    """Return the figures of all runs of one case."""
+    """Compute the figures of one case from the records of all its runs."""
     moving = []
     held = []
     sigma = []
@@ -183,7 +189,7 @@ def case_figures(records: list[SensingRun], period: float) -> dict[str, float]:
         moving.append(error[in_motion])
         held.append(error[holding])
         sigma.append(width[holding])
-        # A slack tendon has no tension that could be estimated.
+        # A slack tendon has no tension to estimate.
         taut = width > 0.0
         taut[~(in_motion | (phase == "hold"))] = False
         scaled.append(error[taut] / width[taut])

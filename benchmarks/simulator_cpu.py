@@ -1,9 +1,10 @@
 """CPU time of the simulated drives, sensors, codec, tendons and rotors in lockstep, without MuJoCo's ``mj_step``.
 
-``python benchmarks/simulator_cpu.py [--quick] [--json]``. The whole stack runs, because the controller
-evicts the code and data of the simulator from the caches of the processor. The benchmark measures
-the CPU time of ``LockstepHand.exchange`` in each tick, and subtracts the CPU time of ``mj_step`` alone for
-the same motion. All runs are bit-identical, so the benchmark uses the shortest time of each tick.
+``python benchmarks/simulator_cpu.py [--quick] [--json]``. The controller runs too, because in every
+lockstep run the controller evicts code and data of the simulator from the processor caches. The
+benchmark measures the CPU time of ``LockstepHand.exchange`` in each tick, and subtracts the CPU
+time of ``mj_step`` alone for the same motion. All runs are bit-identical, so the benchmark uses the
+shortest time of each tick.
 """
 
 import argparse
@@ -71,7 +72,7 @@ def measure_simulator_cpu(hand: str, protocol: str, scene: str, seconds: float) 
 
 
 def clock_s() -> float:
-    """Measure the time that two readings of the clock take [s]."""
+    """Measure the CPU time that a pair of clock readings takes [s]."""
     now = time.process_time
     return min(-(now() - now()) for _ in range(CLOCK_READS))
 

@@ -1,10 +1,9 @@
-"""Start of a run: time from the command to the first frame on the bus, and the time of the help of a verb.
+"""Start of a run: time from the command to the first frame on the bus, and the time in which a command prints its help.
 
 ``python benchmarks/start_time.py [--repeats N] [--json]``. The bus is a local bus without other
 participants. The kernels and the byte code of Python are compiled before the first measurement.
-Between the starts, the benchmark measures the start of Python with numpy, as a reference for the
-same machine. Compare only ratios to this reference. The CPU time depends less on other programs
-than the wall time.
+Between these starts, the benchmark also measures a start of Python that imports numpy. Only ratios
+to this reference are comparable. Other programs affect the CPU time less than the wall time.
 """
 
 import argparse
@@ -23,7 +22,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 FRAME_TIMEOUT_S = 600.0
-"""Longest time to wait for a frame, with compilation [s]."""
+"""Longest time to wait for the first frame, including compilation [s]."""
 BUS_NAME = "start"
 """Name of the local bus."""
 HAND_BY_RUN = {"handctl run": "jamia", "handctl run, 11 motors": "jamia11"}
@@ -31,7 +30,7 @@ HAND_BY_RUN = {"handctl run": "jamia", "handctl run, 11 motors": "jamia11"}
 
 
 class StartTime(NamedTuple):
-    """Wall time of a start [s], and CPU time of the started process until then [s]."""
+    """Wall time of a start [s], and CPU time that the started process has used by its end [s]."""
 
     wall_s: float
     cpu_s: float
@@ -49,14 +48,14 @@ def main() -> None:
         os.environ["HANDCTL_RUN_DIR"] = folder
         os.environ.pop(
             "PYTHONDONTWRITEBYTECODE", None
-        )  # without stored byte code each start would compile 300 modules
+        )  # without stored byte code, each start would compile 300 modules
         os.environ["PYTHONPYCACHEPREFIX"] = folder
         result = measure_starts(args.repeats, Path(folder))
     print(json.dumps(result, indent=2)) if args.json else print_results(result)
 
 
 def measure_starts(repeats: int, folder: Path) -> dict[str, list[StartTime]]:
-    """Return the times of all starts of each program. The programs are started in turns."""
+    """Start the programs in turns, many times, and return the times of all starts of each program."""
     command = [sys.executable, "-m", "firmware_sim", "bus", BUS_NAME]
     hub = subprocess.Popen(
         command, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[1]
@@ -73,7 +72,7 @@ def measure_starts(repeats: int, folder: Path) -> dict[str, list[StartTime]]:
         measures[name] = partial(until_first_frame, hand, folder)
     try:
         for one in measures.values():
-            one()  # The first start compiles, and fills the disk cache.
+            one()  # The first start compiles the code and fills the disk cache. It is not counted.
         times: dict[str, list[StartTime]] = {name: [] for name in measures}
         for _ in range(repeats):
             for name, one in measures.items():
@@ -93,7 +92,7 @@ def time_until_exit(command: list[str]) -> StartTime:
 
 
 def children_cpu_s() -> float:
-    """Return the CPU time of all ended child processes [s]."""
+    """Return the total CPU time of all child processes that have ended [s]."""
     usage = resource.getrusage(resource.RUSAGE_CHILDREN)
     return usage.ru_utime + usage.ru_stime
 

@@ -1,4 +1,4 @@
-"""Streams of targets to a simulated hand in real time, judged by the plant's truth: bad clients, tracking, latency.
+"""Streams of targets to a simulated hand in real time, compared with the plant's truth: bad clients, tracking, latency.
 
 ``python benchmarks/streaming.py [clients|tracking|latency ...] [--only CLIENT ...] [--time-scale X]
 [--bus BUS]``. Clients, controller and simulated hand run as separate processes. The latency is
@@ -37,18 +37,21 @@ MIDDLE_DEG = 30.0
 SWING_DEG = 20.0
 READY_TIMEOUT_S = 120.0
 GOOD_STREAM_S = 0.5
-"""Duration of a good stream before and after a misbehaviour, in the time of the simulated hand [s]."""
+"""Duration of the correct stream before and after a misbehaviour, on the clock of the simulated hand [s]."""
 MISBEHAVIOUR_S = 0.4
-"""Duration of a misbehaviour, in the time of the simulated hand [s]."""
+"""Duration of a misbehaviour, on the clock of the simulated hand [s]."""
 TRACKED_S = 4.0
-"""Duration of the streamed motion and of the motion in the task [s]. The first second does not count."""
+"""Duration of the streamed motion, and of the same motion as a task [s].
+
+The errors of the first second do not count.
+"""
 KNOT_S = 0.04
-"""Time between two angles of the motion in the task [s].
+"""Time from one given angle to the next in the task that repeats the streamed motion [s].
 
 A spline between these angles differs from the sine by less than 0.001 deg.
 """
 AFTER_KILL_S = 2.0
-"""Time in which a hand relaxes after its client was killed, in the time of the simulated hand [s]."""
+"""Time that a hand gets to relax after its client was killed, on the clock of the simulated hand [s]."""
 TARGET_REPEATS = 5
 """Number of times that a repeating client sends each target."""
 LATENCY_S = 10.0
@@ -59,7 +62,7 @@ SIMULATOR_ARGUMENTS = ["-m", "firmware_sim"]
 """Arguments of Python that start a simulated hand."""
 INTERPOLATION_NAMES = ("linear", "minimum_jerk")
 CommissionedHand = tuple[Path, tuple[str, ...]]
-"""Calibration file of a simulated hand that is already commissioned, and options of its simulator."""
+"""A simulated hand that is already commissioned: its calibration file, and the options of its simulator."""
 
 
 def sine_angle_deg(t: float) -> float:
@@ -68,9 +71,9 @@ def sine_angle_deg(t: float) -> float:
 
 
 class BadClient:
-    """A stream of one digit with targets that the caller falsifies.
+    """A stream of targets for one digit, into which the caller can put wrong targets.
 
-    The checks of ``TargetStream.send`` are left out.
+    The targets bypass the checks of ``TargetStream.send``.
     """
 
     def __init__(self, hand: HandClient, stream: TargetStream, scale: float) -> None:
@@ -95,14 +98,14 @@ class BadClient:
     def send(
         self, value: float, number: int | None = None, age_s: float = 0.0, space: int = 1
     ) -> None:
-        """Send a value as a target, with any number and any age in the time of the simulated hand [s]."""
+        """Send a value as a target, with any number, and with any age on the clock of the simulated hand [s]."""
         self.number += number is None
         sent_ns = time.monotonic_ns() - round(1e9 * age_s / self.scale)
         values = np.full(space, value)
         self.stream._sender.send(self.number if number is None else number, sent_ns, values)
 
     def send_good_targets(self, seconds: float) -> None:
-        """Stream the correct motion for a time [s]."""
+        """Stream targets of the correct motion for a time [s]."""
         for _ in self.periods(seconds):
             self.send(sine_angle_deg(self.t_s + self.stream.horizon_s))
 
@@ -114,7 +117,7 @@ class BadClient:
 
 
 def stream_while_paused(client: BadClient) -> None:
-    """Stream the correct motion, while the parent process stops or kills this process."""
+    """Stream the correct motion. Meanwhile the parent process stops or kills this process."""
     print("pause", flush=True)
     client.send_good_targets(2.0 * MISBEHAVIOUR_S)
 
@@ -130,7 +133,7 @@ def flood_with_targets(client: BadClient) -> None:
 
 
 def send_constant(value: float) -> Any:
-    """Return a misbehaviour that sends one value in place of all targets."""
+    """Return a misbehaviour that replaces every target by the same value."""
 
     def misbehave(client: BadClient) -> None:
         for _ in client.periods(MISBEHAVIOUR_S):
@@ -140,7 +143,7 @@ def send_constant(value: float) -> Any:
 
 
 def send_late_targets(seconds: float) -> Any:
-    """Return a misbehaviour that sends old targets with an old time of sending."""
+    """Return a misbehaviour that sends each target late, with the time at which it was due."""
 
     def misbehave(client: BadClient) -> None:
         for _ in client.periods(MISBEHAVIOUR_S):
@@ -161,7 +164,7 @@ def repeat_targets(client: BadClient) -> None:
 
 
 def swap_targets(client: BadClient) -> None:
-    """Send the two targets of every two periods in the wrong order."""
+    """Send the targets of two successive periods in the wrong order, again and again."""
     for i in client.periods(MISBEHAVIOUR_S):
         if i % 2:
             client.number += 2
@@ -171,7 +174,7 @@ def swap_targets(client: BadClient) -> None:
 
 
 def jump_randomly(client: BadClient) -> None:
-    """Send random angles, some beyond the range of the joints, like a faulty policy."""
+    """Send random angles like a faulty policy. Some of them are beyond the range of the joints."""
     draw = random.Random(0)
     for _ in client.periods(MISBEHAVIOUR_S):
         client.send(draw.uniform(-30.0, 130.0))
@@ -199,11 +202,17 @@ CLIENT_BEHAVIOURS: dict[str, tuple[str, Any]] = {
     "killed": ("killed", stream_while_paused),
     "killed-owner": ("killed, had started the controller", stream_while_paused),
 }
-"""For each client, the description of its misbehaviour, and its function. A killed client ends the run."""
+"""For each client, the description of its misbehaviour, and the function that misbehaves.
+
+If a client is killed, the run ends.
+"""
 
 
 def run_client(name: str, bus: str, scale: float, words: list[str]) -> None:
-    """Stream as one of the clients. Print first and last tick of its misbehaviour and the counts of its targets."""
+    """Stream as the client ``name``.
+
+    Print the first and last tick of its misbehaviour and the counts of its targets.
+    """
     with handctl.connect("jamia", bus, *words) as hand:
         hand.move({STREAMED_DIGIT: MIDDLE_DEG}, duration_s=0.5)
         space = "tension" if name == "straining" else "digit"
@@ -268,7 +277,10 @@ class HandProcess:
         )
 
     def connect(self) -> HandClient:
-        """Return a client that is not open yet. When it is opened, it starts the controller."""
+        """Return a client that has not connected yet.
+
+        When the caller opens the client, it starts the controller.
+        """
         return handctl.connect("jamia", self.bus, *self.words)
 
     def close(self) -> None:
@@ -287,7 +299,8 @@ def hand_process(
     Args:
         bus: bus of the hand.
         scale: ratio of the time of the simulated hand to wall time.
-        homed: calibration and options of a commissioned hand. With None, the hand is commissioned first.
+        homed: calibration and options of a commissioned hand. None means that a new hand is
+            commissioned first.
     """
     with tempfile.TemporaryDirectory(prefix="h-") as folder:
         one = HandProcess(Path(folder), bus, scale, homed)
@@ -305,8 +318,8 @@ def measure_clients(
 ) -> dict[str, Any]:
     """Let clients stream to a hand, one after another. Return a row of the printed table for each client.
 
-    The client that starts its controller itself gets a separate hand. A killed client ends the run,
-    so that it is the last client of its hand.
+    A client that starts the controller itself gets a separate hand. If a client is killed, the run
+    ends. This client is therefore the last one of its hand.
     """
     shared = sorted(
         (name for name in names if name != "killed-owner"), key=lambda name: name == "killed"
@@ -329,8 +342,8 @@ def measure_clients(
 def _run_clients(place: HandProcess, names: list[str]) -> tuple[dict[str, Any], int]:
     """Run clients on one hand.
 
-    The result is the ticks and counts of each misbehaviour, and the start of the run on the hand's
-    clock [ns].
+    Return the ticks and counts of each misbehaviour, and the start of the run on the hand's clock
+    [ns].
     """
     if names == ["killed-owner"]:
         window, start_ns = _run_one_client(place, names[0], None)
@@ -345,7 +358,7 @@ def _run_clients(place: HandProcess, names: list[str]) -> tuple[dict[str, Any], 
             hand.close()
         except (
             handctl.DriveError
-        ):  # The stale stream of a killed client is a fault that ends the run.
+        ):  # When a client is killed, its stream becomes stale. This fault ends the run.
             if "killed" not in windows:
                 raise
     return windows, start_ns
@@ -354,7 +367,10 @@ def _run_clients(place: HandProcess, names: list[str]) -> tuple[dict[str, Any], 
 def _run_one_client(
     place: HandProcess, name: str, owner: HandClient | None
 ) -> tuple[dict[str, Any], int]:
-    """Run one client in a separate process, which is paused or killed if the name says so."""
+    """Run one client in a separate process.
+
+    Some names of clients request to pause or kill the process.
+    """
     words = place.words if owner is None else []
     command = [sys.executable, __file__, "--client", name, place.bus, f"{place.scale:g}", *words]
     child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
@@ -389,8 +405,9 @@ def _run_one_client(
 def run_start_ns(hand: HandClient | None, scale: float) -> int:
     """Return the time at which the run has t = 0, on the clock of the simulated hand [ns].
 
-    A tick publishes its observation at its end, so that the result is too late by the duration of a
-    tick. The shortest of many ticks is used, which lasts about 0.1 ms.
+    The observation of a tick is published at the end of the tick. The result is therefore too late
+    by the duration of a tick. The function uses the shortest of many ticks, which lasts about 0.1
+    ms.
     """
     assert hand is not None
     seen = [hand.observe(wait=True) for _ in range(50)]
@@ -428,10 +445,10 @@ def _client_row(
 def measure_tracking(
     bus: str, scale: float, homed: CommissionedHand | None = None
 ) -> dict[str, Any]:
-    """Compare a streamed sine with the same motion as a task, by the true angle of the digit.
+    """Compare the tracking error of a streamed sine with that of the same motion as a task.
 
-    The errors are RMS values [deg]. The result includes the lateness of the ticks, which shows how
-    busy the machine was.
+    The errors are the RMS of the true minus the intended angle [deg]. The result includes the
+    lateness of the ticks, which shows how busy the machine was.
     """
     began_ns: dict[str, int] = {}
     with hand_process(bus, scale, homed) as place:
@@ -473,7 +490,7 @@ def _sine_task() -> str:
 
 
 def _tracking_error(truth: TruthRecord, began_ns: int) -> float:
-    """Return the RMS of the true minus the intended angle, without the first second [deg]."""
+    """Return the RMS of the true minus the intended angle after the first second of the motion [deg]."""
     t = (truth.t_ns - began_ns) / 1e9
     counted = (t > 1.0) & (t < TRACKED_S - 0.05)
     joints = [i for i, name in enumerate(truth.columns) if name.startswith(f"q/{STREAMED_DIGIT}")]
@@ -487,7 +504,10 @@ def _tracking_error(truth: TruthRecord, began_ns: int) -> float:
 
 
 def measure_latency(bus: str, seconds: float) -> dict[str, Any]:
-    """Measure the percentiles p50 and p99 of delays in unscaled time [ms]."""
+    """Measure the delays of observations and targets.
+
+    Return their percentiles p50 and p99 in unscaled time [ms].
+    """
     with hand_process(bus, 1.0) as place, place.connect() as hand:
         rows = {
             "tick to client, observations": _observation_ages_ms(hand, seconds),
@@ -516,7 +536,10 @@ def _observation_ages_ms(hand: HandClient, seconds: float) -> list[float]:
 
 
 def _status_ages_ms(hand: HandClient, seconds: float) -> list[float]:
-    """Return the age of each status line when the client receives it [ms]. The controller sends 50 lines a second."""
+    """Return the age of each status line at the moment when the client receives it [ms].
+
+    The controller sends 50 status lines a second.
+    """
     ages: list[float] = []
     end = time.monotonic() + seconds
     last = -1
@@ -533,7 +556,7 @@ def _status_ages_ms(hand: HandClient, seconds: float) -> list[float]:
 
 
 def _target_delays_ms(hand: HandClient, seconds: float) -> list[float]:
-    """Return the time from the sending of each target until the tick that follows it has sent its frames [ms]."""
+    """Measure the delay of each target: from its sending until the next tick has sent its frames [ms]."""
     delays: list[float] = []
     draw = random.Random(0)
     hand.move({STREAMED_DIGIT: MIDDLE_DEG}, duration_s=0.5)
@@ -552,7 +575,7 @@ def _target_delays_ms(hand: HandClient, seconds: float) -> list[float]:
 
 
 def _move_delays_ms(hand: HandClient, seconds: float) -> list[float]:
-    """Return the time from each request of a move over the request socket until its confirmation [ms]."""
+    """Measure the time from each request for a move, sent over the request socket, to its confirmation [ms]."""
     delays: list[float] = []
     end = time.monotonic() + seconds
     while time.monotonic() < end:

@@ -1,9 +1,10 @@
-"""Benefit of tuning on a plant that differs from the hand file, and of a search on the true plant.
+"""Benefit of tuning when the plant differs from the hand file, compared with a search on the true plant.
 
 The true plant differs from the hand file by up to 30 %, and the initial gains are wrong by a factor
-of 3. One search uses an ensemble around the hand file, and another search uses the true plant. With
-``--fit``, a third search uses the identified plant. All gains are then tried on the true plant. The
-ratio of their costs is the price of an unknown plant.
+of 3. One search scores gains on an ensemble of plants near the hand file, and another search on the
+true plant. With ``--fit``, a third search scores gains on the identified plant. All gains are then
+tried on the true plant. The ratio of their costs shows the loss that results from not knowing the
+plant.
 
     python benchmarks/tuning.py [--quick] [--json] [--trials N] [--plants N] [--workers N]
     python benchmarks/tuning.py --trials 96 --into studies    # continues an interrupted run, or adds trials
@@ -51,7 +52,7 @@ DETUNING_FACTORS = {
 }
 """Factors on the packaged gains that give the initial gains. They were fixed before anything was tuned."""
 JUDGE_SEED = 1000
-"""Seed of the noise in the comparison. No search has used this seed."""
+"""Seed of the noise in the final comparison. No search uses this seed."""
 
 
 def main() -> int:
@@ -89,7 +90,7 @@ def main() -> int:
 
 
 def detuned_gains() -> Gains:
-    """Return the initial gains, which are detuned."""
+    """Return the initial gains: the packaged gains times ``DETUNING_FACTORS``."""
     packaged = values_by_key(Gains())
     return with_values(
         Gains(),
@@ -207,7 +208,7 @@ def _judge_job(plan: SearchPlan, gains: Gains) -> dict[str, Any]:
 
 
 def _with_model(hand: Hand, model: HandModel) -> GainScore:
-    """Score the controller of the identified hand on the true plant, and compute its margins."""
+    """Score a controller that is made for the identified hand on the true plant, and compute its margins."""
     margins = worst_margins(model, (linear_factors(dict.fromkeys(TRUE_PLANT_FACTORS, 1.0)),))
     return replace(
         score_exercise(hand, model, TRUE_PLANT_FACTORS, JUDGE_SEED), shortfall=margins.shortfall

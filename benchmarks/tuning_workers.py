@@ -1,7 +1,7 @@
-"""Speed-up of a search by two workers, in wall time and CPU time, on the same trials.
+"""Speed-up of a search for gains with two workers instead of one, in wall time and CPU time, on the same trials.
 
-Wall time depends on other load on the machine. The CPU time of the busiest worker is the time that
-the trials would take on free cores. Both times include the start of a worker.
+Wall time depends on other load on the machine. The CPU time of the busiest worker is the wall time
+that the trials would take on cores without other load. Both times include the start of a worker.
 
     python benchmarks/tuning_workers.py [--quick] [--json] [--trials N] [--workers N]
 """
@@ -26,7 +26,10 @@ RATE_HZ = 500.0
 
 
 def scoring_jobs(count: int) -> list[ResultRow]:
-    """Return trials with slightly different gains. Equal trials would be computed only once."""
+    """Return trials whose gains differ slightly.
+
+    The search would compute equal trials only once.
+    """
     changed = [
         with_values(Gains(), {"tension.integral_per_s": 2.0 + 0.1 * i}, "benchmark")
         for i in range(count)

@@ -10,11 +10,11 @@ import handctl
 
 with handctl.connect(
     "jamia", "local:lab", *sys.argv[1:]
-) as hand:  # starts a controller, commissions, arms
+) as hand:  # starts a controller, commissions and arms the hand
     hand.move(
         index=30, middle=30, ring=30, duration_s=0.8
-    )  # angle of all joints of these digits [deg]
-    hand.hold(thumb=10)  # tension of the tendons of a digit [N]
+    )  # one angle for all joints of a digit [deg]
+    hand.hold(thumb=10)  # tension in every tendon of the thumb [N]
     observation = hand.observe()
     for name, angle in zip(hand.description.joints, observation.q_deg, strict=True):
         print(f"{name:10} {angle:6.1f} deg")

@@ -1,6 +1,6 @@
 """Break a tendon of a simulated hand while it moves, and print the reaction of the controller.
 
-python inject_fault.py runs in lockstep. To break the tendon of a simulated hand in real time, use
+python inject_fault.py runs in lockstep. For a simulated hand that runs in real time, the command is
 handctl fault inject "snap tendon=index_tendon".
 """
 

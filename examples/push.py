@@ -36,9 +36,9 @@ START_S, RATE_N_PER_S, LARGEST_N, SHOWN_MM = 3.5, 8.0, 8.0, 3.0
 
 
 def push_task(stiffness_N_per_mm):
-    """Return a task that closes the hand and holds.
+    """Return a task in which the hand closes on an object and holds it.
 
-    In the hold, a tension rises when the object pulls its tendon out.
+    In the hold phase, the tension of a tendon rises when the object pulls this tendon out.
     """
     hold = {
         "kind": "hold",

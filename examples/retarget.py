@@ -1,18 +1,21 @@
-"""Let a hand follow the fingertips of a human hand. The positions are scaled to the robot's fingers.
+"""Let a robot hand follow the fingertips of a human hand.
+
+The positions of the fingertips are scaled to the lengths of the robot's fingers.
 
 In another terminal: handctl sim --hand jamia11 --bus local:lab --scene none
 Then: python retarget.py [options of handctl run] writes retarget.png.
 
-This program computes the human motion: index, middle, ring and thumb close one after another, and open. The lengths of
-the human finger segments are fractions of the hand's length (Buchholz, Armstrong and Goldstein 1992, Ergonomics 35(3),
-261-273). The last joint of a finger turns by 2/3 of the angle of the middle joint (Rijpkema and Girard 1991).
+This program computes the human motion: index, middle, ring and thumb close one after another, and
+then open. The lengths of the human finger segments are fractions of the hand's length (Buchholz,
+Armstrong and Goldstein 1992, Ergonomics 35(3), 261-273). The last joint of a finger turns by 2/3 of
+the angle of the middle joint (Rijpkema and Girard 1991).
 """
 
 import sys
 
 import matplotlib
 
-matplotlib.use("Agg")  # writes files, needs no screen
+matplotlib.use("Agg")  # draws into files and needs no screen
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -36,11 +39,14 @@ CLOSED_DEG = {
     "middle": 30.0,
     "ring": 30.0,
     "thumb": 8.0,
-}  # at larger angles, fingers and thumb touch
+}  # at larger angles, the fingers touch the thumb
 
 
 def human_tip(name, t):
-    """Return the position of a human fingertip from the knuckle [m]: x along the straight finger, y to the palm."""
+    """Return the position of a human fingertip relative to the knuckle [m].
+
+    The x axis points along the straight finger, and the y axis in the closing direction.
+    """
     delay = 0.4 * list(SEGMENT_FRACTIONS).index(name)
     phase = np.clip((t - 0.5 - delay) / 3.5, 0.0, 1.0)
     knuckle = (
@@ -53,7 +59,10 @@ def human_tip(name, t):
 
 
 def retargeted_tip(digit, name, t):
-    """Return the position of a human fingertip in the robot's palm frame, scaled by the lengths of both fingers [m]."""
+    """Return the position of a human fingertip in the frame of the robot's palm [m].
+
+    The position is scaled by the ratio of the finger lengths.
+    """
     scale = sum(digit.lengths) / (HAND_LENGTH_M * sum(SEGMENT_FRACTIONS[name]))
     return to_palm_frame(digit, scale * human_tip(name, t))
 
@@ -71,7 +80,7 @@ with handctl.connect("jamia11", "local:lab", *sys.argv[1:]) as hand:
     with hand.stream(RATE_HZ, "fingertip", list(SEGMENT_FRACTIONS)) as stream:
         began_s = hand.observe().t_s
         for tick in range(round(DURATION_S * RATE_HZ)):
-            t = tick / RATE_HZ + stream.horizon_s  # the moment at which the hand shall be there
+            t = tick / RATE_HZ + stream.horizon_s  # time at which the hand must reach the target
             stream.send(
                 np.array([retargeted_tip(digits[name], name, t) for name in SEGMENT_FRACTIONS])
             )
@@ -86,7 +95,7 @@ print(
 
 with RunLog(
     hand.result["log"]
-) as log:  # the log has every tick, also ticks that this program did not observe
+) as log:  # the log has all ticks, this program has observed only some
     streamed = (log.k > first) & (log.k < last)
     names = log.names("q")
     times = log.times[streamed]

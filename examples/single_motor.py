@@ -3,7 +3,8 @@
 Start in another terminal: python -m firmware_sim drive mit --ids 1 --bus local:bench
 Then start: python single_motor.py
 
-The shaft of a real motor must be free. Set its torque limit and its bus in the lines below.
+The shaft of a real motor must be free. Change the torque limit and the bus of the motor in the
+lines below.
 """
 
 from handctl.drives.contract import DrivePhase, DriveTarget
@@ -23,7 +24,7 @@ MOTOR_SPEC = Motor.model_validate({
     "position_range_rad": 12.5, "velocity_range_rad_s": 30.0, "watchdog_ms": WATCHDOG_MS,
 })  # fmt: skip
 
-with bus_lock(BUS_SPEC):  # one host at a time
+with bus_lock(BUS_SPEC):  # only one host may use the bus
     clock = RealClock(PERIOD_NS)
     bus = open_bus(BUS_SPEC, 0, 1_000_000, stamp=clock.run_time_of)
     rig = DriveRig(make_drive(MOTOR_SPEC, 0), bus, clock)

@@ -9,7 +9,7 @@ import sys
 
 import matplotlib
 
-matplotlib.use("Agg")  # writes pictures to files and needs no screen
+matplotlib.use("Agg")  # draws into files and needs no screen
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -25,7 +25,7 @@ with handctl.connect("jamia", "local:lab", *sys.argv[1:]) as hand:
         for tick in range(round(DURATION_S * stream.rate_Hz)):
             t = (
                 tick / stream.rate_Hz + stream.horizon_s
-            )  # time at which the hand reaches the target
+            )  # time at which the hand must reach the target
             stream.send([MIDDLE_DEG + SWING_DEG * math.sin(2.0 * math.pi * t)])
             stream.sleep()
         print(stream.status)
@@ -34,7 +34,7 @@ with handctl.connect("jamia", "local:lab", *sys.argv[1:]) as hand:
 
 with RunLog(
     hand.result["log"]
-) as log:  # the log has every tick, also ticks that this program did not observe
+) as log:  # the log has all ticks, this program has observed only some
     streamed = (log.k > first) & (log.k < last)
     joints = [name.startswith("index") for name in log.names("q")]
     t = log.times[streamed]

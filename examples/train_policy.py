@@ -2,8 +2,9 @@
 
 The training takes one minute on an idle core.
 
-All digits use the same policy. The action for a digit is a weighted sum of four values: the reference after the
-horizon, the present reference, the angle of the digit, and 1. The first three values are scaled like an action.
+All digits use the same policy. The action for a digit is a weighted sum of four values: the
+reference after the horizon, the present reference, the angle of the digit, and 1. The first three
+values have the scale of an action.
 
 pip install 'handctl[gym]'
 python train_policy.py [iterations] writes policy.npy and training.png.
@@ -32,7 +33,7 @@ COLORS = (
     "#d9822b",
     "#3c9d5d",
     "#b8436f",
-)  # one for each digit, as in the figures of handctl
+)  # one colour for each digit, as in the figures of handctl
 
 env = gymnasium.make("handctl/Track-v0", duration_s=2.0).unwrapped
 assert isinstance(env, handctl.gym.TrackEnv)
@@ -40,15 +41,21 @@ names = np.array([name.partition("[")[0] for name in env.layout.names])
 
 
 def policy_action(policy, seen):
-    """Return the action of a policy with weights (inputs + 1,). The last weight belongs to the constant 1."""
+    """Return the action of a policy for an observation.
+
+    A policy has weights (inputs + 1,), the last one for the constant 1.
+    """
     parts = [np.degrees(seen[names == name]) for name in INPUT_NAMES]
-    parts[-1] = env.values_of(parts[-1])  # angles of the digits from those of the joints
+    parts[-1] = env.values_of(parts[-1])  # angles of digits from angles of joints
     scaled = [2.0 * (part - env.low_deg) / (env.high_deg - env.low_deg) - 1.0 for part in parts]
     return np.clip(policy @ [*scaled, np.ones(len(env.names))], -1.0, 1.0).astype(np.float32)
 
 
 def run_episode(policy, seed):
-    """Run an episode. Return the mean reward, and the angles and references of the digits in each step [deg]."""
+    """Run an episode with a policy.
+
+    Return the mean reward, and the angles and references of the digits in each step [deg].
+    """
     seen, _ = env.reset(seed=seed)
     rewards, rows, ended, truncated = [], [], False, False
     while not (ended or truncated):
@@ -64,7 +71,7 @@ first = policy.copy()
 curve = []
 for iteration in range(ITERATIONS):
     directions = rng.standard_normal((DIRECTION_COUNT, len(policy)))
-    seed = int(rng.integers(1000))  # both signs get the same episode
+    seed = int(rng.integers(1000))  # both signs of a perturbation get the same episode
     scores = np.array(
         [
             [run_episode(policy + sign * NOISE_SIZE * d, seed)[0] for sign in (1, -1)]

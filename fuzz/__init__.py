@@ -1,7 +1,7 @@
-"""Coverage-guided fuzzing of all parsers of foreign input.
+"""Coverage-guided fuzzing of all parsers whose input comes from outside of handctl.
 
 Run ``make fuzz``, or see ``python -m fuzz --help``.
 
-A target is a function for feeding bytes to a parser, and returns True if the parser accepts the
-bytes. Only errors declared by the parser may occur. handctl imports nothing from this package.
+A target is a function that feeds bytes to a parser, and returns True if the parser accepts the
+bytes. The parser may raise only its declared errors. handctl imports nothing from this package.
 """

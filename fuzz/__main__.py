@@ -1,4 +1,7 @@
-"""Fuzz each parser for a time and print the results. Exit code 1 if a parser raised an undeclared exception."""
+"""Fuzz each parser for a time and print the results.
+
+The exit code is 1 if a parser raised an undeclared exception.
+"""
 
 import argparse
 import re
@@ -18,7 +21,7 @@ MAX_INPUT_BYTES = {**dict.fromkeys(FUZZED_DRIVES, 64), "sensor-node": 64, "reque
            "log-bytes": 1 << 16}  # fmt: skip
 """Maximum length of the inputs of each target [bytes].
 
-No initial input is longer.
+The initial inputs are not longer than this maximum.
 """
 
 
@@ -52,9 +55,9 @@ def parsed_arguments() -> argparse.Namespace:
 
 
 def fuzz_target(name: str, seconds: int, runs: int, blind: bool = False) -> tuple[str, bool]:
-    """Fuzz a target in a process.
+    """Fuzz one target in a separate process.
 
-    Return the line to print about the target, and False if the target failed.
+    Return the result line of the target, and True if the target passed.
     """
     corpus = OUTPUT_FOLDER / "corpus" / name
     crashes = OUTPUT_FOLDER / "found" / name

@@ -1,7 +1,10 @@
-"""Fuzzing of one target without measuring coverage: ``python -m fuzz.blind TARGET CORPUS FOUND SECONDS RUNS LONGEST``.
+"""Fuzzing of one target without a measurement of coverage.
 
-The inputs are random changes of the corpus that coverage-guided fuzzing has found. Fuzzing without
-coverage (blind) is a few times faster, and so tests more inputs.
+``python -m fuzz.blind TARGET CORPUS FOUND SECONDS RUNS LONGEST`` runs it.
+
+The inputs are randomly changed inputs of the corpus that coverage-guided fuzzing has collected.
+Fuzzing without coverage (blind fuzzing) is a few times faster, and therefore tests more inputs in
+the same time.
 """
 
 import random
@@ -15,13 +18,14 @@ from fuzz.targets import TARGET_FACTORIES, seed_inputs
 
 REPORT_PERIOD_S = 30.0
 INPUTS_PER_CLOCK_READ = 256
-"""Number of inputs from one reading of the clock to the next."""
+"""Number of inputs for one reading of the clock."""
 
 
 def changed_inputs(chance: random.Random, corpus: list[bytes], max_bytes: int) -> Iterator[bytes]:
-    """Yield changed inputs of the corpus.
+    """Yield randomly changed inputs of the corpus, without end.
 
-    Bytes are changed, removed or inserted, or the end is from another input.
+    A change replaces, removes or inserts bytes, or takes the end of another input. One in sixteen
+    inputs is entirely random.
     """
     pick = chance.choice
     bits = chance.getrandbits
@@ -56,10 +60,10 @@ def feed_inputs(
 ) -> tuple[int, int]:
     """Feed inputs to a target.
 
-    An exception ends this process, after the input that caused it was saved.
+    If the target raises an exception, the input is saved and this process ends.
 
     Returns:
-        The number of inputs, and the number of inputs that the parser accepted.
+        The number of all inputs, and the number of those that the parser accepted.
     """
     start = reported = time.monotonic()
     number = 0

@@ -1,6 +1,7 @@
 """The drives whose replies are fuzzed.
 
-The list has a drive for each protocol, and one for each set of options that changes the decoding.
+The list has one drive for each protocol, and a further drive for each set of options that changes
+how replies are decoded.
 """
 
 from typing import NamedTuple
@@ -13,8 +14,8 @@ class FuzzedDrive(NamedTuple):
 
     Attributes:
         protocol: name of the protocol.
-        options: options of the drive to add to the hand file, as lines of the file.
-        without: prefix of the names of options to remove from the hand file.
+        options: lines of the hand file that add options of the drive.
+        without: prefix of lines to remove from the hand file.
     """
 
     protocol: str

@@ -1,6 +1,6 @@
 """Targets for files that users write: hand, task, trajectory, gains and calibration.
 
-Inputs are noise or nearly valid.
+Inputs are random bytes, or nearly valid files.
 """
 
 import math
@@ -37,7 +37,7 @@ TASKS_FOLDER = PACKAGED_HANDS_FOLDER.parents[1] / "tasks"
 
 
 def construct_all(hand: Hand) -> None:
-    """Construct all objects that a run constructs from a hand before it opens a bus."""
+    """Construct all objects that a run makes from a hand before the run opens a bus."""
     for name in hand.digit_names:
         DigitModel.from_hand(hand, name)
     for motor in hand.motor:
@@ -46,7 +46,7 @@ def construct_all(hand: Hand) -> None:
 
 
 def hand_target(folder: Path) -> FuzzTarget:
-    """Return the target for a packaged hand with up to four changes."""
+    """Return the target that loads a packaged hand file with up to four changes."""
     contents = [hand_content(name) for name in packaged_hands()]
     paths = [list(paths_of_values(content)) for content in contents]
 
@@ -60,12 +60,12 @@ def hand_target(folder: Path) -> FuzzTarget:
 
 
 def hand_text_target(folder: Path) -> FuzzTarget:
-    """Return the target for a hand file that consists of any bytes."""
+    """Return the target that loads arbitrary bytes as a hand file."""
     return _text_target(folder / "hand.toml", lambda path: construct_all(load_hand(str(path))))
 
 
 def check_one_line(error: Exception) -> None:
-    """Check that the text of an error is exactly one line."""
+    """Check that the message of an error is exactly one line."""
     assert str(error), "an error without text"
     assert "\n" not in str(error), str(error)
 
@@ -79,7 +79,10 @@ def _text_target(path: Path, load: Callable[[Path], object]) -> FuzzTarget:
 
 
 def _is_accepted(load: Callable[[], object]) -> bool:
-    """Return True if an input is accepted. If it is refused, check that the error is one line."""
+    """Return True if the loading function accepts its input.
+
+    After a refusal, check that the error message is one line.
+    """
     try:
         load()
     except HandctlError as error:
@@ -89,18 +92,18 @@ def _is_accepted(load: Callable[[], object]) -> bool:
 
 
 DOCUMENTS_PER_TEXT = 32
-"""Of this many inputs, one is noise, and one is a document in the form of text.
+"""Of 32 inputs, one consists of random bytes, and one is a changed document, written as text.
 
-In all other inputs, a parsed document is changed, because parsing is slow.
+All other inputs are parsed documents with changes, because parsing a text is slow.
 """
 
 
 def _document_target(
     path: Path, contents: list[FileContent], use_content: Callable[[FileContent], object]
 ) -> FuzzTarget:
-    """Return the target for a document.
+    """Return the target for one kind of TOML file.
 
-    Inputs are any bytes, or a valid document with up to four changes.
+    Inputs are arbitrary bytes, or a valid document with up to four changes.
     """
     paths = [list(paths_of_values(content)) for content in contents]
     noise = _text_target(path, lambda file: use_content(read_toml(file)))
@@ -120,7 +123,7 @@ def _document_target(
 
 
 def task_target(folder: Path) -> FuzzTarget:
-    """Return the target for a task that must fit a hand."""
+    """Return the target that reads a task and checks whether it fits a hand."""
     jamia = load_hand("jamia")
     contents = [tomllib.loads(path.read_text()) for path in sorted(TASKS_FOLDER.glob("*.toml"))]
     return _document_target(
@@ -133,7 +136,7 @@ def task_target(folder: Path) -> FuzzTarget:
 
 
 def trajectory_target(folder: Path) -> FuzzTarget:
-    """Return the fuzz target that reads a trajectory file and checks it against a hand."""
+    """Return the target that reads a trajectory file and checks whether it fits a hand."""
     jamia = load_hand("jamia")
     angles = [30.0 * math.sin(0.5 * i) ** 2 for i in range(8)]
     content = {
@@ -150,7 +153,7 @@ def trajectory_target(folder: Path) -> FuzzTarget:
 
 
 def gains_target(folder: Path) -> FuzzTarget:
-    """Return the target for a gains file with provenance."""
+    """Return the target for a gains file and the provenance of its gains."""
     packaged = Gains().model_dump(by_alias=True)
     content = packaged | {
         "provenance": GainsProvenance(hand="jamia", number=3, log=("a.mcap",)).model_dump()
@@ -165,7 +168,7 @@ def gains_target(folder: Path) -> FuzzTarget:
 
 
 def calibration_target(folder: Path) -> FuzzTarget:
-    """Return the target for a calibration with identified values, and for the resulting hand."""
+    """Return the target that reads a calibration with identified values, and applies it to a hand."""
     jamia = load_hand("jamia")
     tendon = {"tare_N": 0.1, "zero_rad": 1.0, "answer_N": 3.0, "crosstalk_N": 0.1}
     identified = {

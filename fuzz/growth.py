@@ -1,8 +1,8 @@
-"""Memory growth of controller and recorder over hours of simulated time, in lockstep.
+"""Growth of the memory of controller and recorder, over hours of simulated time in lockstep.
 
-``python -m fuzz.growth --hours 1``. ``fuzz.soak --calm`` measures the growth in real time. This module has
-the same loop, controller and recorder, but another clock and bus. Therefore its result does not depend on
-the load of the machine.
+``python -m fuzz.growth --hours 1``. ``fuzz.soak --calm`` measures the growth in real time. This
+module runs the same loop, controller and recorder on a simulated clock and bus. The result is
+therefore independent of the load of the machine.
 """
 
 import argparse
@@ -26,19 +26,19 @@ from handctl.session.simulate import SimulatorSettings
 
 SAMPLE_PERIOD_S = 30.0
 WARM_UP_S = 600.0
-"""Time until the buffer with the lateness of the ticks is full [s]. The buffer takes 2 MiB."""
+"""Time until the buffer for the lateness of each tick is full [s]. The full buffer takes 2 MiB."""
 
 
 class MemorySampler:
-    """An observer of a run, for sampling the memory of this process and of the child processes."""
+    """An observer of a run that samples the memory of this process and of its child processes."""
 
     def __init__(self, until_s: float) -> None:
-        """Start without samples, and with the time at which the run must end [s]."""
+        """Create a sampler without samples. The run must end at ``until_s`` [s]."""
         self.samples: list[MemorySample] = []
         self.until_s = until_s
 
     def poll_requests(self) -> tuple[str, ...]:
-        """Return a request to stop once the time of the run is over."""
+        """Return a stop request if the time of the run is over."""
         return (STOP_REQUEST,) if self.samples and self.samples[-1].time_s >= self.until_s else ()
 
     def on_tick(self, entry: TickIn, out: TickOut) -> None:

@@ -1,4 +1,4 @@
-"""Hundreds of controllers, killed and stopped at random times: ``python -m fuzz.kills --times 500``."""
+"""Hundreds of controllers that are killed or stopped at random times: ``python -m fuzz.kills --times 500``."""
 
 import argparse
 import sys
@@ -7,7 +7,10 @@ from tests.runtime.killed_controllers import KillVerdict, disturb_in_batches, ki
 
 
 def main() -> int:
-    """Kill or stop controllers. Return 1 if a drive has kept its torque or a log is incomplete."""
+    """Start controllers and kill or stop each of them.
+
+    Return 1 if a drive kept its torque or a log is incomplete.
+    """
     parser = argparse.ArgumentParser(prog="python -m fuzz.kills", description=__doc__)
     parser.add_argument(
         "--times",

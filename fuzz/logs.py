@@ -1,6 +1,6 @@
 """Targets for logs.
 
-Inputs are any bytes, or records without checksums that have changed content.
+Inputs are arbitrary bytes, or a log without checksums in which records are changed.
 """
 
 import contextlib
@@ -27,9 +27,9 @@ from tests.log import synthetic_run
 FuzzTarget = Callable[[bytes], bool]
 MAX_EDITS = 4
 KEPT_TOPICS = (TICK_TOPIC, VALUES_TOPIC, CHAIN_TOPIC, CLOCK_TOPIC, "/rosout")
-"""Topics of the log to keep: those that a reader decodes, and /rosout, which a reader skips."""
+"""Topics that stay in the fuzzed log. The reader decodes all of these topics and skips /rosout."""
 PER_TOPIC_RECORDS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE_INDEX)
-"""Kinds of records that follow after the chunks and exist once for each topic."""
+"""Kinds of records after the chunks of a log that exist once for each topic."""
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 NUMERIC_START_BYTES = 48
 """Length of the numeric fields at the start of a record [bytes].
@@ -50,7 +50,7 @@ UNUSUAL_BYTES = (
 
 
 def read_all(path: Path) -> None:
-    """Read all parts of a log that a command of handctl may read."""
+    """Read all parts of a log that any command of handctl reads."""
     with RunLog(path) as log:
         log.field(TELEMETRY_FIELDS[0]), log.field(TELEMETRY_FIELDS[-1])
         len(log), list(log.ticks()), log.events, log.phases, log.gaps, log.clock_pairs
@@ -76,9 +76,9 @@ def _is_readable(path: Path) -> bool:
 
 
 def log_target(folder: Path) -> FuzzTarget:
-    """Return the target for a log with changed records, inside and outside of chunks.
+    """Return the target for a log in which records inside and outside of chunks are changed.
 
-    Most have a valid length.
+    Most of the changed records have a valid length.
     """
     parts = _log_parts(small_log(folder))
     joined = [_join_records(i, part) for i, part in enumerate(parts)]
@@ -108,7 +108,10 @@ def log_target(folder: Path) -> FuzzTarget:
 
 
 def _log_parts(path: Path) -> list[list[bytes]]:
-    """Split a log into lists of records without checksums: before the chunks, in each chunk, and after the chunks."""
+    """Split a log into lists of records: before the chunks, in each chunk, and after the chunks.
+
+    Clear the checksums.
+    """
     file = LogFile(path)
     result = RecordScan()
     scan_records(file, result)
@@ -144,13 +147,16 @@ def _split_records(data: bytes) -> Iterator[bytes]:
 
 
 def _is_of_channels(record: bytes, kept: dict[int, int]) -> bool:
-    """Return True if a record belongs to one of the channels to keep, which are given with their schemas."""
+    """Return True if a record belongs to one of the channels in ``kept`` or to its schema."""
     (number,) = struct.unpack_from("<H", record, 9)
     return number in (kept.values() if record[0] == Opcode.SCHEMA else kept)
 
 
 CHECKED_OPCODES = (Opcode.ATTACHMENT, Opcode.DATA_END, Opcode.FOOTER)
-"""Kinds of records that end with a checksum. A checksum of zero means no checksum."""
+"""Kinds of records that end with a checksum.
+
+A record with the checksum zero counts as a record without a checksum.
+"""
 
 
 def _without_checksum(record: bytes) -> bytes:
@@ -158,7 +164,7 @@ def _without_checksum(record: bytes) -> bytes:
 
 
 def _join_records(i: int, records: list[bytes]) -> bytes:
-    """Join the records of part ``i`` as a log has them: head with magic bytes, uncompressed chunk, or end."""
+    """Join the records of part ``i`` of a log: the head with its magic bytes, an uncompressed chunk, or the end."""
     content = b"".join(records)
     if i == 0:
         return MCAP_MAGIC + content
@@ -198,9 +204,9 @@ def _chunk_record(content: bytes) -> bytes:
 
 
 def log_bytes_target(folder: Path) -> FuzzTarget:
-    """Return the target for any bytes as a log.
+    """Return the target that reads arbitrary bytes as a log.
 
-    The reader and the recovery of logs get the bytes.
+    The bytes go to the reader of logs and to the recovery of incomplete logs.
     """
     path = folder / "bytes.mcap"
     out = folder / "out.mcap"

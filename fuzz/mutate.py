@@ -1,6 +1,6 @@
-"""Conversion of a fuzzer's bytes to nearly valid documents.
+"""Conversion of the random bytes of a fuzzer to nearly valid documents.
 
-Random bytes alone never pass the first check of a parser.
+Without this conversion, random bytes would never pass the first check of a parser.
 """
 
 import struct
@@ -16,7 +16,7 @@ KeyPath = tuple[Any, ...]
 
 
 def paths_of_values(node: Any, path: KeyPath = ()) -> Iterator[KeyPath]:
-    """Yield the paths of all values below a node of a document.
+    """Yield the path (keys and indices) of every value below a node of a document.
 
     Tables and lists also count as values.
     """
@@ -33,9 +33,9 @@ def paths_of_values(node: Any, path: KeyPath = ()) -> Iterator[KeyPath]:
 
 
 class ByteSource:
-    """The bytes of a fuzzer, which are consumed from the front.
+    """The bytes of a fuzzer. Each call consumes bytes from the front.
 
-    Zeros follow after the end.
+    After the last byte, the source delivers zeros.
     """
 
     def __init__(self, data: bytes) -> None:
@@ -95,9 +95,9 @@ def mutated_content(
 
 
 def _copied_node(root: dict[str, Any], path: KeyPath) -> Any:
-    """Copy the nodes on a path, and return the last one.
+    """Replace each node on a path by a copy, and return the copy of the last node.
 
-    Return None if this node no longer exists.
+    Return None if an earlier change has removed a node of the path.
     """
     node: Any = root
     for key in path:

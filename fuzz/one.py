@@ -13,7 +13,7 @@ REPOSITORY_ROOT = Path(__file__).parents[1]
 def compiled_modules() -> list[str]:
     """List the modules that numba compiles.
 
-    They must not be instrumented, because numba cannot compile instrumented code.
+    The fuzzer must not instrument these modules, because numba cannot compile instrumented code.
     """
     paths = [
         path
@@ -26,7 +26,7 @@ def compiled_modules() -> list[str]:
 def main() -> None:
     """Fuzz one target.
 
-    A crash ends the process with an exit code other than 0, after saving the input.
+    If the target crashes, the input is saved, and the process ends with an exit code other than 0.
     """
     name, corpus, *options = sys.argv[1:]
     with atheris.instrument_imports(

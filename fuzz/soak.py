@@ -1,8 +1,8 @@
-"""A simulated hand and its controller in real time for hours, with a random fault per minute.
+"""Test of a simulated hand and its controller in real time for hours, with a random fault every minute.
 
-The soak watches memory and descriptors. A controller that ends at a fault is started again. The
-simulator runs until a remaining fault prevents that a new controller arms. Each log is read
-completely and deleted.
+The test watches the memory and the open descriptors of both processes. If a fault ends the
+controller, a new controller starts. If a remaining fault keeps the new controller from arming, a
+new simulator starts. Each log is read completely and then deleted.
 """
 
 import argparse
@@ -36,20 +36,20 @@ from tests.runtime.processes import (
 )
 
 MAX_GROWTH_MIB_PER_H = 1.0
-"""Largest growth of the memory that passes [MiB/h]."""
+"""Largest permitted growth of the memory of a process [MiB/h]."""
 WARM_UP_S = 300.0
-"""Duration of the warm-up, in which a process still allocates its working memory [s]."""
+"""Duration of the warm-up [s], in which a process still allocates its working memory."""
 PEAK_WINDOW_S = 300.0
-"""Length of the time windows whose peaks of memory are compared [s]."""
+"""Length of the time windows [s]. The largest memory in each window shows the growth."""
 MIN_SLOPE_TIME_S = 1800.0
-"""Shortest time of samples from which a growth per hour is computed [s]."""
+"""If the samples cover a shorter time [s], no growth per hour is computed."""
 ACCEPTED_EXIT_CODES = (0, 1, 71)
-"""Accepted exit codes of a controller: done, ended by a named fault, or ended without confirmation from all drives."""
+"""Accepted exit codes of a controller: 0 (done), 1 (ended by a named fault), 71 (no confirmation from some drives)."""
 SOAK_TASK = LONG_TASK.replace("duration_s = 60.0", "duration_s = 3600.0")
 
 
 class MemorySample(NamedTuple):
-    """Time [s], memory [MiB] and number of open descriptors of a process together with its children."""
+    """Time of a sample [s], and memory [MiB] and number of open descriptors of a process with its children."""
 
     time_s: float
     rss_mib: float
@@ -72,8 +72,8 @@ def memory_sample(pid: int, time_s: float) -> MemorySample:
 def memory_slope(samples: list[MemorySample], warm_up_s: float = WARM_UP_S) -> float | None:
     """Return the growth of the memory after the warm-up [MiB/h], or None if the samples cover too short a time.
 
-    The slope is fitted to the largest value in each window of ``PEAK_WINDOW_S``. Memory that is freed
-    and allocated again thus does not count as growth.
+    The slope is fitted to the largest value in each window of ``PEAK_WINDOW_S``. Memory that a
+    process frees and allocates again thus does not count as growth.
     """
     warm = [one for one in samples if one.time_s - samples[0].time_s >= warm_up_s]
     if not warm or warm[-1].time_s - warm[0].time_s < MIN_SLOPE_TIME_S:
@@ -87,12 +87,12 @@ def memory_slope(samples: list[MemorySample], warm_up_s: float = WARM_UP_S) -> f
 
 
 class SoakTest:
-    """The processes of simulator and controller, and the records of their memory, exits and errors."""
+    """The processes of simulator and controller, with memory samples, counts of events, and errors."""
 
     def __init__(self, seed: int, scale: float) -> None:
-        """Start without processes.
+        """Create a test without processes.
 
-        The seed selects the faults, and the time scale is that of the simulation.
+        The seed selects the faults. The scale is the time scale of simulator and controller.
         """
         self.chance = random.Random(seed)
         self.scale = str(scale)
@@ -121,7 +121,10 @@ class SoakTest:
         self.counts["simulators"] += 1
 
     def start_controller(self) -> bool:
-        """Start a controller. Return True once it has armed and holds the hand bent."""
+        """Start a controller.
+
+        Return True as soon as the controller has armed and holds the hand bent.
+        """
         self.run_number += 1
         write_homed_calibration(Path("c.toml"), load_hand("jamia"))
         words = (
@@ -151,12 +154,12 @@ class SoakTest:
         return False
 
     def end_controller(self) -> None:
-        """Stop the controller if still running, and check exit code and log."""
+        """Stop a running controller, and check its exit code and log."""
         if self.controller is None:
             return
         if self.controller.poll() is None:
             self.controller.send_signal(signal.SIGTERM)
-        out, err = self.controller.communicate(timeout=600.0)  # the controller checks its whole log
+        out, err = self.controller.communicate(timeout=600.0)  # the end includes a check of the log
         code = self.controller.returncode
         path = Path(f"{self.run_number}.mcap")
         self.controller = None
@@ -174,7 +177,7 @@ class SoakTest:
             left.unlink()
 
     def ensure_controller(self) -> None:
-        """Ensure that a controller holds the hand.
+        """Ensure that a controller runs and holds the hand.
 
         If no controller can arm, start a new simulator.
         """
@@ -216,7 +219,7 @@ class SoakTest:
                 self.samples_by_process[name][-1].append(memory_sample(process.pid, t))
 
     def soak_result(self) -> dict[str, object]:
-        """Return the result of the soak: counts, growth of memory, numbers of descriptors, and all errors."""
+        """Return the result of the test: counts of events, growth of memory, numbers of descriptors, and all errors."""
         slopes = {
             name: [memory_slope(one) for one in lives if one]
             for name, lives in self.samples_by_process.items()
@@ -245,7 +248,7 @@ class SoakTest:
 
 
 def main() -> int:
-    """Run the soak. Return 1 after any error."""
+    """Run the test for the requested time. Return 1 if any error occurred."""
     parser = argparse.ArgumentParser(prog="python -m fuzz.soak", description=__doc__)
     parser.add_argument(
         "--hours", type=float, default=24.0, help="duration [h] (default: %(default)s)"

@@ -7,13 +7,17 @@ from pathlib import Path
 
 REASONS_DOCUMENT = Path("docs/evidence/mutation.md")
 SURVIVED_CODES, UNTESTED_CODES, NOT_RUN_CODES = (0,), (5, 33), (None, 2, 34)
-"""Exit codes of mutants in the records of mutmut: no test failed, no selected test calls the function, or not run."""
+"""Exit codes of mutants in the records of mutmut.
+
+The three groups mean: no test failed, no selected test calls the function, the mutant was not run.
+"""
 
 
 def main() -> int:
-    """Print the table.
+    """Print a table of the scores, and the survivors without a reason.
 
-    Return 1 if a surviving mutant has no reason, or if no mutant was run to the end.
+    Return 1 if the document gives no reason for a surviving mutant, or if the tests of no mutant
+    ended.
     """
     reasons = REASONS_DOCUMENT.read_text() if REASONS_DOCUMENT.exists() else ""
     unexplained = list[str]()

@@ -1,4 +1,4 @@
-"""All fuzzing targets by name, and the initial inputs of each target's corpus."""
+"""All fuzzing targets by name, and the inputs with which the corpus of each target starts."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -25,7 +25,7 @@ TARGET_FACTORIES: dict[str, Callable[[Path], FuzzTarget]] = {
 
 
 def seed_inputs(name: str, folder: Path) -> list[bytes]:
-    """Return valid inputs with which the corpus of a target starts."""
+    """Return the valid inputs with which the corpus of a target starts."""
     if name in FUZZED_DRIVES:
         return wire.recorded_inputs(name, folder)
     if name == "hand-text":

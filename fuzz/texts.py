@@ -1,4 +1,4 @@
-"""Targets for texts of a single line: requests to a running controller, and texts of faults."""
+"""Targets for texts of one line: requests to a running controller, and descriptions of injected faults."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -14,7 +14,7 @@ FuzzTarget = Callable[[bytes], bool]
 
 
 def request_target(folder: Path) -> FuzzTarget:
-    """Return the target for requests that a running controller gets from its mailbox."""
+    """Return the target that parses requests, as a running controller receives them from its mailbox."""
 
     def target(data: bytes) -> bool:
         answer = parse_request(data.decode("utf-8", "replace"))
@@ -32,9 +32,9 @@ FAULT_TEXT_WORDS = ("node", "bus", "encoder", "joint", "cell", "tendon", "digit"
 
 
 def fault_target(folder: Path) -> FuzzTarget:
-    """Return the target for texts of faults.
+    """Return the target that parses descriptions of injected faults.
 
-    Inputs are any bytes, or words that such texts have.
+    Inputs are arbitrary bytes, or random sequences of the words of such descriptions.
     """
     hand = load_simulated_hand("jamia")
 

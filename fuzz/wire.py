@@ -3,8 +3,8 @@
     state 8 | up to five frames: identifier 8 | shape 8 | third byte 8 | payload
 
 The first byte of an input selects the initial state. The corpus starts with the frames that the
-driver of a drive receives until the drive makes torque. Random identifiers alone would belong to no
-node.
+driver of a drive receives until the drive makes torque. Purely random identifiers would hardly ever
+be those of a node.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -22,21 +22,21 @@ FuzzTarget = Callable[[bytes], bool]
 STEP_NS, LONG_SILENCE_NS = 2_000_000, 1_000_000_000
 """Time from one frame to the next, and silence after which every drive counts as lost [ns]."""
 SILENCE_BYTE = 240
-"""Smallest third byte that puts a long silence before its frame."""
+"""If the third byte is at least this value, a long silence precedes the frame."""
 IDENTIFIER_FLAGS = (0, 0, 0, 0, 0, EXTENDED_FLAG, REMOTE_FLAG, ERROR_FLAG)
 MAX_FRAMES = 5
 DRIVE_TARGETS = tuple(DriveTarget)
 CLEAR_BIT = 0x40
-"""Bit of the third byte that makes the target clear an error."""
+"""Bit of the third byte. If the bit is set, the target clears the error of the drive."""
 MAX_PAYLOAD_BYTES = 64
 
 
 def frames_of_input(
     data: bytes, selectable_ids: Sequence[int], t_ns: int
 ) -> Iterator[tuple[Frame, int]]:
-    """Yield the frames of an input, each with its third byte.
+    """Yield each frame of an input, together with the third byte of its header.
 
-    Most have an identifier of the node.
+    Most of the frames have an identifier of the fuzzed node.
     """
     at = 1
     end = len(data)
@@ -64,7 +64,7 @@ def frames_of_input(
 
 
 class RecordedState(NamedTuple):
-    """State of a drive before a tick, time of the tick [ns], and frames received in the tick."""
+    """State of a drive before a tick, time of the tick [ns], and frames that the driver receives in the tick."""
 
     state: DriveState
     t_ns: int
@@ -72,7 +72,7 @@ class RecordedState(NamedTuple):
 
 
 def path_to_torque(name: str, folder: Path) -> tuple[Drive, list[RecordedState]]:
-    """Return a drive of ``FUZZED_DRIVES``, and its recorded states from silence until it makes torque."""
+    """Return a drive of ``FUZZED_DRIVES``, and the states of the drive from the first tick until it makes torque."""
     fuzzed = FUZZED_DRIVES[name]
     path = hand_file(folder, [fuzzed.protocol], fuzzed.options)
     lines = path.read_text().splitlines(keepends=True)
@@ -92,7 +92,7 @@ def path_to_torque(name: str, folder: Path) -> tuple[Drive, list[RecordedState]]
 
 
 def recorded_inputs(name: str, folder: Path) -> list[bytes]:
-    """Return the recorded frames of a drive up to torque, coded as inputs of the target."""
+    """Return the frames that were recorded until the drive makes torque, encoded as inputs of the target."""
     motor, seen = path_to_torque(name, folder)
     ours = selectable_identifiers(motor, seen)
     inputs = []
@@ -106,7 +106,7 @@ def recorded_inputs(name: str, folder: Path) -> list[bytes]:
 
 
 def selectable_identifiers(motor: Drive, seen: Sequence[RecordedState]) -> list[int]:
-    """Return the identifiers among which a byte of an input selects, at most 256.
+    """Return at most 256 identifiers. A byte of an input selects one of them.
 
     The identifiers of the recorded frames come first.
     """
@@ -133,9 +133,9 @@ def drive_target_factory(name: str) -> Callable[[Path], FuzzTarget]:
 
 
 def _feed_drive(motor: Drive, begin: RecordedState, ours: Sequence[int], data: bytes) -> bool:
-    """Feed frames to a drive, and request a phase after each frame.
+    """Feed the frames of an input to a drive, and request a phase of the drive after each frame.
 
-    Return True if a frame changed the state.
+    Return True if any frame changed the state of the drive.
     """
     state = begin.state
     taken = False
@@ -161,7 +161,7 @@ def _advance_drive(
 
 
 def sensor_target(folder: Path) -> FuzzTarget:
-    """Return the target for the sensor node, with increasing tick numbers."""
+    """Return the target for the decoder of the sensor node."""
     bench = ProtocolBench(hand_file(folder, ["mit"]))
     bench.simulated_hand.close()
     wired = WiredDrives((), bench.sensor_node)
@@ -172,9 +172,11 @@ def sensor_target(folder: Path) -> FuzzTarget:
 def _feed_sensor_node(
     wired: WiredDrives, begin: BlockArray, ours: Sequence[int], data: bytes
 ) -> bool:
-    """Feed frames to the decoder of the sensor node, from the state ``begin``.
+    """Feed the frames of an input to the decoder of the sensor node.
 
-    Return True if any frame counted.
+    The decoder starts in the state ``begin``.
+
+    Return True if the decoder used any frame or found it malformed or stale.
     """
     wired.block[:] = begin
     taken = 0

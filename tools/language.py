@@ -1,9 +1,12 @@
-"""Count dialect in names, docstrings and documents, and compare the counts with limits that may only be lowered.
+"""Count private words and hard phrases in names, docstrings and documents.
 
-``python tools/language.py`` is a part of ``make lint``. It prints a line for each count above its limit and exits 1.
-``--table`` prints all counts. ``--places COUNT FOLDER`` prints where a count comes from. ``--tighten`` lowers the
-limits in ``language_limits.toml`` to the current counts. No option raises a limit. A word list is only an indicator,
-because only a reader can judge whether a sentence is plain.
+Compare the counts with limits.
+
+``python tools/language.py`` is a part of ``make lint``. It prints a line for each count above its
+limit and exits 1. ``--table`` prints all counts. ``--places COUNT FOLDER`` prints where a count
+comes from. ``--tighten`` lowers the limits in ``language_limits.toml`` to the current counts. No
+option raises a limit. A private word is one that only this project uses. The word list is an
+indicator. A reader must judge whether a sentence is plain.
 """
 
 import argparse
@@ -39,14 +42,17 @@ QUANTITY_PER_COUNT = {
     "long_lines": ("lines", 100),
     "repeated_classes": ("", 1),
 }
-"""Quantity by which each count is divided, and factor of the ratio.
+"""For each count, the quantity by which it is divided, and the factor of the ratio.
 
-A count without such a quantity is absolute.
+A count without a quantity is absolute.
 """
 LONG_LINE_CHARACTERS = 100
 """Number of characters above which a line counts as long."""
 LIMITS_PER_UNIT = 2
-"""Limits are multiples of 1 / LIMITS_PER_UNIT, so that a single sentence does not exceed a limit."""
+"""Limits are multiples of 1 / LIMITS_PER_UNIT.
+
+With finer limits, a single sentence could exceed a limit.
+"""
 
 _WORD_PATTERN = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+")
 _PROSE_PATTERNS = {
@@ -56,7 +62,7 @@ _DOCSTRING_VERBS = set(LANGUAGE_TERMS["verbs"]["words"].split())
 _CODE_PATTERN = re.compile(
     r"^```.*?^```|`[^`\n]*`|^\|.*?$|\*\*[^*\n]+:\*\*", re.MULTILINE | re.DOTALL
 )
-"""Parts of a Markdown document that are not prose: blocks of code, quoted code, rows of tables, labels in bold."""
+"""Pattern of the parts of a Markdown document that are no prose: code, rows of tables, and labels in bold."""
 
 
 @dataclass
@@ -80,7 +86,7 @@ class FolderTally:
             self.places[count].append(f"{place}: {finding}")
 
     def ratio(self, count: str) -> float:
-        """Return a count divided by its quantity, as ``QUANTITY_PER_COUNT`` defines."""
+        """Return a count divided by its quantity, see ``QUANTITY_PER_COUNT``."""
         quantity, factor = QUANTITY_PER_COUNT[count]
         return (
             factor * self.counts[count] / max(self.totals[quantity], 1)
@@ -90,7 +96,7 @@ class FolderTally:
 
 
 def count_prose(tally: FolderTally, text: str, place: str) -> None:
-    """Count the words and the patterns of dialect in a docstring or document."""
+    """Count all words, and the matches of the patterns, in a docstring or document."""
     tally.totals["words"] += len(re.findall(r"[A-Za-z']+", text))
     for name, pattern in _PROSE_PATTERNS.items():
         matches = pattern.findall(text)
@@ -148,7 +154,7 @@ def _defined_names(node: ast.AST) -> list[str]:
 
 
 def _is_parallel(node: ast.AST) -> bool:
-    """Return True for an assignment ``a, b = x, y``, but not for a swap."""
+    """Return True for an assignment such as ``a, b = x, y``. Return False for a swap."""
     match node:
         case ast.Assign(targets=[ast.Tuple(elts=targets)], value=ast.Tuple(elts=values)):
             return {ast.unparse(each) for each in targets} != {ast.unparse(each) for each in values}
@@ -237,7 +243,7 @@ def count_all(root: Path) -> dict[str, FolderTally]:
 
 
 def count_ratios(tally: FolderTally) -> dict[str, float]:
-    """Return all ratios whose quantity a tally has, each rounded up to a multiple of one half."""
+    """Return the ratio of each count whose quantity occurs in the tally, rounded up to a multiple of one half."""
     measured = [
         count
         for count, (quantity, _) in QUANTITY_PER_COUNT.items()
@@ -271,7 +277,7 @@ def limit_excesses(tallies: dict[str, FolderTally], limits: Limits) -> Iterator[
 
 
 def lowered_limits(tallies: dict[str, FolderTally], limits: Limits) -> Limits:
-    """Return new limits: the current counts, or the old limits where these are lower."""
+    """Return new limits. A new limit is the smaller one of the current ratio and the old limit."""
     return {
         name: {
             count: min(ratio, limits.get(name, {}).get(count, ratio))
@@ -309,7 +315,7 @@ def print_table(tallies: dict[str, FolderTally]) -> None:
 
 
 def main(words: list[str] | None = None) -> int:
-    """Check the counts, or execute the options, and return the exit code."""
+    """Check the counts, or execute the requested option. Return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--table", action="store_true", help="print all counts")
     parser.add_argument(

@@ -1,4 +1,7 @@
-"""A hook of mkdocs. It puts pages with answers first in the search, and leaves one page out."""
+"""A hook of mkdocs.
+
+In the site search it ranks pages with answers first, and leaves one page out.
+"""
 
 from typing import Any
 
@@ -8,13 +11,13 @@ SEARCH_BOOSTS = {
 }  # fmt: skip
 """Factor that multiplies the search score of a page."""
 EXCLUDED_PAGES = ("evidence/lookups.md",)
-"""Pages that the search leaves out, because they quote questions without answering them."""
+"""Pages that the search leaves out, because these pages quote questions without answers."""
 
 
 def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
-    """Set the rank of a page in the search.
+    """Set the rank of a page in the site search.
 
-    Front matter in the page could do so too, but GitHub would show it.
+    The front matter of the page could also set its rank, but GitHub would show the front matter.
     """
     path = page.file.src_uri
     if path in SEARCH_BOOSTS:

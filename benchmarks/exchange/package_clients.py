@@ -1,8 +1,8 @@
-"""Client libraries from the package index as alternatives, each with the motors and payloads that it supports.
+"""Alternatives that use client libraries from the package index, with the motors and payloads of each library.
 
-The threads of the clients are stopped, and this module does the work of the threads, so that all
-clients are measured in the same way. A client that needs a particular event loop (moteus: asyncio)
-runs in this event loop.
+The threads of the clients are stopped, and this module does their work. All clients are thus
+measured in the same way. A client that needs a particular event loop (moteus: asyncio) runs in this
+event loop.
 """
 
 import asyncio
@@ -19,7 +19,7 @@ from exchange.torque_exchanges import feedback_frame
 class DamiaoClient:
     """Client damiao-motor, without its polling thread.
 
-    The method `receive` polls the bus, and this thread does not run.
+    The method `receive` polls the bus in place of this thread.
     """
 
     reply_of = staticmethod(feedback_frame)
@@ -47,10 +47,13 @@ class DamiaoClient:
 
 
 class OdriveClient:
-    """Client odrive-can, which encodes a torque with its DBC and decodes a position with its reader."""
+    """Client odrive-can.
+
+    The client encodes a torque with its DBC file, and decodes a position with its reader.
+    """
 
     DBC_AXIS_COUNT = 8
-    """Number of axes in the DBC of odrive-can."""
+    """Number of axes in the DBC file of odrive-can."""
 
     def __init__(self, interface, channel, motors):
         from odrive_can import odrive
@@ -79,10 +82,12 @@ class OdriveClient:
 
 
 class TMotorClient:
-    """Client TMotorCANControl for a CubeMars AK80-9. This class makes the calls of its notifier thread.
+    """Client TMotorCANControl for a CubeMars AK80-9.
 
-    The manager of the client supports only can0. Therefore its command ``sudo ip link set can0`` is
-    left out.
+    The class calls the functions that the client's notifier thread would call.
+
+    The manager of the client supports no interface except can0. The manager's command ``sudo ip
+    link set can0`` is left out.
     """
 
     def __init__(self, interface, channel, motors):
@@ -125,7 +130,10 @@ class TMotorClient:
 
 
 class MoteusClient:
-    """Client moteus over python-can in CAN FD, which sends a position command with a torque and the default query."""
+    """Client moteus over python-can in CAN FD.
+
+    The client sends a position command with a torque, and the default query.
+    """
 
     def __init__(self, interface, channel, motors):
         import moteus
@@ -163,7 +171,7 @@ class MoteusClient:
         self.loop.run_until_complete(self._close_transport())
 
     async def _close_transport(self):
-        """Let the task run until it has sent all frames and waits for replies."""
+        """Run the asyncio task until it has sent all frames and waits for replies."""
         for _ in range(4):
             await asyncio.sleep(0)
 

@@ -1,4 +1,7 @@
-"""The two buses of the exchange benchmark, and simulated motors whose time is not counted."""
+"""The two buses of the exchange benchmark, with simulated motors.
+
+The benchmark subtracts the time of the motors.
+"""
 
 import os
 import socket
@@ -12,7 +15,10 @@ FD_FRAME_STRUCT = struct.Struct("=IBB2x64s")
 FRAME_RECORD_STRUCT = struct.Struct("<IBBH64s")
 FDF = 4
 ReplyFunction = Callable[[int], tuple[int, bytes, int]]
-"""Function that returns identifier, payload and flags of the reply of a motor. Motors are numbered from 1."""
+"""Function from the number of a motor to the identifier, payload and flags of its reply.
+
+The first motor is number 1.
+"""
 
 
 class LocalMotors:
@@ -71,12 +77,15 @@ MOTORS_BY_MEDIUM = {
     "local": (LocalMotors, "local", "b"),
     "vcan": (VcanMotors, "socketcan", "vcan0"),
 }
-"""Class of the motors, interface and channel of each bus."""
+"""For each bus: the class of the simulated motors, the interface of python-can, and the channel."""
 
 
 @contextmanager
 def motors_on(medium: str):
-    """Start the motors of a bus, and yield them with interface and channel of this bus."""
+    """Start simulated motors on a bus.
+
+    Yield the motors, and the interface and channel of the bus.
+    """
     made, interface, channel = MOTORS_BY_MEDIUM[medium]
     motors = made(channel)
     try:

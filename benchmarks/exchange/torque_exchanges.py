@@ -1,4 +1,6 @@
-"""Alternatives to send a torque to each MIT motor with ``send(torques)`` and to read the replies with ``receive()``.
+"""Alternatives of the exchange benchmark.
+
+``send(torques)`` sends a torque to each MIT motor, and ``receive()`` reads the replies.
 
 The clients from the package index are in the module ``clients``.
 """
@@ -62,7 +64,10 @@ def enabled_controller(motors):
 
 
 class HandctlExchange:
-    """Bus and compiled codec of handctl, which also update the state of each drive as in a tick."""
+    """Bus and compiled codec of handctl.
+
+    As in a tick of the controller, the codec updates the state of each drive.
+    """
 
     reply_of = staticmethod(feedback_frame)
 
@@ -106,7 +111,7 @@ class HandctlExchange:
 
 
 class ScalarCodecExchange:
-    """python-can with one message at a time, and a typical hand-written codec."""
+    """python-can, which sends and receives one message at a time, with a typical hand-written codec."""
 
     reply_of = staticmethod(feedback_frame)
 
@@ -143,7 +148,7 @@ class ScalarCodecExchange:
 
 
 class CantoolsExchange(ScalarCodecExchange):
-    """python-can with one message at a time, and a codec of cantools from a DBC."""
+    """python-can, which sends and receives one message at a time, with a codec that cantools makes from a DBC file."""
 
     def __init__(self, interface, channel, motors):
         super().__init__(interface, channel, motors)

@@ -1,4 +1,4 @@
-"""Parts of the grasp benchmark. Each process of the benchmark uses one core."""
+"""Modules of the grasp benchmark. Each process of the benchmark uses one core."""
 
 import os
 

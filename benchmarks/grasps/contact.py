@@ -1,4 +1,7 @@
-"""Latency and false alarms of the contact detection at a fingertip, compared with the true contact force."""
+"""Delay and false alarms of contact detection at a fingertip.
+
+The reference is the true contact force.
+"""
 
 import json
 import random
@@ -16,7 +19,7 @@ SPEED_DEG_S = (20.0, 100.0)
 """Smallest and largest speed of closing [deg/s]. The packaged tasks close with 40 to 50 deg/s."""
 TOUCHED_N = 0.01
 MOVING_FRACTION = 0.85
-"""Fraction of a run of free motion in which the digits are moving."""
+"""Fraction of the time of a free-motion run in which the digits move."""
 WALL_SCENE = """name = "wall"
 [object]
 shape = "box"
@@ -31,17 +34,17 @@ drop_when = "never"
 
 
 def program_of_phases(phases: list[dict[str, Any]]) -> TaskProgram:
-    """Return the program of a task that consists of these phases."""
+    """Return the program of a task with the given phases."""
     return TaskProgram(
         Task.model_validate_json(json.dumps({"schema": 1, "name": "contact", "phase": phases}))
     )
 
 
 def find_contacts(job: tuple[str, int]) -> list[float]:
-    """Measure the time from 1 N on a digit to its contact event [s], for each digit of a hand with a seed.
+    """Measure the delay of the contact event of each digit [s], for a hand and a seed.
 
-    A time is negative if the event comes before the force reaches 1 N. It is inf if there is no
-    event.
+    The delay starts when the true force on the digit reaches 1 N. The delay is negative if the
+    event comes before this moment. Without an event, the delay is inf.
     """
     hand, seed = job
     chance = random.Random(f"wall {seed}")
@@ -81,9 +84,10 @@ def _detection_latencies(run: GraspRun, digits: tuple[str, ...]) -> list[float]:
 
 
 def free_motion(job: tuple[str, float, int]) -> dict[str, float]:
-    """Measure false contacts in free motion, for a hand, a time [s] and a seed.
+    """Measure false contact events in free motion, for a hand, a time [s] and a seed.
 
-    The result has the number of false contacts and the simulated minutes in which the digits moved.
+    The result is the number of false contact events, and the simulated time in which the digits
+    moved [min].
     """
     hand, seconds, seed = job
     chance = random.Random(f"free {seed}")
@@ -94,7 +98,7 @@ def free_motion(job: tuple[str, float, int]) -> dict[str, float]:
         limits = {"index": 15, "middle": 8, "ring": 15, "thumb": 3}
         home = {name: chance.uniform(0, limit) for name, limit in limits.items()}
         goal = {"index": chance.uniform(25, 50)}
-        # If both moved, the middle finger and the thumb would touch each other.
+        # If the middle finger and the thumb moved in the same phase, they would touch each other.
         if chance.random() < 0.6:
             goal |= {"middle": chance.uniform(12, 25), "ring": chance.uniform(25, 50)}
         else:

@@ -1,8 +1,8 @@
 """Objects of the grasp benchmark with their positions and disturbances, fixed before any grasp was tuned.
 
-The sizes of the objects follow from the hand. An object of 42 mm fits between straight fingers and
-thumb, and a fingertip touches the thumb at about 25 mm from the palm. The seed of the noise also
-determines a shift of each object by up to 1 mm along x and 2 mm along y.
+The size of the hand determines the sizes of the objects. An object of 42 mm fits between straight
+fingers and thumb, and a fingertip touches the thumb at about 25 mm from the palm. The seed also
+determines a shift of each object, by up to 1 mm along x and 2 mm along y.
 """
 
 import random
@@ -14,7 +14,10 @@ PUSH_N = 1.0
 PUSH_AT_S = 2.0
 PUSH_S = 1.0
 MAX_MOTION_M = 2e-3
-"""Largest motion of a held object within a stage [m]. A grasp whose object moves further has failed."""
+"""Limit of the motion of a held object within a stage [m].
+
+A larger motion of the object means a failed grasp.
+"""
 GRAVITY_DIRECTIONS = {
     "power": ((0, 0, -1), (1, 0, 0), (0, -1, 0)),
     "pinch": ((0, 0, -1), (1, 0, 0), (0, -1, 0)),
@@ -22,15 +25,19 @@ GRAVITY_DIRECTIONS = {
 }
 """Directions of gravity in the stages of each grasp.
 
-For power and pinch they are along the hinges, out of the palm, and towards the thumb. For a hook
-they are across its bar.
+In a power grasp and a pinch, gravity acts along the hinges, out of the palm, and towards the thumb.
+In a hook grasp, gravity acts across the bar.
 """
 PLACEMENT_SHIFT_M = (1e-3, 2e-3)
 
 
 @dataclass(frozen=True)
 class GraspCase:
-    """One object for one grasp: grasp, shape, full width [m], friction, mass [kg], and x and y of its centre [m]."""
+    """An object and how it is grasped.
+
+    The fields are: kind of grasp, shape, full width [m], friction, mass [kg], and x and y of the
+    object's centre [m].
+    """
 
     grasp: str
     shape: str
@@ -45,7 +52,7 @@ class GraspCase:
         return f"{self.shape} {1e3 * self.width:g} mm, friction {self.friction:g}"
 
     def scene_text(self, seed: int, stages: bool = True) -> str:
-        """Return the text of the scene file. With seed 0 the object is at its nominal position."""
+        """Return the text of the scene file. Seed 0 places the object at its nominal position."""
         chance = random.Random(f"{self} {seed}")
         x, y = (
             v + (chance.uniform(-s, s) if seed else 0.0)

@@ -1,4 +1,4 @@
-"""Text output, page and picture of the results of the grasp benchmark."""
+"""Output of the grasp benchmark: text, Markdown page and picture."""
 
 from pathlib import Path
 from typing import Any
@@ -150,7 +150,10 @@ def _slip_table(rows: list[dict[str, Any]]) -> str:
 
 
 def _range_text(values: list[float], digits: int) -> str:
-    """Format the range of values. Return one number if smallest and largest value have the same text."""
+    """Format the range of values.
+
+    If the smallest and the largest value have the same text, return only one of them.
+    """
     ends = [f"{end:.{digits}f}" for end in (min(values), max(values))] if values else []
     return " to ".join(dict.fromkeys(ends))
 
@@ -166,7 +169,10 @@ TABLE_FUNCTIONS = {
 
 
 def write_page(result: dict[str, Any]) -> None:
-    """Write each measured table into the page, between the marks of its part. Draw the picture if there are grasps."""
+    """Write each table of the result into the page, between the marks of the table.
+
+    If grasps were measured, draw the picture.
+    """
     page = PAGE_FILE.read_text("utf-8")
     for key, table in TABLE_FUNCTIONS.items():
         if result.get(key):
@@ -181,7 +187,7 @@ def write_page(result: dict[str, Any]) -> None:
 
 
 def draw_picture(result: dict[str, Any]) -> None:
-    """Draw a picture of the largest motion of each object, and of the effect of the reaction to slip."""
+    """Draw the largest motion of each object, and its motion with and without the reaction to slip."""
     import matplotlib as mpl
 
     mpl.use("Agg")

@@ -1,4 +1,7 @@
-"""Payload at the paper's 6 N per finger: a load on the held cylinder grows until the cylinder slides."""
+"""Payload when each finger presses with 6 N, as in the source paper.
+
+A load on the held cylinder grows until the cylinder slides.
+"""
 
 from typing import Any
 
@@ -12,7 +15,7 @@ from handctl.programs.task_program import TaskProgram
 PAPER_PAYLOAD_KG = 0.915
 """Payload in the source paper [kg], from 18 N and friction 0.5. Source: section 5 of the paper."""
 TENSION_N = {"jamia": 33.0, "jamia11": 28.0}
-"""Tension of every tendon of a hand [N]. At this tension each finger presses with about 6 N."""
+"""For each hand, the tension of every tendon at which each finger presses with about 6 N [N]."""
 LOAD_DIRECTIONS = {
     "along the hinges": (0.0, 0.0, -1.0),
     "out of the palm": (1.0, 0.0, 0.0),
@@ -25,10 +28,10 @@ RUN_S = 20.0
 
 
 def measure_payload(job: tuple[str, str, int]) -> dict[str, Any]:
-    """Measure the payload of a hand in a direction, with a seed [kg].
+    """Measure the payload of a hand for a load in one direction, with a seed [kg].
 
-    Along the hinges the payload includes the mass of the object, because its weight acts in this
-    direction.
+    A payload along the hinges includes the mass of the object, because the weight of the object
+    acts in this direction.
     """
     hand, direction, seed = job
     case = GRASP_CASES[1]
@@ -63,7 +66,7 @@ def measure_payload(job: tuple[str, str, int]) -> dict[str, Any]:
 
 
 def _grasp_at_tension(hand: str, tension: float) -> TaskProgram:
-    """Return the packaged power grasp with another tension and without the reaction to slip."""
+    """Return the packaged power grasp with the given tension, and without the reaction to slip."""
     program = task_program("grasp", hand, hold_s=60.0)
     phases = [
         phase.model_copy(

@@ -1,4 +1,4 @@
-"""Motion of a held cylinder under a growing load, with and without the reaction of the controller to slip."""
+"""Motion of a held cylinder under a growing load, with and without the controller's reaction to slip."""
 
 from typing import Any
 
@@ -13,16 +13,19 @@ LOAD_START_S = 6.0
 LOAD_RATE_N_PER_S = 2.0
 RUN_S = 14.0
 CYLINDER_FRICTION = {"jamia": 0.3, "jamia11": 0.2}
-"""Friction of the cylinder, so low that a grasp with 20 N per tendon loses it within the range of the load."""
+"""Friction of the cylinder for each hand.
+
+The friction is so low that a hand with 20 N per tendon loses the cylinder before the largest load.
+"""
 TENSION_N = 20.0
 SLIP_LIMIT_N = 60.0
 LOST_MOTION_M = 10e-3
 
 
 def measure_slip(job: tuple[str, bool, int]) -> dict[str, Any]:
-    """Measure the curve of load [N] and motion [mm], and the load at which the cylinder is lost [N].
+    """Measure the motion of the cylinder [mm] over the load, and the load at which the hand loses it [N].
 
-    The job consists of hand, reaction to slip, and seed.
+    The job consists of the hand, whether it reacts to slip, and the seed.
     """
     hand, answered, seed = job
     scene = (

@@ -1,4 +1,7 @@
-"""Success of grasps with every object and both hands, while the hand is turned three times and the object is pushed."""
+"""Success of grasps with each object and both hands.
+
+During a grasp the hand is turned three times and the object is pushed.
+"""
 
 from typing import Any
 
@@ -16,15 +19,21 @@ TASK_BY_GRASP = {
     ("jamia11", "hook"): "hook",
 }
 PALM_GAP_M = 0.5e-3
-"""Smallest gap between a pinched object and the palm [m]. A nearer object counts as drawn to the palm."""
+"""Smallest gap between a pinched object and the palm [m].
+
+With a smaller gap, the object counts as drawn to the palm.
+"""
 GIVE_UP_S = 10.0
-"""Time in the run after which a grasp has failed if the hand does not hold the object [s]."""
+"""Time from the start of a run [s].
+
+A grasp has failed if the hand does not hold the object by then.
+"""
 
 
 def measure_grasp(job: tuple[str, int, int]) -> dict[str, Any]:
     """Measure the largest motion of an object in each stage [mm].
 
-    If the grasp failed, the result also has the reason.
+    If the grasp failed, the result also contains the reason.
     """
     hand, number, seed = job
     case = GRASP_CASES[number]

@@ -1,9 +1,9 @@
-"""Force at the tip of a digit: the commanded force, the estimate of the controller, and the true force.
+"""Measurement of the force at the tip of a digit: the command, the estimate of the controller, and the true force.
 
-In a hold with ``tip_force_N``, the digits press on a wall that only their last links can reach. The
-controller computes the tensions from the Jacobian (`jamia11`, which measures joint angles) or from
-the one-tendon approximation (`jamia`). A task file must not command a tip force for `jamia`, and
-this benchmark shows the reason.
+In a hold phase with ``tip_force_N``, the digits press on a wall that touches only their last links.
+For `jamia11`, which has joint encoders, the controller computes the tensions from the Jacobian. For
+`jamia`, it uses an approximation for digits with one tendon. A task file must not command a tip
+force for `jamia`, and this benchmark shows the reason.
 """
 
 import random
@@ -20,7 +20,7 @@ JUDGED_HOLD_S = 0.4
 
 
 def measure_tip_force(job: tuple[str, int]) -> list[dict[str, Any]]:
-    """Measure the mean estimated and true force [N] of each digit at each commanded force, for a hand and a seed."""
+    """Measure the mean estimated and the mean true force [N] of each digit, at each commanded force."""
     hand, seed = job
     chance = random.Random(f"tip {seed}")
     wall = WALL_SCENE.format(x=0.045 + chance.uniform(-3e-3, 3e-3), y=chance.uniform(-4e-3, 2e-3))

@@ -1,4 +1,4 @@
-"""One run of a task on the simulated hand in lockstep, with the plant's truth."""
+"""A run of a task on the simulated hand in lockstep, with a record of the true values of the plant."""
 
 from dataclasses import dataclass, field
 from functools import cache
@@ -27,7 +27,10 @@ DEFAULT_GAINS = Gains()
 
 @cache
 def hand_model(hand: str, gains: Gains = DEFAULT_GAINS) -> tuple[HandModel, float]:
-    """Return the model of a hand at its default rate. Each process designs a model only once."""
+    """Return the model of a hand at its default rate.
+
+    A process computes the model of each hand only once.
+    """
     described = load_hand(hand)
     rate = default_rate(described)
     return HandModel.from_hand(described, gains, rate), rate
@@ -43,14 +46,15 @@ class GraspRun:
         stage: (ticks,) number of the stage of the scene.
         place: (ticks, 3) position of the object [m].
         force: (ticks, D) true contact force on each digit [N].
-        contact: (ticks, D) contact that the controller reports.
+        contact: (ticks, D) True where the controller reports contact of the digit.
         tension: (ticks, N) tension that the controller estimates [N].
         external: (ticks, N) external tension that the controller estimates [N].
         excursion: (ticks, N) tendon excursion that the controller reports [m].
         q: (ticks, J) true joint angles [rad].
-        normal: (ticks, D) sum of the normal forces on each digit, in scenes with a load [N].
-        events: index of the tick and event, for each event.
-        failure: reason why the controller ended the run.
+        normal: (ticks, D) sum of the normal forces on each digit [N]. Only scenes with a load have
+            it.
+        events: every event, with the index of its tick.
+        failure: reason for which the controller ended the run.
         dropped_at: time at which the table begins to sink [s], or None.
     """
 
@@ -76,7 +80,7 @@ class GraspRun:
 def task_program(task: str, hand: str, hold_s: float | None = None) -> TaskProgram:
     """Return the program of a packaged task or a task file for a hand.
 
-    ``hold_s`` replaces the duration of each hold [s].
+    ``hold_s`` replaces the duration of each hold phase [s].
     """
     packaged_task, _ = load_task_for_hand(Path(task), load_hand(hand))
     phases = [
@@ -153,7 +157,7 @@ def simulate_grasp(
 
 
 def _is_over(plant: Plant) -> bool:
-    """Return True if the run has passed all stages of the scene."""
+    """Return True if all stages of the scene are over."""
     dropped = plant.table.dropped_at if plant.table else None
     return (
         bool(plant.stages)

@@ -1,4 +1,7 @@
-"""The complete loop of handctl: bus, filter, control law, safety, encoding, log. Only the clock is replaced."""
+"""The complete loop of handctl: bus, filter, control law, safety, encoding, log.
+
+A run without deadlines replaces the clock.
+"""
 
 import select
 import time
@@ -39,7 +42,10 @@ class StayProgram:
 
 @dataclass
 class UnpacedClock:
-    """Clock without deadlines. The next tick begins when the bus has replies to the last tick."""
+    """Clock without deadlines.
+
+    The next tick begins as soon as replies to the frames of the last tick arrive, or after 2 ms.
+    """
 
     fd: int
 
@@ -58,13 +64,13 @@ class UnpacedClock:
 
 
 def run_loop(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, log: Path):
-    """Run the controller until some time has passed since the hand became active.
+    """Run the controller until the hand has been active for a given time.
 
     Args:
         hand_name: name of a packaged hand.
         bus_name: name of the local bus.
-        seconds: time with the hand active [s].
-        rate_hz: control rate [Hz]. With None, each tick starts when the last one has ended.
+        seconds: time for which the hand is active [s].
+        rate_hz: control rate [Hz]. None means that ticks have no deadlines.
         log: path of a new file for the log.
 
     Returns:
@@ -91,7 +97,8 @@ def run_loop(hand_name: str, bus_name: str, seconds: float, rate_hz: float | Non
         recorder.send_record(pack_tick_record(entry, out))
 
     took = []
-    # Timing takes a few microseconds, which a rate without deadlines must not contain.
+    # The timing of a tick takes a few microseconds. A measurement of the rate without deadlines
+    # must not include this time.
     begin = (
         (lambda state, entry: TimedTick(controller, state, entry, took))
         if rate_hz
@@ -113,9 +120,9 @@ def run_loop(hand_name: str, bus_name: str, seconds: float, rate_hz: float | Non
 
 
 class TimedTick:
-    """Tick of the controller.
+    """Tick of the controller that measures its own wall time.
 
-    It measures the wall time of its three steps: begin, command and conclude [ns].
+    This class adds the wall times of the three steps of a tick: begin, command and conclude [ns].
     """
 
     def __init__(self, controller, state, entry, tick_times_ns) -> None:

@@ -35,7 +35,7 @@ def torque_payload(torque: float) -> bytes:
 
 
 class BaselineLoop:
-    """Hand-written control loop on a python-can bus, which runs tick by tick."""
+    """Hand-written control loop on a bus of python-can. The loop runs tick by tick."""
 
     def __init__(self, hand_name: str, bus_name: str, log: Path) -> None:
         self.hand = load_hand(hand_name)
@@ -109,7 +109,7 @@ class BaselineLoop:
 
 
 def run_loop(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, log: Path):
-    """Run the hand-written loop for some time, and return results like those of ``handctl_loop.run_loop``."""
+    """Run the hand-written loop for a time, and return the same results as ``handctl_loop.run_loop``."""
     loop = BaselineLoop(hand_name, bus_name, log)
     request_priority()
     loop.send_all(ENABLE_PAYLOAD)

@@ -17,7 +17,10 @@ ENABLED_STATE = 1
 
 
 class CachedReplies:
-    """Replies of the simulated nodes. Each reply is computed only once and then cached."""
+    """Cache of the replies of the simulated nodes.
+
+    The cache saves the time of computing a reply again.
+    """
 
     def __init__(self, hand: str) -> None:
         self.rig = LockstepHand(hand, homed=True)
@@ -25,7 +28,7 @@ class CachedReplies:
         self.sync = self.rig.world.hand.sensors.sync_id
 
     def replies_to(self, frame: Frame) -> bytes:
-        """Return the replies of the nodes to a frame, as records."""
+        """Return the replies of all nodes to a frame, as frame records of the local bus."""
         if frame.can_id != self.sync and (
             frame.can_id > 0xFF or frame.data.startswith(SPECIAL_COMMAND_HEAD)
         ):

@@ -6,11 +6,14 @@ from scipy.linalg import solve_discrete_are
 from trials.lockstep import Array
 
 AVERAGE_WEIGHTS = np.concatenate((np.arange(0.05, 0.5, 0.05), np.arange(0.5, 1.01, 0.1)))
-"""Weights of the newest sample in the average. The best weight is chosen afterwards, from the true errors."""
-TENSION_RATE_NOISES = np.array([30.0, 100.0, 300.0, 1000.0, 3000.0])
-"""Square roots of the spectral density of the noise of the tension rate [N/s^1.5].
+"""Candidates for the weight of the newest sample in the average.
 
-The best one is chosen afterwards.
+The benchmark uses the weight with the smallest true error.
+"""
+TENSION_RATE_NOISES = np.array([30.0, 100.0, 300.0, 1000.0, 3000.0])
+"""Candidates for the square root of the spectral density of the noise of the tension rate [N/s^1.5].
+
+The benchmark uses the candidate with the smallest true error.
 """
 
 
@@ -27,7 +30,7 @@ def exponential_average(raw: Array, weight: float) -> Array:
 def cell_only_estimate(raw: Array, period: float, noise: float, rate: float) -> Array:
     """Run a Kalman filter of tension and tension rate, whose only measurement is the load cell.
 
-    The result is the tension that the filter predicts for the present, (ticks, N) [N].
+    The result is the prediction of the filter for the present tension, (ticks, N) [N].
 
     Args:
         raw: (ticks, N) samples, one period old [N].

@@ -1,4 +1,4 @@
-"""The section of ``docs/evidence/control.md`` on the tension estimate, and its picture."""
+"""Section on the tension estimate in ``docs/evidence/control.md``, with its picture."""
 
 import numpy as np
 
@@ -21,7 +21,7 @@ KEY_BY_COLUMN = {
     "NIS": "nis",
     "whiteness": "whiteness",
 }
-"""Heading of each column of the tables, and the key of its values in a result."""
+"""For the heading of each table column, the key of the values in a result."""
 FIGURE_LEGEND = (
     "In the figure, *raw* and *filtered* are the load cell and the filter at the sample. *raw now*, *reference now* "
     "and *estimate* (of the filter) are the values at present."
@@ -110,7 +110,7 @@ def _wrong_plant_row(plant: str, regimes_table: dict, regimes: list[str]) -> lis
 
 
 def _conclusion(result: dict) -> str:
-    """Return the text of the conclusion, which follows from the numbers."""
+    """Return the conclusion of the section, derived from the numbers."""
     met = []
     missed = []
     strict = []
@@ -172,7 +172,7 @@ RATIO_INSTANT_TEXTS = {
 def _regimes_worse_than_raw(result: dict, ratio: str) -> str:
     """List the regimes in which the raw load cell is better than the filter.
 
-    The plants are the known plant and plants with a wrong stiffness.
+    The list covers the nominal plant and plants with a wrong stiffness.
     """
     rows = [
         (row[ratio], f"{hand} {regime}, {plant}")

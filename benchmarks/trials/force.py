@@ -1,8 +1,10 @@
-"""A force step on a held object with three inputs of the force loop: none, the raw sensor, the estimate.
+"""Measurement of a force step on a held object.
 
-The digits close on a cylinder, hold 15 N per tendon, step to 40 N (5000 N/s), and step back to 15
-N. The results are computed from the true tension at the load cells, for every tendon whose digit is
-in contact.
+The three cases are no force loop, a loop on the raw sensor, and a loop on the estimate.
+
+The digits close on a cylinder and hold it with 15 N per tendon. The tension steps to 40 N (at 5000
+N/s) and back to 15 N. The figures are computed from the true tension at the load cells, for every
+tendon of a digit in contact.
 """
 
 from dataclasses import dataclass, field
@@ -25,7 +27,7 @@ HIGH_N = 40.0
 RATE_N_PER_S = 5000.0
 HOLD_S = 0.6
 STEADY_S, BAND_N = 0.2, 2.0
-"""Time at the end of a hold that gives the steady error [s], and largest error of a settled force [N]."""
+"""Time at the end of a hold for the measurement of the steady error [s], and largest error of a settled force [N]."""
 FORCE_TASK = {
     "schema": 1,
     "name": "force",
@@ -39,9 +41,9 @@ FORCE_TASK = {
 FORCE_PLANTS = {
     plant: wrong for plant, wrong in plants.PLANT_FACTORS.items() if "mass" not in wrong
 }
-"""Plants of the force step. Plants with a wrong mass are left out, because the hand hardly moves."""
+"""Plants of the force step. The hand hardly moves, so plants with a wrong mass are left out."""
 WEIGHT_N, FORCE_N, INTEGRAL_PER_S = 4.0, 15.0, 3.0
-"""Gains of both force loops: tension error and motor force of equal cost [N], and the integral gain [1/s].
+"""Gains of both force loops: tension error and motor force with equal cost [N], and integral gain [1/s].
 
 These gains were not tuned.
 """
@@ -49,7 +51,7 @@ These gains were not tuned.
 
 @dataclass(frozen=True)
 class ForceLoop:
-    """Configuration of a force loop: gains that differ from the defaults, and raw sensor or estimate as input."""
+    """Configuration of a force loop: gains that differ from the defaults, and input (raw sensor or estimate)."""
 
     motion: dict[str, float] = field(default_factory=dict)
     tension: dict[str, float] = field(default_factory=dict)
@@ -72,7 +74,7 @@ FORCE_LOOPS = {
 
 
 def force_trial(hand: str, law: str, seed: int, plant: str) -> LockstepTrial:
-    """Return the trial of a hand with a force loop, on a plant with a seed."""
+    """Return the force-step trial of a hand, for a force loop, a seed and a plant."""
     loop = FORCE_LOOPS[law]
     fixed = {
         "force_N": FORCE_N * force_scale(RATES_HZ[hand]),
@@ -132,7 +134,10 @@ def run_force_trial(job: tuple) -> dict[str, Any]:
 def measure_force(
     hands: tuple[str, ...], seeds: int, wrong_seeds: int, plan: JobPlan
 ) -> dict[str, Any]:
-    """Measure the mean of each figure over the seeds and the spread of the RMSE, by hand, plant and law."""
+    """Measure all figures for each hand, plant and force loop.
+
+    Return their means over the seeds, and the spread of the RMSE.
+    """
     cases = [(hand, law, plant) for plant in FORCE_PLANTS for hand in hands for law in FORCE_LOOPS]
     counts = [seeds if plant == "as known" else wrong_seeds for _, _, plant in cases]
     jobs = [

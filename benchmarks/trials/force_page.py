@@ -1,4 +1,4 @@
-"""The section of ``docs/evidence/control.md`` on the force step."""
+"""Section on the force step in ``docs/evidence/control.md``."""
 
 from typing import Any
 
@@ -61,7 +61,7 @@ def _rmse_cell(row: dict[str, Any] | None) -> str:
 
 
 def _conclusion(result: dict[str, Any]) -> str:
-    """Return the text of the conclusion, which follows from the numbers."""
+    """Return the conclusion of the section, derived from the numbers."""
     texts = []
     for hand, plants in result["hands"].items():
         none, raw, estimate = plants["as known"].values()

@@ -1,8 +1,8 @@
-"""Hands of the benchmarks: the packaged hands, and variants of these hands with more distance between their digits.
+"""Hands of the benchmarks: the packaged hands, and variants with more distance between the digits.
 
 When all joints of a packaged hand are at 60 degrees, the fingertips touch the palm, and the middle
-finger touches the thumb. In the benchmarks of free motion the digits must not touch any object. In
-the variants the digits are therefore moved apart. All other properties of the hands are unchanged.
+finger touches the thumb. In the benchmarks of free motion the digits must not touch anything. The
+variants therefore place the digits farther apart. All other properties of the hands are the same.
 """
 
 from functools import cache
@@ -12,26 +12,29 @@ from handctl.hand.description import Hand
 from handctl.hand.hand_loading import hand_content, hand_from_content, hand_path, load_hand
 
 CLEAR_SUFFIX = ".clear"
-"""Suffix in the name of the variant of a packaged hand that has free space around every digit."""
+"""Suffix in the names of the variants with free space around every digit."""
 SIDE_SUFFIX = ".side"
-"""Suffix in the name of the variant that also lies on its side.
+"""Suffix in the names of the variants that also lie on their side.
 
 Gravity then acts in the plane in which the digits flex.
 """
 SIDE_GRAVITY_M_S2 = [0.0, -9.81, 0.0]
-"""Gravity in the frame of the palm [m/s2], from the fingers to the thumb.
+"""Gravity in the frame of the palm [m/s2], pointing from the fingers to the thumb.
 
 This gravity closes the fingers and opens the thumb.
 """
 FINGERTIP_LOAD = 10.0
-"""Factor on mass and inertia of the last links of a hand on its side. With this factor a fingertip weighs 21 g."""
+"""Factor on the mass and inertia of the last links, for a hand that lies on its side.
+
+A fingertip then weighs 21 g.
+"""
 FORWARD_M, APART_M = 0.04, 0.1
-"""Distance of the digits from the palm, and distance between neighbouring digits, in the variants [m]."""
+"""Distances in the variants [m]: from the palm to the digits, and between neighbouring digits."""
 
 
 @cache
 def hand_by_name(name: str) -> Hand:
-    """Return the hand that has a name in the benchmarks."""
+    """Return the hand with this name: a packaged hand or one of its variants."""
     if not name.endswith((CLEAR_SUFFIX, SIDE_SUFFIX)):
         return load_hand(name)
     content = hand_content(packaged_name(name))
@@ -47,7 +50,7 @@ def hand_by_name(name: str) -> Hand:
 
 
 def packaged_name(name: str) -> str:
-    """Return the name of the packaged hand from which a hand of the benchmarks is derived."""
+    """Return the name of the packaged hand from which a variant is derived."""
     return name.removesuffix(CLEAR_SUFFIX).removesuffix(SIDE_SUFFIX)
 
 

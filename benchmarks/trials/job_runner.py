@@ -1,4 +1,7 @@
-"""Run many jobs in sequence or in parallel. A stopped benchmark continues from the results in a folder."""
+"""Run many jobs in sequence or in parallel.
+
+A benchmark that was stopped continues from the results in a folder.
+"""
 
 import hashlib
 import json
@@ -19,10 +22,11 @@ class JobPlan:
     """Options for running jobs.
 
     Attributes:
-        keep: folder in which the result of each job is stored (JSON) and looked up. With None, no result is stored.
+        keep: folder for the results of the jobs, as JSON. A job with a stored result is not run
+            again. None means that no result is stored.
         minutes: time after which no further job starts [min]. The results of the jobs that have not started are left
             out.
-        workers: number of processes. With 0, one process per core is started.
+        workers: number of processes. Zero means one process per core.
     """
 
     keep: Path | None = None
@@ -31,7 +35,9 @@ class JobPlan:
 
 
 def collect_results(work: JobFunction, jobs: list[Any], plan: JobPlan) -> dict[Any, Any]:
-    """Return the results by job: the stored results, and the results that can be computed within the time limit.
+    """Return the result of each job.
+
+    Results are read from the folder, or computed as long as the time limit permits.
 
     Args:
         work: top-level function that computes one job. Its result consists of JSON values.
@@ -98,7 +104,7 @@ def _store_result(work: JobFunction, job: Any, result: Any, plan: JobPlan) -> No
 
 
 def _through_json(result: Any) -> Any:
-    """Return a result as it would be read from JSON, with lists instead of tuples."""
+    """Convert a result to JSON and back, which makes lists of its tuples."""
     return json.loads(json.dumps(result))
 
 

@@ -57,11 +57,12 @@ def torque_without_gravity(
 def misprinted_torque(
     digit: DigitModel, q: JointValues, dq: JointValues, ddq: JointValues
 ) -> tuple[float, ...]:
-    """Return the torque of Eq. 10 to 12 as printed in the paper, instead of the dynamics of the links.
+    """Return the joint torque of Eq. 10 to 12 with the misprints of the paper, instead of the dynamics of the links.
 
-    The torques belong to absolute angles. This function maps them to the joints, and adds the
-    torques of springs and damping. The paper describes neither this mapping nor springs and
-    damping. If a digit does not have a link, the terms of this link are left out.
+    The torques of these equations belong to absolute angles of the links. This function maps them
+    to the joints, and adds the torques of springs and damping. The paper describes neither this
+    mapping nor springs and damping. If a digit does not have a link, the terms of this link are
+    left out.
     """
     names = {}
     for order, values in (("", q), ("d", dq), ("dd", ddq)):
@@ -86,11 +87,11 @@ def misprinted_torque(
 
 
 FORCE_N = 20.0
-"""Motor force that has the same cost as the errors in the weights [N]."""
+"""Motor force that has the same cost as the position error and the speed error of the weights [N]."""
 
 
 def force_scale(rate_hz: float) -> float:
-    """Return the factor on a force weight that cancels its reduction at low control rates."""
+    """Return the factor that cancels the reduction of force weights at low control rates."""
     return 1.0 / largest_force_weight(1.0, 1.0 / rate_hz)
 
 
@@ -112,7 +113,7 @@ class RawTension(Controller):
 
 
 def on_raw_tension(controller: Controller) -> Controller:
-    """Return a controller that is equal except that its control law uses the raw load cell."""
+    """Return a copy of the controller whose control law uses the raw load cell."""
     return RawTension(
         **{each.name: getattr(controller, each.name) for each in fields(controller) if each.init}
     )
@@ -125,7 +126,7 @@ class AblationLaw:
     Attributes:
         inverse: function that returns the feedforward joint torque.
         motion: gains that differ from the defaults.
-        raw: True if the input of the force loop is the raw sensor.
+        raw: True if the input of the force loop is the raw load cell, False for the estimate.
     """
 
     inverse: InverseDynamics
@@ -147,7 +148,7 @@ class AblationLaw:
 
     @property
     def change(self) -> partial[Controller]:
-        """Return the function that changes the controller to this control law."""
+        """Return a function that makes a controller use this control law."""
         return partial(_with_law, inverse=self.inverse, raw=self.raw)
 
 
@@ -164,7 +165,10 @@ GRAVITY_LAWS = {
     "computed torque without gravity": AblationLaw(torque_without_gravity, NO_FORCE_LOOP),
     "computed torque": AblationLaw(required_torque, NO_FORCE_LOOP),
 }
-"""Two pairs of control laws that differ only in gravity compensation, for a hand that lies on its side."""
+"""Two pairs of control laws for a hand that lies on its side.
+
+The laws of a pair differ only in gravity compensation.
+"""
 ABLATION_LAWS = {
     "PD alone": AblationLaw(zero_torque, NO_INERTIA_GAINS),
     "+ gravity and springs": AblationLaw(gravity_and_spring_torque, NO_INERTIA_GAINS),

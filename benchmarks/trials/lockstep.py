@@ -1,4 +1,7 @@
-"""Trials: the real controller runs over the simulated bus in lockstep, with a record of the true values."""
+"""Trials: the real controller runs over the simulated bus in lockstep.
+
+The record also contains the true values of the plant.
+"""
 
 import tempfile
 from collections.abc import Callable, Iterable, Mapping
@@ -23,7 +26,7 @@ from handctl.session.simulate import SimulatorSettings
 from trials.hands import hand_by_name, hand_file_of, packaged_name
 
 RATES_HZ = {"jamia": 500.0, "jamia_bench": 500.0, "jamia11": 200.0}
-"""Default control rates [Hz], which one classical CAN bus can carry."""
+"""Default control rate of each hand [Hz]. One classical CAN bus can carry these rates."""
 DEFAULT_GAINS = Gains()
 Array = NDArray[np.float64]
 ControllerChange = Callable[[Controller], Controller]
@@ -44,10 +47,10 @@ class LockstepTrial:
         hand: name for ``hands.hand_by_name``.
         program: program of the controller.
         seed: seed of noise, drift and encoder offsets.
-        scene: scene of the simulator. A hand without an object has None.
+        scene: scene of the simulator, or None for a hand without an object.
         perturb: factors on the parameters of the plant, which the controller does not use.
         gains: gains of the controller.
-        rate_hz: control rate [Hz]. With 0, the default of the hand is used.
+        rate_hz: control rate [Hz]. Zero means the default rate of the hand.
         limit_s: longest time of the trial [s].
         change: function that changes the controller before the run. The function must be a
             top-level function, or a partial of a top-level function.
@@ -66,7 +69,7 @@ class LockstepTrial:
 
 @dataclass(frozen=True)
 class TrialRecord:
-    """Record of a trial, one row per tick with an active hand.
+    """Record of a trial, with one row for each tick in which the hand is active.
 
     Attributes:
         hand: description of the hand.
@@ -98,7 +101,7 @@ class TrialRecord:
         return self.t_ns / 1e9
 
     def truth(self, names: Iterable[str], delay_ns: int = 0) -> Array:
-        """Return columns of the true values at each tick, or a delay before each tick (ticks, names)."""
+        """Return columns of the true values (ticks, names) at each tick, or by a delay earlier."""
         return self.real.columns_at(list(names), self.t_ns - delay_ns)
 
     def tension(self, delay_ns: int = 0) -> Array:
@@ -147,7 +150,9 @@ def run_trial(trial: LockstepTrial) -> TrialRecord:
 
 
 def _filtered_tension(design: FilterDesign, inputs: Array, after: ControllerState) -> list[float]:
-    """Return the tensions at the instant of the samples (N,) [N], by undoing the prediction to the present.
+    """Return the estimated tensions at the instant of the samples (N,) [N].
+
+    To find them, undo the prediction to the present.
 
     Args:
         design: design of the filter.

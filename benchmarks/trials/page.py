@@ -1,4 +1,4 @@
-"""The page ``docs/evidence/control.md``, composed of parts that the benchmarks write."""
+"""The page ``docs/evidence/control.md``. Each benchmark writes one part of the page."""
 
 from pathlib import Path
 
@@ -19,7 +19,7 @@ PART_ORDER = ("estimation", "tracking", "gravity", "force", "tip", "grasps")
 
 
 def write_part(part: str, text: str) -> None:
-    """Replace a part (Markdown) of the page. The other parts stay unchanged."""
+    """Replace one part of the page by a Markdown text. The other parts stay unchanged."""
     parts = _page_parts(PAGE_FILE.read_text("utf-8")) if PAGE_FILE.exists() else {}
     parts[part] = text.strip()
     ordered = sorted(

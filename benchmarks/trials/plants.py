@@ -1,4 +1,4 @@
-"""Plants that differ from the controller's model by known factors, and the phases of a task up to a held object."""
+"""Plants that differ from the controller's model by known factors, and the task phases that precede a hold."""
 
 PLANT_FACTORS: dict[str, dict[str, float]] = {
     "as known": {},
@@ -15,10 +15,10 @@ FURTHER_PLANT_FACTORS: dict[str, dict[str, float]] = {
     "stiffness -50 %": {"stiffness": 0.5},
     "friction +100 %": {"friction": 2.0},
 }
-"""Further plants, which only the benchmark of the tension estimate uses."""
+"""Further plants. Only the benchmark of the tension estimate uses them."""
 PHASES_TO_CONTACT = (
     {"kind": "move", "name": "preshape", "angle_deg": {"index": 18.0, "middle": 18.0, "ring": 18.0, "thumb": 3.0},
      "duration_s": 0.4},
     {"kind": "close", "name": "close", "angle_deg": 85.0, "speed_deg_s": 60.0, "contact_tension_N": 14.0},
 )  # fmt: skip
-"""Phases of a task before it holds the object."""
+"""Phases of a task that precede its hold phase."""

@@ -1,12 +1,12 @@
 """Error of a reference filter that is optimal for a fixed noise model.
 
-The result is no lower bound of the error. A filter for a plant with less noise can have a smaller
-error. So can a filter with more inputs.
+The result is no lower bound of the error. A filter that is made for a plant with less noise, or
+that has more inputs, can have a smaller error.
 
 The state of each tendon consists of tendon travel and speed, excursion and its rate, Gauss-Markov
-forces on motor and joint, and the stretch offset. The measurements are load cell and encoder. The
-disturbances are constants of this module. The digit moves freely against its springs, or presses on
-a stiff object. ``scipy`` computes this filter, independently of the filter design in the
+forces on motor and joint, and the stretch offset. The measurements are load cell and encoder.
+Constants of this module describe the disturbances. The digit moves freely against its springs, or
+presses on a stiff object. ``scipy`` computes this filter, independently of the filter design in the
 controller.
 """
 
@@ -22,9 +22,15 @@ JOINT_NOISE_S = 0.02
 STRETCH_OFFSET_M = 0.2e-3
 STRETCH_OFFSET_S = 60.0
 CONTACT_N_M_PER_RAD = 40.0
-"""Stiffness of the held object at all joints of a digit [N m/rad]. Source of all constants: MODEL, section 5."""
+"""Stiffness of a held object, as it acts on each joint of a digit [N m/rad].
+
+Source of all constants: MODEL, section 5.
+"""
 CELL_DRIFT_VARIANCE_N2_PER_S = 1.0 / 100.0
-"""Drift of the load cells, a random walk of 1 N in 100 s. No filter can observe this drift while a tendon is taut."""
+"""Variance rate of the load-cell drift: a random walk of 1 N in 100 s.
+
+No filter can observe the drift of a taut tendon's load cell.
+"""
 STATE_SCALE = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 1.0, 1e-5])
 
 

@@ -9,19 +9,19 @@ REVERSAL_S = 0.05
 """Half width of the time window around a reversal of the winding direction [s]."""
 IMPACT_S = 0.1
 SETTLED_S = 0.3
-"""Time from the first contact, after which the tension has settled [s]."""
+"""Time after the start of a contact until the tension has settled [s]."""
 TAUT_N = 0.5
 TOUCH_N = 0.05
 SLACK_S = 0.05
 TURNING_RAD_S = 0.2
-"""Speed of the spool below which its direction is not counted [rad/s]."""
+"""Speed below which the direction of a spool does not count [rad/s]."""
 KNEE_N = 200.0
 REGIME_NAMES = ("free", "reversal", "impact", "hold", "beyond 200 N", "slack")
 MaskArray = NDArray[np.bool_]
 
 
 def regime_masks(record: TrialRecord) -> dict[str, MaskArray]:
-    """Return a mask (ticks, N) for each regime. For a tendon, each tick belongs to at most one regime."""
+    """Return a mask (ticks, N) for each regime. At each tick, a tendon is in at most one regime."""
     tension = record.tension()
     t = record.times
     touched = record.of_tendons(record.contact_force() > TOUCH_N)
@@ -41,7 +41,10 @@ def regime_masks(record: TrialRecord) -> dict[str, MaskArray]:
 
 
 def _since_rise(on: MaskArray, t: Array) -> Array:
-    """Return the time since each signal last became true, after it was false for ``SETTLED_S`` (ticks, N) [s]."""
+    """Return the time since each signal last became true (ticks, N) [s].
+
+    Pauses shorter than ``SETTLED_S`` do not count.
+    """
     since = np.full(on.shape, np.inf)
     for i in range(on.shape[1]):
         rise = -np.inf
@@ -56,7 +59,7 @@ def _since_rise(on: MaskArray, t: Array) -> Array:
 
 
 def _reversal_mask(record: TrialRecord) -> MaskArray:
-    """Return a mask (ticks, N) of the ticks in which the spool reverses."""
+    """Return a mask (ticks, N) of the ticks in which a spool changes its direction."""
     period = record.t_ns[1] - record.t_ns[0]
     angle = [
         record.truth((f"motor/{tendon.motor}" for tendon in record.hand.tendon), delay)
@@ -72,7 +75,7 @@ def _reversal_mask(record: TrialRecord) -> MaskArray:
 
 
 def _near_mask(on: MaskArray, t: Array, distance: float) -> MaskArray:
-    """Return a mask (ticks, N) of the ticks within a time [s] of a true signal."""
+    """Return a mask (ticks, N) of the ticks that are at most ``distance`` [s] before or after a true signal."""
     reach = round(distance / (t[1] - t[0]))
     kernel = np.ones(2 * reach + 1)
     return np.column_stack(

@@ -1,4 +1,4 @@
-"""A program of steps at fixed times, which do not depend on contacts."""
+"""A program whose steps start at fixed times, independently of contacts."""
 
 import math
 from dataclasses import dataclass, replace
@@ -15,14 +15,16 @@ from handctl.programs.program import ProgramProgress, motion_to
 
 @dataclass(frozen=True)
 class ScriptStep:
-    """One step of a script, for all digits.
+    """One step of a script for all digits.
 
     Attributes:
         name: name of the phase in the log.
         lasts_s: time until the next step [s].
-        angle_deg: target angle of a move that lasts ``move_s`` [deg]. With None, the step has no move.
+        angle_deg: target angle of a move that lasts ``move_s`` [deg], or None for a step without a
+            move.
         move_s: duration of the move [s].
-        tension_N: tension of a hold instead of a move [N]. With None, the step has no hold.
+        tension_N: tension of a hold, which replaces the move [N], or None for a step without a
+            hold.
         rate_N_per_s: rate of change of the target tension [N/s].
     """
 

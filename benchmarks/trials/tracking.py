@@ -1,17 +1,17 @@
-"""Ablation of the controller: tracking at three speeds and a force step, adding one part of the control law at a time.
+"""Ablation of the controller: tracking and a force step, with one more part of the control law in each case.
 
 ``python benchmarks/control.py [--quick] [--json] [--seeds N] [--tune] [--keep FOLDER] [--page]``.
-The digits move from 0 to 60 degrees. The error is computed from the true mean of the joint angles
-of each digit, because one tendon can control only this mean. The plant has the effects of the hand
-files and of firmware_sim: capstan and motor friction, tendon elasticity and damping, current loop,
-encoder and load-cell resolution, noise, drift, one period of bus delay. These effects are the same
-for all control laws.
+The digits move from 0 to 60 degrees. The tracking error is computed from the true mean of the joint
+angles of a digit, because a single tendon can control only this mean. The plant has the effects of
+the hand files and of firmware_sim: capstan and motor friction, tendon elasticity and damping,
+current loop, encoder and load-cell resolution, noise, drift, one period of bus delay. These effects
+are the same for all control laws.
 
-Each control law, PD included, has two weights. The weights of a law are the best pair of
-``WEIGHT_CANDIDATES`` for the fast motion of the nominal plant, with a seed that is not used for the results.
-``--tune`` searches the weights again. The best weights have hardly any stability margin. Therefore
-the control laws are compared a second time, with the best weights that have the margins of packaged
-gains: 6 dB and 45 degrees on random plants around the hand file.
+Each control law, PD included, has two weights. The weights of a law are the pair of
+``WEIGHT_CANDIDATES`` with the smallest error in the fast motion of the nominal plant. The results
+use other seeds. ``--tune`` searches the weights again. The selected weights leave hardly any
+stability margin. The control laws are therefore compared a second time, with the best weights that
+keep the margins of packaged gains: 6 dB and 45 degrees, on random plants near the hand file.
 """
 
 import argparse
@@ -46,35 +46,35 @@ RETURN_S = 0.5
 REST_S = 0.2
 """Time of rest after the motion back [s]."""
 MOTION_TAIL_S = 0.05
-"""Time after a motion that still counts as part of the motion [s]."""
+"""The errors of this time after a motion still count for the motion [s]."""
 SETTLED_BAND_DEG = 1.0
-"""Largest error of a settled motion [deg]."""
+"""A motion has settled when its error stays below this band [deg]."""
 WEIGHT_CANDIDATES = tuple(
     (p * 1e-4, v * 1e-2)
     for p, v in ((0.2, 1), (0.3, 1.5), (0.5, 2), (0.8, 2), (0.8, 3), (1.2, 3), (1.5, 2), (1.5, 3), (1.5, 6), (2.2, 3),
                  (3, 3), (3, 6), (6, 6), (8, 6), (10, 10), (14, 10))
 )  # fmt: skip
-"""Candidates for the two weights of every law: position error [m] and speed error [m/s] of equal cost."""
+"""Candidates for the two weights of every law: a position error [m] and a speed error [m/s] of equal cost."""
 TUNING_SEED = 1000
 TUNED_FILE = Path(__file__).with_name("tuned.json")
-"""File with the results of ``--tune`` for each pair of ``WEIGHT_CANDIDATES``, by hand and control law.
+"""File with the results of ``--tune``, for each hand, control law and pair of ``WEIGHT_CANDIDATES``.
 
-For each pair, the file has the RMSE of the fast motion [deg], or null if this motion did not reach
-its end. It also has True if the motion loop keeps its margins, otherwise False. Each run has the
-slow, medium and fast motion, because the best weights for a single motion may end a run with three
-motions.
+For each pair, the file contains the RMSE of the fast motion [deg], or null if this motion did not
+reach its end. For each pair, the file also tells whether the motion loop keeps its margins. Each
+run consists of a slow, a medium and a fast motion, because the best weights for a single motion may
+cause a fault in a run with all three.
 """
 PD_LAW, SPRINGS_LAW, BEST_LAW, MISPRINTED_LAW = [list(ABLATION_LAWS)[i] for i in (0, 1, -2, -1)]
 COMPARED_LAWS = (PD_LAW, SPRINGS_LAW, BEST_LAW)
-"""Control laws that are tried on plants with wrong parameters too."""
+"""Control laws that are also tried on plants with wrong parameters."""
 MARGIN_LAWS = (PD_LAW, SPRINGS_LAW, list(ABLATION_LAWS)[-4], BEST_LAW)
-"""Control laws that are tried a second time, with the best weights that keep the margins."""
+"""Control laws that are also tried with the best weights that keep the margins."""
 DRAWN_PLANT_COUNT = 8
-"""Number of random plants on which the margins must be kept."""
+"""Number of random plants on which weights must keep the margins."""
 
 
 def motion_script(speeds: tuple[str, ...]) -> ScriptProgram:
-    """Return the script of the motions at each speed, to the target angle and back."""
+    """Return a script that moves all digits to the target angle and back, at each speed."""
     steps = []
     for speed in speeds:
         steps.append(ScriptStep(f"home {speed}", RETURN_S + REST_S, angle_deg=0.0, move_s=RETURN_S))
@@ -97,7 +97,7 @@ def tracking_trial(
     plant: str,
     speeds: tuple[str, ...],
 ) -> LockstepTrial:
-    """Return the trial of a law with two weights."""
+    """Return the tracking trial of a control law with two weights."""
     config = ABLATION_LAWS[law]
     return LockstepTrial(
         hand + CLEAR_SUFFIX,
@@ -111,7 +111,7 @@ def tracking_trial(
 
 
 def tracking_figures(record: TrialRecord, speeds: tuple[str, ...]) -> dict[str, dict[str, float]]:
-    """Return the figures of each speed for the worst digit in each figure.
+    """Return the figures of each speed. A figure belongs to the digit with the worst value.
 
     The figures are RMSE, peak error and steady error of tracking [deg], and settling time [s].
     """
@@ -146,7 +146,8 @@ def tracking_figures(record: TrialRecord, speeds: tuple[str, ...]) -> dict[str, 
 def run_tracking_trial(job: tuple) -> dict[str, dict[str, float | str]]:
     """Run one trial and return its figures.
 
-    For a motion that did not reach its end, all figures are inf, and the reason is added.
+    For a motion that did not reach its end, all figures are inf, and the result includes the
+    reason.
     """
     record = run_trial(tracking_trial(*job))
     result: dict = tracking_figures(record, job[-1])
@@ -160,8 +161,8 @@ def run_tracking_trial(job: tuple) -> dict[str, dict[str, float | str]]:
 def tune_weights(plan: JobPlan) -> None:
     """Try all weights for each law on each hand.
 
-    Print the errors of the fast motion and the weights that keep their margins. If all trials have
-    run, write both into the file ``TUNED_FILE``.
+    Print the error of the fast motion for all weights, and the weights that keep the margins. After
+    the last trial, write both into ``TUNED_FILE``.
     """
     jobs = [
         (h, law, w, TUNING_SEED, "as known", tuple(MOTION_TIMES_S))
@@ -187,7 +188,7 @@ def tune_weights(plan: JobPlan) -> None:
 
 
 def keeps_margins(hand: str, law: str, weights: tuple[float, float]) -> bool:
-    """Return True if every motion loop has margins of 6 dB and 45 degrees on random plants around the hand file."""
+    """Return True if every motion loop has margins of 6 dB and 45 degrees on random plants near the hand file."""
     model = HandModel.from_hand(
         hand_by_name(hand), ABLATION_LAWS[law].gains(*weights, RATES_HZ[hand]), RATES_HZ[hand]
     )
@@ -198,8 +199,8 @@ def keeps_margins(hand: str, law: str, weights: tuple[float, float]) -> bool:
 def tuned_weights(hand: str, law: str, with_margins: bool = False) -> tuple[float, float]:
     """Return the best weights of a law.
 
-    If ``with_margins`` is True, only weights that keep the margins are considered. If no such weights
-    complete the motions, the softest weights are returned.
+    If ``with_margins`` is True, only weights that keep the margins are considered. If no weights
+    with these margins complete the motions, the softest weights are returned.
     """
     table = json.loads(TUNED_FILE.read_text("utf-8"))
     errors = table["rmse_deg"][hand][law]
@@ -225,7 +226,10 @@ def measure_tracking(
     plan: JobPlan,
     hands: tuple[str, ...] = MEASURED_HANDS,
 ) -> dict:
-    """Measure mean and spread of all figures over the seeds that the plan has time for."""
+    """Measure all figures for as many seeds as the time of the plan permits.
+
+    Return mean and spread over the seeds.
+    """
     cases = [(hand, law, "as known", False) for hand in hands for law in ABLATION_LAWS]
     cases += [(hand, law, "as known", True) for hand in hands for law in MARGIN_LAWS]
     for plant in list(PLANT_FACTORS)[1:] if wrong_seeds else []:
@@ -265,9 +269,9 @@ def measure_tracking(
 
 
 def _over_seeds(rows: list[dict]) -> dict:
-    """Return the mean of each figure and the spread of the RMSE, over complete runs.
+    """Return the mean of each figure and the spread of the RMSE, over the runs that reached their end.
 
-    The result also has the number of incomplete runs and their reasons.
+    The result also contains the number of the other runs, and the reasons why they ended early.
     """
     whys = sorted({row["why"] for row in rows if "why" in row})
     good = [row for row in rows if np.isfinite(row["rmse_deg"])]

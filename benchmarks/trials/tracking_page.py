@@ -1,4 +1,4 @@
-"""The section of ``docs/evidence/control.md`` on tracking, and its picture."""
+"""Section on tracking in ``docs/evidence/control.md``, with its picture."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ FAULT_TEXTS = {
     "T02b": "a tendon stayed slack",
     "T01": "a tendon paid out without tension, which looks like a snapped tendon",
 }
-"""Explanation of each fault that has ended runs."""
+"""For each fault that ended runs of the benchmark, an explanation."""
 MIN_SHOWN_ERROR_DEG = 0.03
 """Smallest error on the logarithmic axis of the picture [deg]."""
 
@@ -104,7 +104,7 @@ def _rmse_cell(row: dict[str, float]) -> str:
 
 
 def _conclusion(laws: dict, named: tuple[str, str, str, str]) -> str:
-    """Return the text of the conclusion, which follows from the numbers."""
+    """Return the conclusion of the section, derived from the numbers."""
     best, printed = (laws[name]["fast"] for name in named[2:])
     return (
         f"{_comparison_of_laws(laws, named)}. {_misprint_effect(printed, best)}\n\nEach entry is the error of "
@@ -139,7 +139,7 @@ def _comparison_with_pd(ratio: float) -> str:
 
 
 def _gain_per_spread(gain: float, spread: float, seeds: int) -> str:
-    """Describe the gain in accuracy in units of its spread, if there are enough seeds."""
+    """Describe the gain in accuracy as a multiple of its spread. A single seed has no spread."""
     return (
         f", which is {gain / max(spread, 1e-9):.0f} times the spread"
         if seeds > 1
@@ -148,7 +148,7 @@ def _gain_per_spread(gain: float, spread: float, seeds: int) -> str:
 
 
 def _gain_by_law(laws: dict) -> str:
-    """Describe the gain in accuracy of each law over the law before it [deg], compared with twice its spread."""
+    """Describe the accuracy that each law gains over its predecessor [deg], compared with twice the spread."""
     texts = []
     old = laws[next(iter(laws))]["fast"]
     for law in list(laws)[1:-1]:
@@ -221,7 +221,10 @@ def _wrong_plants_table(hand: str, plants: dict, named: tuple[str, str, str, str
 
 
 def _error_rises(plants: dict, law: str) -> str:
-    """List how much each wrong plant raises the error of a law at the fast motion, largest rise first."""
+    """List by how much each wrong plant raises the error of a law in the fast motion.
+
+    The largest rise comes first.
+    """
     nominal = plants["as known"][law]["fast"]["rmse_deg"]
     more = {
         plant: laws[law]["fast"]["rmse_deg"] - nominal

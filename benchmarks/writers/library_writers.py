@@ -1,4 +1,4 @@
-"""Other libraries that write logs.
+"""Log writers of other libraries.
 
 Each library writes the same decoded messages into a file, and reads the file back.
 """
@@ -20,7 +20,7 @@ class LogMessage(NamedTuple):
 
 
 class LibraryWriter(NamedTuple):
-    """A log writer: functions that write one message, close the file, and read all messages."""
+    """A log writer, as three functions: write one message, close the file, and read all messages."""
 
     write: Callable[[LogMessage], None]
     close: Callable[[], None]

@@ -1,4 +1,7 @@
-"""Measurement of all log writers: each one writes the same run and reads it back, and the cost is printed."""
+"""Measurement of all log writers.
+
+Each one writes the same run and reads it back. The costs are printed.
+"""
 
 import argparse
 import json
@@ -40,7 +43,7 @@ def main(description: str) -> None:
 
 
 def measure_all_writers(folder: Path, seconds: float, sustained_s: float) -> dict[str, Any]:
-    """Measure the cost of all log writers, and continuous writing with handctl."""
+    """Measure the cost of all log writers, and record with handctl for a longer time."""
     run = synthetic_run.synthetic_header("jamia11", RATE_HZ)
     ticks = [packed_tick(*tick) for tick in synthetic_run.SyntheticTicks(run, seconds)]
     writers = {"handctl": measure_handctl(folder / "ours.mcap", run, ticks)}
@@ -62,14 +65,14 @@ def measure_all_writers(folder: Path, seconds: float, sustained_s: float) -> dic
 
 
 def _cpu_s(work: Callable[[], object]) -> float:
-    """Return the processor time of a function [s]."""
+    """Call a function and return the CPU time of the call [s]."""
     start = time.process_time()
     work()
     return time.process_time() - start
 
 
 def measure_handctl(path: Path, run: Any, ticks: list[Any]) -> dict[str, float]:
-    """Measure handctl: packing and passing on records in the loop, and the log writer in the same process."""
+    """Measure handctl: the work in the control loop (pack and send records), and the log writer in the same process."""
     records: list[bytes] = []
     packing = _cpu_s(lambda: records.extend(pack_tick_record(*tick) for tick in ticks))
     recorder = Recorder.start(path.with_suffix(".pipe.mcap"), run)
@@ -102,7 +105,7 @@ def measure_handctl(path: Path, run: Any, ticks: list[Any]) -> dict[str, float]:
 def measure_library(
     path: Path, make: Any, messages: list[LogMessage], ticks: int
 ) -> dict[str, float]:
-    """Measure another library, which writes in the loop and then reads all messages."""
+    """Measure another library: write each message in the loop, and read all messages afterwards."""
     writer = make(path)
 
     def write() -> None:

@@ -1,8 +1,8 @@
-"""Recorder with eleven motors and their frames at 1 kHz in real time: dropped ticks, and effect on the loop.
+"""Recorder at 1 kHz in real time, with eleven motors and their frames: dropped ticks, and effect on the loop.
 
-The loop of the controller runs with prepared ticks, so that only the recorder affects its timing.
-Loop and recorder run on different cores. Before and after, the same loop runs without a recorder,
-which shows the effect of other load.
+The control loop runs prepared ticks without computation, so that only the recorder affects its
+timing. Loop and recorder run on different cores. The same loop also runs without a recorder, before
+and afterwards. These runs show the effect of other load.
 """
 
 import os
@@ -44,7 +44,9 @@ TickPair = tuple[TickIn, TickOut]
 
 
 def measure_sustained(path: Path, seconds: float) -> dict[str, Any]:
-    """Run the loop with the recorder. Run it before and after without the recorder, each for half the time.
+    """Run the loop with the recorder.
+
+    Before and afterwards, run it for half the time without the recorder.
 
     Args:
         path: path of the new log file.
@@ -92,7 +94,7 @@ def measure_sustained(path: Path, seconds: float) -> dict[str, Any]:
 
 
 def packed_tick(tick_in: TickIn, out: TickOut) -> TickPair:
-    """Convert frames to records and telemetry to one array, as in the loop of the controller."""
+    """Convert the frames of a tick to records and its telemetry to one array, as in the control loop."""
     places = {}
     at = 0
     for name, values in zip(TELEMETRY_FIELDS, out.telemetry, strict=True):
@@ -142,7 +144,7 @@ class _PreparedBus:
 
 @dataclass
 class _PreparedTick:
-    """A tick whose result is known.
+    """A tick of the loop whose result was prepared.
 
     Attributes:
         state: number of ticks so far.

@@ -11,7 +11,10 @@ def refusal_line(capsys, *words):
 
 
 def refusal_lines(capsys, *words):
-    """Return the error lines that a command prints when it refuses its input, one for each mistake."""
+    """Return the error lines that a command prints when it refuses its input.
+
+    Each mistake has one line.
+    """
     assert main(words) == 2
     out, err = capsys.readouterr()
     assert out == ""

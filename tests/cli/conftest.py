@@ -1,4 +1,4 @@
-"""Fixture with the working folder of every test: an empty folder. Sockets have short paths."""
+"""Fixture that gives every test an empty working folder, and a folder for sockets with a short path."""
 
 import shutil
 import tempfile
@@ -9,7 +9,10 @@ import pytest
 
 @pytest.fixture(autouse=True)
 def work_folder(tmp_path, monkeypatch):
-    """Change to an empty folder. Sockets are in another folder with a short path."""
+    """Change to an empty folder.
+
+    The sockets are in a different folder, because their paths must be short.
+    """
     sockets = Path(tempfile.mkdtemp(prefix="h-"))
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(sockets))
     monkeypatch.chdir(tmp_path)

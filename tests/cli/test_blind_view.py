@@ -1,4 +1,4 @@
-"""``--view`` without a screen is refused before the run starts."""
+"""A command with ``--view`` on a machine without a screen is refused before the run starts."""
 
 import sys
 

@@ -1,6 +1,7 @@
 """Test ``handctl bus doctor``.
 
-It reports findings about a bus and its nodes, each with a command that repairs it.
+The command reports findings about a bus and its nodes. With each finding, it prints a command for
+the repair.
 """
 
 import json
@@ -42,9 +43,9 @@ def test_missing_interface_finding_has_the_set_up_command(capsys, words, said):
 
 
 def test_an_odrive_with_firmware_05_is_found(capsys):
-    """Regression: the doctor asked drives for their version.
+    """Regression: the doctor searched for ODrives with a request for their version.
 
-    Firmware 0.5 sends no reply, so the drive counted as missing.
+    An ODrive with firmware 0.5 sends no version, so the doctor reported it as missing.
     """
     with run_simulated_drives("local:d", "odrive", "--ids", "3", "--firmware", "0.5"):
         assert main(["bus", "doctor", "--bus", "local:d"]) == 0

@@ -1,6 +1,6 @@
-"""Test ``handctl bus plan``: the bus load that it computes, and the buses that it proposes.
+"""Test ``handctl bus plan``: the computed bus load, and the proposed buses.
 
-The motors really fit on these buses.
+All motors fit on the proposed buses.
 """
 
 import json
@@ -24,9 +24,9 @@ def test_the_packaged_hand_fits_at_its_rate(capsys: pytest.CaptureFixture[str]) 
         "commands, answers, tensions, SYNC"
     )
     read_again = 4 * 2 * 135e-6 * 2.0
-    """Bus load of the settings that are read again.
+    """Bus load that repeated reading of the drives' settings causes.
 
-    Each drive is asked twice a second, with a request and a reply of 135 us.
+    The controller reads a setting of each drive twice a second. Request and reply take 135 us each.
     """
     assert bus["load"] == pytest.approx(bus["tick_us"] * 500e-6 + read_again)
 
@@ -81,10 +81,10 @@ VCAN_TABLE = [
     ("ODrive, torque and encoder", False, 4, 1055, (26, 53, 106), 758),
     ("ODrive, with torque feedback", False, 4, 1755, (44, 88, 176), 456),
 ]
-"""Bus loads that were calculated without handctl.
+"""Cases with bus loads that were calculated independently of handctl.
 
-The numbers are the time per tick [us], the load at 250, 500 and 1000 Hz [%], and the rate at 80 %
-load [Hz].
+The last three entries of a row are the time per tick [us], the loads at 250, 500 and 1000 Hz [%],
+and the rate at a load of 80 % [Hz].
 """
 
 
@@ -123,9 +123,9 @@ def test_run_refuses_an_overloaded_bus(capsys: pytest.CaptureFixture[str]) -> No
 def test_a_bus_too_slow_for_the_watchdogs_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A run is refused even at the rate that the bus can carry.
+    """A run is refused even at the control rate that the bus can carry.
 
-    At this rate of 20 Hz, one tick is as long as a watchdog of 50 ms.
+    This rate is 20 Hz, so one tick is as long as the watchdog time of 50 ms.
     """
     slow = tmp_path / "slow.toml"
     slow.write_text(hand_path("jamia11").read_text().replace("1_000_000", "125_000"))
@@ -142,7 +142,10 @@ def test_a_bus_too_slow_for_the_watchdogs_is_refused(
 def test_real_motors_are_not_run_in_slow_motion(
     bus: str, code: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A control loop that is designed for ticks of 2 ms but runs every 20 ms makes a real hand oscillate."""
+    """Refuse slow motion with real motors.
+
+    The loop is designed for 2 ms but would run every 20 ms, and the hand would oscillate.
+    """
     assert (
         main(["run", "--hand", "jamia", "--bus", bus, "--time-scale", "0.1", "--dry-run"]) == code
     )

@@ -1,4 +1,4 @@
-"""Test ``handctl bus up``: the commands that it runs for each kind of interface, and the inputs that it refuses."""
+"""Test ``handctl bus up``: the commands for each kind of interface, and the refused inputs."""
 
 import json
 import os

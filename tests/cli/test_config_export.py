@@ -1,4 +1,4 @@
-"""Test ``handctl config export``: cantools reads the exported database of each bus, and MuJoCo the exported links."""
+"""Test ``handctl config export``: cantools reads the DBC file of each bus, and MuJoCo reads the exported links."""
 
 import json
 

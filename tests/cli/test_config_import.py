@@ -1,6 +1,7 @@
 """Test ``handctl config init --urdf`` and ``--mjcf``.
 
-The links of a description are imported, and values that it lacks are refused until they are given.
+Both options import the links of a description. The resulting hand file is refused until its missing
+values are given.
 """
 
 import itertools
@@ -30,7 +31,7 @@ from tests.cli.command_refusals import refusal_line, refusal_lines
 from tests.conftest import NIGHTLY
 
 TRIPOD_URDF = Path(__file__).with_name("tripod.urdf")
-"""Description of a hand with unusual frames, missing meshes, and joints that flex towards negative angles."""
+"""Description of the tripod: a hand with unusual frames, missing meshes, and joints that flex to negative angles."""
 IMPORT_OPTIONS = [
     "--tendons",
     "one",
@@ -68,14 +69,14 @@ MEASURED_VALUES = {
     "position_range_rad": "12.5",
     "velocity_range_rad_s": "50.0",
 }
-"""Values of the tripod that somebody must measure. Neither its description nor an option contains them."""
+"""Values of the tripod that must be measured, because neither its description nor an option contains these values."""
 JOINT_KEYS = ("joint_armature_kg_m2", "spring_stiffness_N_m_per_rad", "spring_preload_rad")
-"""Keys of a digit that are not in an exported URDF."""
+"""Keys of a digit that an exported URDF does not contain."""
 FILE_BY_OPTION = {"--urdf": "hand.urdf", "--mjcf": "hand.xml"}
 
 
 def text_with_all_values(text: str) -> str:
-    """Return the text of a hand file with a value in place of each TODO."""
+    """Return the text of a hand file, in which a value replaces each TODO."""
     return re.sub(
         r'^(\w+) = "TODO".*$',
         lambda line: f"{line[1]} = {MEASURED_VALUES[line[1]]}",
@@ -85,16 +86,16 @@ def text_with_all_values(text: str) -> str:
 
 
 def import_description(form: str, path: Path | str, *words: str) -> str:
-    """Import a description as mine.toml, and return the text of this file."""
+    """Import a description into the hand file mine.toml, and return the text of this file."""
     Path("mine.toml").unlink(missing_ok=True)
     assert main(["config", "init", "--yes", form, str(path), *words, "--output", "mine.toml"]) == 0
     return Path("mine.toml").read_text()
 
 
 def reimport_packaged_hand(form: str, name: str) -> Hand:
-    """Return a packaged hand that was exported and imported again.
+    """Export a packaged hand, import it again, and return the resulting hand.
 
-    Its tendons, springs and buses are those of the package.
+    Take its tendons, springs and buses from the packaged hand.
     """
     exported = Path(FILE_BY_OPTION[form])
     exported.unlink(missing_ok=True)
@@ -291,7 +292,7 @@ BAD_DESCRIPTIONS = [
     ("--mjcf", mjcf_of(HINGE_MJCF, '<equality><joint name="e" joint1="j"/></equality>'), "the equality e closes"),
     ("--mjcf", mjcf_of(f'<joint name="k"/>{HINGE_MJCF}'), "body a has 2 joints; expected one joint for each body"),
 ]  # fmt: skip
-"""Options and texts that are not the description of a hand, and the text of the error."""
+"""For each text that is no description of a hand: the option, the text, and a part of the error."""
 
 
 @pytest.mark.parametrize(("form", "text", "said"), BAD_DESCRIPTIONS)

@@ -1,4 +1,4 @@
-"""A hand file that ``config init`` writes from a few answers passes `config check`, whatever the answers are."""
+"""A hand file that ``config init`` writes from a few answers passes `config check`, for all valid answers."""
 
 import itertools
 import json

@@ -1,4 +1,4 @@
-"""Test meshes on the command line: one line for each mistake in them, their export, and runs without a mesh."""
+"""Test meshes on the command line: one error line for each mistake, the export, and runs whose mesh is missing."""
 
 import shutil
 from pathlib import Path
@@ -34,7 +34,7 @@ from tests.hand.mesh_files import (
 from tools.meshes.solids import stl
 
 LINK_LINE = 'link_mesh = ["t42/inner.stl", "t42/outer.stl"]'
-"""Line of t42.toml that names the meshes of both fingers."""
+"""Line of t42.toml with the mesh files of a finger's two links. Both fingers share this line."""
 
 
 @pytest.fixture
@@ -47,7 +47,7 @@ def copy_t42_with_meshes(work_folder: Path) -> Path:
 
 
 def replace_once(path: Path, old: str, new: str) -> None:
-    """Replace a text in a file. The text must occur once."""
+    """Replace a text that occurs exactly once in a file."""
     text = path.read_text()
     assert text.count(old) == 1
     path.write_text(text.replace(old, new))
@@ -177,7 +177,8 @@ def test_exported_meshes_come_back_to_their_places(
     assert main(["config", "init", "--yes", form, exported, "--output", "mine/mine.toml"]) == 0
     assert "warning" not in capsys.readouterr().out
     content = hand_content("mine/mine.toml")
-    # The imported file lacks values. The packaged hand with the imported meshes can be loaded.
+    # The imported file lacks values, so it cannot be loaded. Put its meshes into the packaged hand
+    # and load that.
     known = hand.content
     digits = [
         {key: value for key, value in digit.items() if "mesh" not in key}
@@ -216,7 +217,7 @@ def test_meshes_of_a_package_are_imported(
     assert not notes
     assert described.palm_mesh
     assert described.palm_mesh.file == "ws/gripper/meshes/base.stl"
-    # Compute the frames of the palm and of each link at angle zero, relative to the frame of the
+    # Compute the poses of the palm and of each link, with all joints at zero, in the frame of the
     # URDF.
     model = read_model_file(str(urdf), "urdf")
     palm = described.palm

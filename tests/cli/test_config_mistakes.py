@@ -1,6 +1,6 @@
 """Test typical mistakes in a hand file of schema 2.
 
-Each gives one error line, which names the key as the file spells it.
+Each mistake gives one error line. The line names the key as the file spells it.
 """
 
 import json
@@ -113,11 +113,11 @@ HAND_FILE_MISTAKES = {
         "bus[main].data_bitrate: 500000; expected at least bitrate = 1000000",
     ),
 }  # fmt: skip
-"""For each mistake: a text of jamia11.toml, the wrong text that replaces it, and the beginning of the error line."""
+"""For each mistake: the replaced text of jamia11.toml, the wrong text, and the beginning of the error line."""
 
 
 def write_changed_jamia11(work_folder: Path, *edits: tuple[str, str]) -> None:
-    """Write mine.toml, which is the file of jamia11 with some texts replaced."""
+    """Write mine.toml: the hand file of jamia11, in which some texts are replaced."""
     text = hand_path("jamia11").read_text("utf-8")
     for old, new in edits:
         assert text.count(old) == 1, old

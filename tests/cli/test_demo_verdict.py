@@ -1,4 +1,7 @@
-"""Test the conditions under which ``handctl demo`` succeeds, with hands that differ slightly from the packaged ones."""
+"""Test the conditions under which ``handctl demo`` succeeds.
+
+The hands differ slightly from packaged hands.
+"""
 
 import json
 
@@ -32,7 +35,10 @@ def jamia_content():
 
 
 def two_fingers():
-    """Return a hand with index and middle finger only. Both close to the same side, so they can lift nothing."""
+    """Return a hand that has only index and middle finger.
+
+    Both fingers close to the same side, so the hand cannot lift objects.
+    """
     content = jamia_content()
     for part in ("digit", "tendon", "motor"):
         content[part] = content[part][:2]

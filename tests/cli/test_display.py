@@ -11,9 +11,9 @@ RATE_HZ = 500.0
 
 
 def test_the_first_line_of_a_fault_is_followed_by_its_remedy(capfd) -> None:
-    """When a drive loses its power in motion, faults latch.
+    """When a drive loses its power during a motion, several faults are latched.
 
-    The terminal then names the remedy of each fault once.
+    For each of these faults, the terminal names the remedy once.
     """
     hand = load_hand("jamia")
     with homed_run(hand, RATE_HZ, 1) as simulation:
@@ -44,7 +44,7 @@ def test_the_first_line_of_a_fault_is_followed_by_its_remedy(capfd) -> None:
 
 
 def test_only_a_fault_has_a_remedy(capfd) -> None:
-    """An event that is no fault prints no remedy, even if its text starts with the id of a fault."""
+    """For an event that is no fault, no remedy is printed, even if its text starts with the id of a fault."""
     display = DisplayProcess(("index_tendon",), (80.0,), RATE_HZ, 0.5)
     try:
         fault = next(fault for fault in FAULT_BY_ID.values() if fault.remedy)

@@ -1,8 +1,8 @@
 """Test every key of every input file with every kind of bad value.
 
-Each gives one error line and exit code 2, and no bus is opened.
+For each bad value, the command prints one error line, exits with code 2, and opens no bus.
 
-Ordinary runs test a sample, nightly runs test all cases.
+By day a sample of the cases is tested, at night all cases.
 """
 
 import os
@@ -21,7 +21,7 @@ SAMPLE_STEP = 1 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 199
 
 
 class UnrepresentableNumber(float):
-    """A number that TOML can write and a float cannot represent."""
+    """A number that a TOML file can contain but a float cannot represent."""
 
     def __repr__(self):
         return "1e400"
@@ -35,16 +35,16 @@ ALWAYS_WRONG = {
     "text": "12",
     "list": [[1.0]],
 }
-"""Values that are wrong wherever a file has a number."""
+"""Values that are wrong in every place where a file has a number."""
 POSSIBLY_VALID = {
     "-0.0": lambda x: -0.0,
     "negative": lambda x: -abs(x),
     "x1000": lambda x: 1000 * x,
     "/1000": lambda x: x / 1000,
 }
-"""Changes of a number after which it may still be in range.
+"""Changes of a number whose result may still be in range.
 
-If the value is refused, the line names its key.
+If the changed value is refused, the error line names its key.
 """
 KEY_MISTAKES = ("missing", "renamed", "twice")
 
@@ -92,7 +92,7 @@ CONTENT_AND_OPTIONS = {
     "pinch-joints": (task_content("pinch-joints"), ("--hand", "jamia11", "--task")),
     "trajectory": (trajectory_content(), ("--trajectory",)),
 }
-"""For each kind of file, a good content, and the words of `handctl run` that precede its name."""
+"""For each kind of file, a valid content, and the words of `handctl run` that precede the name of the file."""
 
 
 def text_of(content):
@@ -114,7 +114,10 @@ def _table_lines(name, table):
 
 
 def content_without_key(content, path, instead=None):
-    """Return a copy of a content without a key, or with the key's value under another name."""
+    """Return a copy of a content without one key.
+
+    If ``instead`` is given, store it under another name.
+    """
     content = with_value(content, path, None)
     parent = content
     for key in path[:-1]:
@@ -135,7 +138,7 @@ def mistake_cases():
 
 
 def text_with_mistake(content, path, kind):
-    """Return the text of a file with one kind of mistake at one key."""
+    """Return the content as TOML text, with one mistake of the given kind at one key."""
     if kind in KEY_MISTAKES:
         old = content
         for key in path:
@@ -170,7 +173,7 @@ def no_bus(monkeypatch):
 
 
 def refusal(capsys, option, file):
-    """Return the error line of `run` for a file. It is empty if the command accepts the file and opens the bus."""
+    """Return the error line of `run` for a file, or an empty text if the command accepts the file and opens the bus."""
     others = [] if {"--task", "--trajectory"} & {*option} else ["--task", "grasp"]
     try:
         code = main(["run", "--bus", ABSENT_BUS, *option, file, *others])

@@ -1,4 +1,4 @@
-"""The example at the end of each command's help works when it is pasted into a shell."""
+"""The example at the end of the help of each command works in a shell, exactly as printed."""
 
 import importlib
 import os
@@ -23,7 +23,7 @@ EXAMPLE_BY_COMMAND = {
     ).EXAMPLES.items()
 }
 COMMANDS_WITH_FINDINGS = {"doctor", "bus doctor"}
-"""Commands whose exit code may be 1, because they find a defect of the test's machine."""
+"""Commands that may exit with code 1, because they may find a defect of the machine that runs the test."""
 EXAMPLES_ALONE = sorted(
     words for words, example in EXAMPLE_BY_COMMAND.items() if not example.parallel_commands
 )
@@ -38,12 +38,12 @@ EXAMPLES_BESIDE_RUN = sorted(
     if RUNNING_HAND in example.parallel_commands
 )
 READY_TIMEOUT_S = 60.0
-"""Longest time in which a simulator and a controller start [s], including compilation."""
+"""Longest time that the start of simulator and controller may take [s], including compilation."""
 
 
 @pytest.fixture(scope="module")
 def run_in_shell():
-    """Yield a function that runs a command line in one folder, with the handctl of this environment."""
+    """Yield a function that runs a command line in an empty folder, with the handctl of this Python environment."""
     folder, sockets = (Path(tempfile.mkdtemp(prefix="h-")) for _ in range(2))
     path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
     environment = os.environ | {"PATH": path, "HANDCTL_RUN_DIR": str(sockets)}
@@ -68,7 +68,10 @@ def test_an_example_works_in_one_terminal(run_in_shell, words):
 
 @pytest.fixture
 def start_others(run_in_shell):
-    """Yield a function that starts a command as in another terminal. The commands are ended after the test."""
+    """Yield a function that starts a command in the background, as in another terminal.
+
+    End these commands after the test.
+    """
     children = []
 
     def start_command(command):
@@ -103,13 +106,13 @@ def test_examples_work_beside_a_simulator_and_a_running_hand(
     start_others(f"{simulator} --time-scale {TIME_SCALE * repeat_time_scale:g}")
     repeat_until_success(run_in_shell, "handctl fault kinds --bus local:demo")
     for words in EXAMPLES_BESIDE_SIMULATOR:
-        if words != "fault inject":  # its fault would disturb the run
+        if words != "fault inject":  # the injected fault would disturb the run
             run_example(run_in_shell, words)
     for words in sorted(EXAMPLES_BESIDE_RUN, key=lambda one: one == "stop"):  # ``stop`` is last
         if words == EXAMPLES_BESIDE_RUN[0]:
             start_others(run)
             repeat_until_success(
                 run_in_shell, "handctl gains set motion.force_N=11 --bus local:demo"
-            )  # refused until commissioned
+            )  # the controller refuses this until the hand is commissioned
         run_example(run_in_shell, words)
     run_example(run_in_shell, "fault inject")

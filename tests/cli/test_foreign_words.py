@@ -1,4 +1,7 @@
-"""A terminal shows texts from files, logs and arguments escaped and with a bounded length. JSON output is UTF-8."""
+"""On a terminal, texts from files, logs and arguments are escaped and have a bounded length.
+
+JSON output is UTF-8.
+"""
 
 import io
 import json
@@ -34,7 +37,7 @@ def is_harmless(text):
 
 
 def exit_code(words):
-    """Return the exit code of a command line, even if argparse refuses the command line."""
+    """Run a command line and return its exit code, even if argparse refuses the command line."""
     try:
         return main(words)
     except SystemExit as ended:
@@ -196,7 +199,7 @@ WIDE_NUMBERS = {
     "65 bits": str(2**64),
     "in a list": f"[1, [{2**64}]]",
 }
-"""Numbers that Python cannot print, or that are outside the range of TOML."""
+"""Integers with so many digits that Python refuses to print them, or outside the range of TOML."""
 
 
 @pytest.mark.parametrize("number", WIDE_NUMBERS)

@@ -1,6 +1,6 @@
 """Test a full disk for the files beside the log.
 
-Each file that cannot be written gives one error line, and nothing else is lost.
+Each file that cannot be written gives one error line. All other results are complete.
 """
 
 import json
@@ -11,7 +11,7 @@ from handctl.session.verdict import _copy_truth
 
 GOLDEN_FOLDER = Path(__file__).parents[2] / "logs" / "golden"
 FULL_DEVICE = Path("/dev/full")
-"""A device that accepts no byte, like a full disk."""
+"""A device that behaves like a full disk: it accepts no byte."""
 SHORT_TASK = """schema = 1
 name = "short"
 [[phase]]

@@ -18,7 +18,7 @@ from tests.runtime.processes import time_scale_options
 
 PACKAGED_N = Gains().motion.force_N
 UNCHANGED_GAIN = f"tension.force_N={Gains().tension.force_N}"
-"""Setting of a gain to its present value, which has no effect."""
+"""Argument that sets a gain to its present value. The command must report no change."""
 
 
 @pytest.fixture
@@ -200,8 +200,7 @@ def test_set_on_a_running_hand_is_in_its_log(work_folder, repeat_time_scale):
             assert run.wait(30.0) == 0
         finally:
             hand.terminate()
-    # A controller that is still starting may execute a request later, without a reply to the
-    # command.
+    # During its start, a controller may execute a request late, without a reply to the command.
     assert json.loads(said.stdout)["set"] in ({"motion.force_N": "26.0"}, {})
     with RunLog(log) as record:
         events = [event.event for event in record.events if event.event.name == "gain"]

@@ -1,4 +1,4 @@
-"""Test the command line's help, its suggestions, renamed options, completion, and verbosity."""
+"""Test the command line: help, suggestions after typing errors, renamed options, shell completion, and verbosity."""
 
 import argparse
 import os
@@ -24,17 +24,17 @@ OTHER_NAMES_OF_OPTION = {
     "--picture": {"--png"},
     "--calibration": {"--fit"},
 }
-"""Options that several commands share, each with the names that no command may use instead."""
+"""For each option that several commands share, the names that no command may use in its place."""
 
 
 def sub_parsers(parser: VerbParser) -> dict[str, VerbParser]:
-    """Return the parsers of a command's sub-commands by name."""
+    """Return the parsers of all sub-commands of a command, by name."""
     found = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
     return dict(found[0].choices) if found else {}
 
 
 def leaf_parsers() -> dict[str, VerbParser]:
-    """Return the parser of each sub-command, and of each command that has none."""
+    """Return the parser of each sub-command, and of each command without sub-commands."""
     found = {}
     for verb in VERB_HELP:
         parser = verb_parser(verb)
@@ -166,8 +166,8 @@ def test_verbose_and_quiet_exclude_each_other(capsys):
 def test_quiet_leaves_the_findings_that_need_a_repair(capsys, monkeypatch):
     from handctl.cli.checks import doctor
 
-    # This finding stays equal in both calls. The command would measure the lateness of wake-ups
-    # again each time.
+    # Use the same finding in both calls. Otherwise each call would measure the lateness of wake-ups
+    # again, with a new result.
     finding = doctor._check_wakeups()
     monkeypatch.setattr(doctor, "_check_wakeups", lambda: finding)
     main(["doctor"])

@@ -1,6 +1,6 @@
-"""``handctl identify`` refuses hands without the needed sensors or springs with one line of text.
+"""With one error line, ``handctl identify`` refuses a hand that lacks necessary sensors or springs.
 
-It does so before it opens a bus.
+The refusal comes before a bus is opened.
 """
 
 from pathlib import Path
@@ -28,7 +28,10 @@ def jamia_without_load_cell(folder: Path) -> str:
 def test_hands_without_return_springs_are_not_refused(
     hand: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Regression: both hands were refused. One has no springs, and the other has spool pairs without load cells."""
+    """Regression: two hands were refused.
+
+    One has no springs, and the other has spool pairs without load cells.
+    """
     assert main(["identify", "--hand", hand, "--lockstep", "--dry-run"]) == 0
     assert f"would move {len(load_hand(hand).digit)} digits" in capsys.readouterr().out
 

@@ -1,4 +1,4 @@
-"""A hand that `config init` has written grasps, holds and releases in lockstep.
+"""A simulated hand from a hand file of `config init` grasps, holds and releases an object in lockstep.
 
 By day only a sample of such hands is tested.
 """
@@ -39,15 +39,15 @@ HAND_CASES = [
     if tendons == "one" or "," in links
 ]
 SAMPLE_CASES = [(1, "70,50", "one", 0), (2, "50,30,20", "each", 1)]
-"""Regression: both hands dropped the cylinder.
+"""Regression: both of these hands dropped the cylinder.
 
-Its size did not depend on the hand, so the fingertips touched each other.
+The size of the cylinder did not depend on the hand, so the fingertips touched each other.
 """
 MAX_SLIP_MM = 5.0
 
 
 def write_initial_hand(*words: str) -> None:
-    """Write mine.toml with `config init` and given options."""
+    """Run `config init` with the given options, which writes the hand file mine.toml."""
     assert main(["config", "init", "--yes", *words, "--output", "mine.toml"]) == 0
 
 
@@ -76,7 +76,7 @@ def test_new_hand_grasps_holds_and_releases(
     truth = read_truth(work_folder / "run.truth")
     forces = [name for name in truth.columns if name.startswith("contact_force/")]
     assert forces
-    # At the end no digit touches anything, because the object lies on the table.
+    # At the end the object lies on the table, and no digit touches it.
     assert abs(truth.columns_at(forces, truth.t_ns[-1:])).max() == 0.0
 
 

@@ -1,4 +1,4 @@
-"""Test ``handctl jog --mode`` on drives in another process, and the inputs that it refuses."""
+"""Test ``handctl jog --mode`` on simulated drives in another process, and refused inputs of the command."""
 
 import json
 

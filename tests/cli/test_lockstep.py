@@ -1,6 +1,7 @@
-"""Test the demo in virtual time.
+"""Test ``handctl demo`` in virtual time.
 
-Its files repeat to the byte, all its checks pass, and other tools can read its log.
+Equal demos write files with equal bytes, all checks of a demo pass, and other tools can read its
+log.
 """
 
 import json
@@ -28,11 +29,11 @@ RESULT_KEYS = {
 def run_demos(folder, *hands, task=""):
     """Run lockstep demos of hands in parallel processes, and return the folder and the result of each.
 
-    A given ``task`` replaces the grasp.
+    If ``task`` is not empty, it replaces the grasp.
     """
     running = []
     for number, hand in enumerate(hands):
-        time.sleep(1.1 * number)  # runs start in different seconds
+        time.sleep(1.1 * number)  # the runs start in different seconds of the wall clock
         place = folder / str(number)
         place.mkdir()
         command = [
@@ -63,7 +64,7 @@ def run_demos(folder, *hands, task=""):
 
 @pytest.fixture(scope="module")
 def equal_demos(tmp_path_factory):
-    """Return the results of two equal demos. By day they are a short motion, at night a grasp."""
+    """Return the folders and the results of two equal demos: a short motion by day, a grasp at night."""
     return run_demos(
         tmp_path_factory.mktemp("equal_demos"), "jamia", "jamia", task="" if NIGHTLY else SHORT_TASK
     )
@@ -77,7 +78,7 @@ def default_demo(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def jamia11_demo(tmp_path_factory):
-    """Return the folder and the result of the demo with jamia11, which has one motor per joint."""
+    """Return the folder and the result of the demo with the hand jamia11, which has one motor per joint."""
     return run_demos(tmp_path_factory.mktemp("jamia11_demo"), "jamia11")[0]
 
 
@@ -139,7 +140,7 @@ def meets_requirements(result):
 
 @pytest.mark.nightly
 def test_the_demo_meets_its_requirements(default_demo):
-    """tests/cli/test_seeds.py tests the demo with jamia11."""
+    """The demo with the default hand meets all limits. tests/cli/test_seeds.py tests the hand jamia11."""
     result = default_demo[1]
     meets_requirements(result)
     assert result["tension_rmse_n"] < result["tension_raw_rmse_n"]

@@ -1,4 +1,4 @@
-"""Invalid files and invalid numbers give one error line and exit code 2 in every command that takes them."""
+"""For an invalid file or number, every command prints one error line and exits with code 2."""
 
 import json
 import os
@@ -117,9 +117,10 @@ def test_invalid_number_is_refused(capsys, words):
 
 
 def test_campaign_of_rows_without_scenarios_is_refused(capsys):
-    """CiA 402 drives report no temperature, so the row N09 has no scenario for them.
+    """A campaign without scenarios must not count as passed.
 
-    A campaign without scenarios is no success.
+    The row N09 (the temperature of a drive) has no scenario for CiA 402 drives, which report no
+    temperature.
     """
     words = (
         "fault",

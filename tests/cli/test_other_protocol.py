@@ -1,6 +1,7 @@
 """Test the option --protocol.
 
-It gives a simulated hand other drives, in the demo and for a controller beside the simulator.
+The option gives a simulated hand drives of another protocol. The option works in ``handctl demo``,
+and for simulator and controller in separate processes.
 """
 
 import argparse

@@ -1,4 +1,7 @@
-"""A command writes an output completely or not at all. An output never replaces a log, a folder or a device."""
+"""A command writes an output file completely or not at all.
+
+Output never replaces a log, a folder or a device.
+"""
 
 import os
 import stat
@@ -14,7 +17,7 @@ from handctl.output import atomic_path, save_figure, write_text_atomically
 
 GOLDEN_LOG = Path(__file__).parents[2] / "logs" / "golden" / "jamia-fault.mcap"
 FULL_DEVICE = Path("/dev/full")
-"""A device that accepts no byte, like a full disk."""
+"""A device that behaves like a full disk: it accepts no byte."""
 EXPORT_FORMATS = ("csv", "candump", "parquet", "rrd", "lerobot")
 GOLDEN_LOG_TEXT = str(GOLDEN_LOG)
 OUTPUT_COMMANDS = {
@@ -45,7 +48,10 @@ OUTPUT_COMMANDS = {
 
 @pytest.fixture(autouse=True)
 def existing_files(work_folder):
-    """Create files that exist before a command. Check that it has not changed them."""
+    """Create files before the test.
+
+    After the test, check that the command has not changed these files.
+    """
     for name in ("folder", "folder.rrd"):
         (work_folder / name).mkdir()
         (work_folder / name / "mine").write_text("mine")

@@ -1,4 +1,4 @@
-"""Progress is shown on a terminal, and never in the output that a program reads."""
+"""A command shows its progress on a terminal, and never in output that a program reads."""
 
 import os
 import pty
@@ -26,7 +26,7 @@ def at_a_terminal(words: tuple[str, ...], folder: Path) -> tuple[str, str]:
         try:
             while part := os.read(shown, 4096):
                 error_output += part
-        except OSError:  # the command has closed its end
+        except OSError:  # the command has closed its end of the terminal
             pass
         assert process.stdout
         out = process.stdout.read()

@@ -1,6 +1,7 @@
 """Test commands on a bus that may have real motors.
 
-They have no default hand, ask one question before a motion, and list the files that they use.
+These commands have no default hand, ask for a confirmation before a motion, and list the files that
+they use.
 """
 
 import datetime
@@ -40,7 +41,7 @@ GOLDEN_LOG = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 def input_files(work_folder, monkeypatch):
     """Create the files that commands read before they open the bus.
 
-    Make standard input something other than a terminal.
+    Replace standard input, so that it is no terminal.
     """
     (work_folder / "new.toml").write_text("schema = 1\n[motion]\nforce_N = 25.0\n")
     monkeypatch.setattr("sys.stdin", io.StringIO())
@@ -48,7 +49,7 @@ def input_files(work_folder, monkeypatch):
 
 @pytest.fixture(params=MOVING_COMMANDS)
 def command_words(request, work_folder):
-    """Return the words of a command that moves a hand. Create the log that ``replay`` reads."""
+    """Return the words of a command that moves a hand. For ``replay``, also create the log."""
     if request.param == "replay":
         (work_folder / "before.mcap").symlink_to(GOLDEN_LOG)
     return MOVING_COMMANDS[request.param]
@@ -89,7 +90,10 @@ def test_without_a_terminal_a_hand_moves_only_with_yes(command_words, capsys):
 
 
 def at_a_terminal(answer: str) -> tuple[int, str]:
-    """Run a command in a terminal and answer its question. Return its exit code and the text on the terminal."""
+    """Run ``handctl run`` in a terminal and answer its question.
+
+    Return the exit code and the text on the terminal.
+    """
     ours, theirs = pty.openpty()
     command = [
         sys.executable,
@@ -108,7 +112,7 @@ def at_a_terminal(answer: str) -> tuple[int, str]:
     while time.monotonic() < end and select.select([ours], [], [], 60.0)[0]:
         try:
             piece = os.read(ours, 4096).decode()
-        except OSError:  # the command has closed its end
+        except OSError:  # the command has closed its end of the terminal
             break
         shown += piece
         if "[y/N]" in shown and not answered:

@@ -1,6 +1,6 @@
-"""Bad input to any command gives one line on standard error and exit code 2, before a bus is opened.
+"""After bad input, any command prints one line on standard error and exits with code 2, before it opens a bus.
 
-No hub serves the bus of these cases. A command that opened it would end with exit code 1.
+No process serves the bus of these cases. A command that opened this bus would exit with code 1.
 """
 
 import tomllib
@@ -15,7 +15,7 @@ from tests.cli.command_refusals import refusal_line
 ABSENT_BUS_OPTION = ("--bus", "local:does-not-exist")
 GRASP_TASK_OPTION = ("--task", "grasp.toml")
 BUS_COMMANDS = {"run": GRASP_TASK_OPTION, "commission": (), "jog": ("index", "--tension", "8")}
-"""Commands that open a bus, with the further words that they need."""
+"""Commands that open a bus, with their necessary arguments."""
 
 
 @pytest.fixture(autouse=True)
@@ -177,7 +177,7 @@ def test_existing_log_is_not_overwritten(work_folder, capsys, verb, log):
 
 
 def write_hand_on_two_buses():
-    """Write the file of jamia with its thumb on a second bus."""
+    """Write the hand file of jamia, with the thumb's drive on a second bus."""
     content = jamia_content()
     content["bus"].append({"name": "thumb", "bitrate": 1_000_000})
     content["motor"][3]["bus"] = "thumb"
@@ -296,7 +296,7 @@ def test_unknown_verb_is_refused(capsys):
 
 @pytest.mark.parametrize("verb", ["stop", "clear"])
 def test_an_unconfirmed_request_is_reported_as_failed(capsys, verb):
-    """Regression: the exit code of the command was 0 as soon as it had sent its datagram."""
+    """Regression: the command exited with code 0 as soon as it had sent the request."""
     assert main([verb, *ABSENT_BUS_OPTION]) == 71
     out, err = capsys.readouterr()
     expected = (

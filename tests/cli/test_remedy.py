@@ -1,4 +1,4 @@
-"""The advice to slow down time is shown only for a simulated hand that the machine simulates too slowly."""
+"""The advice to slow down time appears only after a run with a simulated hand that the machine simulates too slowly."""
 
 from types import SimpleNamespace
 from typing import cast
@@ -19,7 +19,10 @@ LATE_FAULTS, TORN_TENDON_FAULTS = ("B03b", "N02"), ("T01",)
 
 
 def run_with_faults(*rows: str, cpu_s: float = 0.0) -> RunOutcome:
-    """Return the outcome of a run that ended with given faults. Its loop took ``cpu_s`` of processor time [s]."""
+    """Return the outcome of a run that ended with the given faults.
+
+    The control loop of the run used ``cpu_s`` of CPU time [s].
+    """
     latched = [SimpleNamespace(id=row) for row in rows]
     state = SimpleNamespace(latched=latched, failure="fault" if rows else "", k=1000)
     return RunOutcome(cast(ControllerState, state), LoopStats(cpu_s=cpu_s), {}, None, 0)
@@ -68,9 +71,11 @@ def test_the_advised_pace_is_measured(
     advice: float | None,
     number: float,
 ) -> None:
-    """The advised time scale follows from the run, here of 1000 ticks at 500 Hz in 2 s.
+    """The advised time scale follows from measurements in the run.
 
-    Regression: it was always 0.5.
+    This run has 1000 ticks at 500 Hz.
+
+    Regression: the advised time scale was always 0.5.
     """
     answer = {"pace": {"advice": advice, "plant_s_per_cpu_s": capacity}}
     monkeypatch.setattr(

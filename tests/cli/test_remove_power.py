@@ -1,6 +1,6 @@
-"""Test a drive that does not confirm that it is disabled.
+"""Test commands when a drive does not confirm that it is disabled.
 
-Every command then ends with exit code 71, even after other errors.
+In this case every command exits with code 71, even after other errors.
 """
 
 import pytest
@@ -47,7 +47,7 @@ def test_a_motor_left_on_by_a_bug_is_reported_after_the_traceback(work_folder, m
 
 
 class SilentBus:
-    """A bus that accepts all sent frames and delivers none."""
+    """A bus that accepts all sent frames and delivers no frames."""
 
     def send(self, frames):
         return len(frames)

@@ -1,4 +1,4 @@
-"""Test the commands for recorded runs with the command lines of a user."""
+"""Test the commands that use recorded runs, with the command lines of a user."""
 
 import json
 import re
@@ -166,7 +166,10 @@ def test_result_of_an_incomplete_log_is_marked(
 
 
 class HtmlPage(HTMLParser):
-    """Parser of a web page that collects the addresses that the page would load."""
+    """Parser of a web page.
+
+    The parser collects the addresses from which the page would load content.
+    """
 
     def __init__(self) -> None:
         super().__init__()

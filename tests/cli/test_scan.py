@@ -1,7 +1,7 @@
 """Test ``handctl scan``.
 
-It finds the nodes of a bus, moves no motor, and sends no frame that a drive of another protocol
-would obey.
+A scan finds the nodes of a bus and moves no motor. It sends no frame that a drive of another
+protocol would execute as a command.
 """
 
 import json
@@ -27,7 +27,7 @@ from tests.drives.protocol_bench import hand_file
 
 
 class BenchBus:
-    """A bus with simulated drives, and with the frames ``talk`` of another host."""
+    """A bus with simulated drives. The frames ``talk`` come from another host."""
 
     name = "bench"
 
@@ -204,7 +204,7 @@ def test_scan_only_listens_if_another_host_is_active(talk):
 
 
 def test_scan_reports_no_firmware_if_another_host_is_active():
-    """Beside another host, a scan sends no requests.
+    """While another host is active, a scan sends no requests.
 
     Regression: an ODrive 0.6 without a reply was reported as firmware 0.5.
     """
@@ -250,7 +250,8 @@ def test_two_motors_that_answer_on_one_identifier_are_found():
 def test_a_torque_too_large_for_a_hand_file_is_not_taken_from_the_drive():
     """A DM-J8009 motor reports 54 N m.
 
-    The printed part of a hand file has the largest permitted torque and a comment.
+    The printed part of a hand file has the largest permitted torque of a hand file, and a comment
+    about the drive.
     """
     result, _, _ = scan_bench(("mit", 1, "dm8009"))
     text = hand_file_snippet({"a": result.found_nodes}, 1_000_000, None)
@@ -285,7 +286,10 @@ def test_unrequested_frames_of_an_odrive_are_no_other_host():
 
 
 def test_no_scan_request_enables_torque():
-    """Drives that are enabled at zero torque get every request of a scan. None makes a torque."""
+    """Send every request of a scan to enabled drives with zero torque.
+
+    No drive makes torque afterwards.
+    """
     bench = SimulatedDriveBench(
         [drive_spec("mit", node) for node in (1, 2)]
         + [drive_spec("cia402", node) for node in (1, 32)]

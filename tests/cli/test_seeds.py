@@ -1,4 +1,4 @@
-"""Test the demo in lockstep with every packaged hand, every drive protocol and 20 seeds.
+"""Test ``handctl demo`` in lockstep with every packaged hand, every drive protocol and 20 seeds.
 
 By day only a sample is tested.
 """
@@ -19,12 +19,12 @@ DEMO_CASES = [
     for seed in range(20)
 ]
 SAMPLE_CASES = [("jamia11", "mit", 7), ("t42", "mit", 3)]
-"""Cases that are tested by day.
+"""Hand, protocol and seed of the cases that are tested by day.
 
-Regression: the first case ended with the fault N04 in commissioning. The hand of the second case
-has two digits.
+Regression: the first case ended in commissioning with the fault of a stuck encoder (N04). The hand
+of the second case has two digits.
 
-tests/runtime/test_lockstep_again.py runs CiA 402 drives twice.
+CiA 402 drives are tested by day in tests/runtime/test_lockstep_again.py.
 """
 
 

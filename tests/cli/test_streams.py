@@ -1,4 +1,4 @@
-"""Test commands with a closed pipe, a full disk, without standard streams, or with a signal."""
+"""Test commands whose standard streams are a closed pipe, a full disk or missing, and commands that get a signal."""
 
 import json
 import os
@@ -42,7 +42,7 @@ def test_a_full_disk_for_the_output_is_one_line(unbuffered):
 
 @pytest.mark.parametrize(
     "verb", [("config", "list"), ("paper", "--quick")]
-)  # prints plain text, and a table of rich
+)  # the first command prints plain text, the second one a table of the package rich
 def test_output_without_a_reader_is_no_error(verb):
     read, write = os.pipe()
     os.close(read)

@@ -1,4 +1,4 @@
-"""Test forces of single tendons in the gains: in the file, their bounds, their design, and changes during a run."""
+"""Test force weights of single tendons in the gains: the file, bounds, design, and changes during a run."""
 
 from pathlib import Path
 
@@ -37,7 +37,7 @@ def jamia_model() -> HandModel:
 
 
 def own_force(force: float) -> Gains:
-    """Return gains with a given force for the tendon of jamia's index finger [N]."""
+    """Return gains with a separate force weight for the tendon of jamia's index finger [N]."""
     return with_values(Gains(), {FORCE_KEY: force}, "test")
 
 

@@ -1,6 +1,6 @@
 """Test ``handctl tune`` and ``handctl identify`` with the command lines of a user or a program.
 
-Fakes replace the computations.
+In most tests, fake functions replace the computations.
 """
 
 import json
@@ -32,7 +32,10 @@ CANDIDATE_ARGS = Namespace(candidate="new.toml", hand="jamia")
 
 @pytest.fixture
 def fake_search(monkeypatch):
-    """Replace the search for gains by one that returns at once. Return the list of its trials."""
+    """Replace the search for gains by a fake that returns at once.
+
+    Return the list of its trials.
+    """
     trials = []
     monkeypatch.setattr(
         "handctl.tune.search.search.run_search",
@@ -218,9 +221,9 @@ def test_a_calibration_in_lockstep_does_not_replace_the_real_one(work_folder, ca
 
 
 def result_of_digit(digit, stiffness, blocked="", met="", names=("tendon_stiffness",)):
-    """Return the result of identifying a tendon.
+    """Return an invented result of the identification of a tendon.
 
-    ``blocked`` and ``met`` say how its digit was in contact during the excitation.
+    ``blocked`` and ``met`` are texts about contacts of its digit during the excitation.
     """
     from handctl.tune.identify.fit import PARAMETER_NAMES
     from handctl.tune.identify.identify import TendonResult
@@ -247,7 +250,7 @@ def result_of_digit(digit, stiffness, blocked="", met="", names=("tendon_stiffne
 
 
 def _replace_identification(monkeypatch, made, found):
-    """Let ``handctl identify --lockstep`` use a given calibration and given results."""
+    """Make ``handctl identify --lockstep`` use a given calibration and given results of the identification."""
     outcome = SimpleNamespace(check_finished=lambda where: None)
     monkeypatch.setattr("handctl.cli.tuning.identify._in_lockstep", lambda *words: (made, outcome))
     monkeypatch.setattr("handctl.cli.tuning.identify.RunLog", lambda log: nullcontext())
@@ -282,7 +285,10 @@ def test_for_a_digit_in_contact_only_motor_and_tendon_are_written(work_folder, c
 
 @pytest.mark.parametrize("others", [(), ("ring",), ("ring", "thumb")])
 def test_a_fit_of_a_blocked_digit_is_not_written(work_folder, capsys, monkeypatch, others):
-    """Regression: fingers touched each other, and a spring parameter of 3.05 instead of 1.2 was stored."""
+    """Regression: while fingers touched each other, a spring parameter of 3.05 was identified and stored.
+
+    The true value of this parameter is 1.2.
+    """
     hand, path = load_hand("jamia"), work_folder / "own.toml"
     nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     rows = dict.fromkeys(hand.tendon_names, nothing)
@@ -314,7 +320,7 @@ def test_a_fit_of_a_blocked_digit_is_not_written(work_folder, capsys, monkeypatc
 )
 @pytest.mark.parametrize("kind", ["design", "search"])
 def test_gains_and_picture_are_two_files(work_folder, capsys, kind, words):
-    """CANDIDATE_ARGS command refuses the same name for both, because the picture would overwrite the gains."""
+    """The command refuses one name for gains and picture, because the picture would overwrite the gains."""
     assert "the name of the picture" in refusal_line(capsys, "tune", kind, "--plants", "1", *words)
     assert not list(work_folder.iterdir())
 
@@ -390,7 +396,10 @@ PERTURBING_COMMANDS = [
     ("tune", "verify", "new.toml", "--lockstep", "--dry-run"),
     ("demo", "--lockstep", "--dry-run"),
 ]
-"""Commands that simulate the hand in their own process. ``sim`` starts a simulator, see test_simulate."""
+"""Commands that simulate the hand in their own process.
+
+The command ``sim`` has its own test, because it starts a simulator.
+"""
 
 
 @pytest.mark.parametrize("verb", PERTURBING_COMMANDS, ids=lambda words: "-".join(words[:2]))
@@ -439,7 +448,7 @@ def test_the_simulator_refuses_the_same_perturbations(capsys, words, said):
 
 
 def next_command(out):
-    """Return the words of the next command that a command has printed."""
+    """Return the words of the next command that the output of a command proposes."""
     [line] = [line for line in out.splitlines() if line.startswith("next: handctl ")]
     return shlex.split(line)[2:]
 
@@ -483,7 +492,7 @@ def test_plants_are_perturbed_unless_the_perturbed_hand_was_identified(fit):
 def test_parameters_identified_in_lockstep_are_tuned_verified_and_applied_in_lockstep(
     work_folder, capsys
 ):
-    """Each command line is the one that the previous command has printed as next, with fewer trials."""
+    """Each command line is the one that the previous command has proposed, but with fewer trials."""
     words = "identify --lockstep --digits index --seed 7 --perturb stiffness=0.8 friction=1.2 --log id.mcap"
     assert main(words.split()) == 0
     words = next_command(capsys.readouterr().out)

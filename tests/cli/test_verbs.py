@@ -1,6 +1,7 @@
-"""Every example runs as printed.
+"""Every example in the help runs as printed.
 
-JSON output is valid, a dry run opens no bus, and exit codes depend on the state of a log.
+JSON output is valid, a dry run opens no bus, and the exit codes of log commands depend on the state
+of the log.
 """
 
 import json
@@ -23,7 +24,7 @@ GOLDEN_LOG = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 
 
 HEAVY_MODULES = {"numpy", "numba", "scipy", "mcap", "handctl.hand.description"}
-"""Modules that no help may import, because their import would delay it noticeably."""
+"""Modules that no help of a command may import, because the import would delay the help noticeably."""
 
 
 def test_help_imports_nothing_that_only_a_run_needs():
@@ -64,7 +65,7 @@ DRY_RUN_WORDS = {
 def test_every_verb_prints_json_without_hardware(capsys, verb):
     dry = ("--dry-run",) if verb == "run" else ()
     code, said = json_output(capsys, *verb.split(), *DRY_RUN_WORDS[verb], *dry)
-    assert code in ((0, 1) if verb == "doctor" else (0,))  # 1 if there is a finding
+    assert code in ((0, 1) if verb == "doctor" else (0,))  # doctor exits with 1 if it has a finding
     assert said
 
 

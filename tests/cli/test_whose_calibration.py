@@ -1,4 +1,4 @@
-"""A calibration belongs to one hand. The serial numbers of the drives identify this hand."""
+"""A calibration belongs to a single hand, which is identified by the serial numbers of its drives."""
 
 import json
 import tomllib
@@ -25,7 +25,7 @@ MOVE_GOAL = {"do": "move", "angle_deg": {"index": 5.0}, "duration_s": 0.2}
 
 
 class CalibratedBench:
-    """A simulated hand in virtual time, and the plan of its controller."""
+    """A simulated hand in virtual time, and the plan of the runs of its controller."""
 
     def __init__(self, work_folder, hand, serials=()):
         import argparse
@@ -68,7 +68,10 @@ def mode_texts(log):
 def test_the_second_hand_of_a_design_is_not_armed_with_the_first_one_s_calibration(
     work_folder, protocols
 ):
-    """Regression: two hands of a design were used in one folder. The second got the tares and zeros of the first."""
+    """Regression: two hands of the same design were used in one folder.
+
+    The second hand got the tares and zeros of the first one.
+    """
     hand = hand_file(work_folder, protocols)
     first, second = (
         CalibratedBench(work_folder, hand, FIRST_SERIALS),

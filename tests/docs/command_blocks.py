@@ -1,4 +1,4 @@
-"""Read the blocks of commands in pages of the documentation, and execute them in an empty folder."""
+"""Read the command blocks of documentation pages, and execute these commands in an empty folder."""
 
 import os
 import re
@@ -42,7 +42,7 @@ def read_blocks(path: Path) -> list[FencedBlock]:
 
 
 def is_executed(block: FencedBlock) -> bool:
-    """Return True for a block of commands that a test executes, and for a block that it writes to a file."""
+    """Return True for a command block that a test executes, and for a block that a test writes to a file."""
     return (block.language == "sh" and "not run" not in block.title) or is_file_block(block)
 
 
@@ -54,7 +54,7 @@ def is_file_block(block: FencedBlock) -> bool:
 
 
 def stays_open(block: FencedBlock) -> bool:
-    """Return True for a block whose command keeps running during the commands after it."""
+    """Return True for a block whose command keeps running while later commands run."""
     return "stays open" in block.title
 
 
@@ -66,9 +66,9 @@ def run_blocks(
     """Execute the commands of a page in an empty folder.
 
     Args:
-        parts: blocks of the page. Files are written first.
+        page_blocks: blocks of the page. The blocks with files are written first.
         prepare: function that adds further files to the folder.
-        beside: commands that run at the same time as the commands of the page.
+        beside: further commands, which run at the same time as the commands of the page.
     """
     folder, sockets = (Path(tempfile.mkdtemp(prefix="h-")) for _ in range(2))
     path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
@@ -109,7 +109,7 @@ def run_blocks(
 def start_beside(
     command: str, others: list["subprocess.Popen[str]"], words: dict[str, Any]
 ) -> None:
-    """Start a command in a process, and wait until it prints its first line."""
+    """Start a command in the background, and wait until it prints its first line."""
     others.append(
         subprocess.Popen(["bash", "-c", f"exec {command.strip()}"], stdout=subprocess.PIPE, **words)
     )
@@ -119,5 +119,8 @@ def start_beside(
 
 
 def with_local_bus(text: str) -> str:
-    """Return commands with a local bus in place of SocketCAN, because not every kernel has SocketCAN."""
+    """Return the commands with a local bus in place of each SocketCAN bus.
+
+    Not every kernel has SocketCAN.
+    """
     return re.sub(r"socketcan:(v?can\d)", r"local:\1", text)

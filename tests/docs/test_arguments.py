@@ -1,4 +1,4 @@
-"""Every command in the documents accepts the arguments with which it is written.
+"""Every command line in the documents has valid arguments.
 
 Placeholders such as N are not checked.
 """
@@ -18,7 +18,10 @@ FENCE_PATTERN = re.compile(r"^ *```.*?^ *```$", re.MULTILINE | re.DOTALL)
 
 
 def commands_in(text: str) -> list[list[str]]:
-    """Return the words of each command in a document. Commands that a shell would change are left out."""
+    """Return the words of each handctl command in a document.
+
+    Command lines with placeholders or redirections are left out.
+    """
     lines = re.findall(r"`handctl ([^`\n]+)`", text)
     for block in FENCE_PATTERN.findall(text):
         lines += re.findall(r"^ *(?:sudo )?handctl ([^\n#;&|]+)$", block, re.MULTILINE)
@@ -35,7 +38,10 @@ def test_every_argument_is_known(path: Path) -> None:
 
 
 def parser_refusal(words: list[str]) -> str:
-    """Return the error text with which a command is refused, or an empty text if it is accepted."""
+    """Parse a command line.
+
+    Return the error text of the parser, or an empty text if the arguments are valid.
+    """
     try:
         verb_parser(words[0]).parse_args(words[1:])
     except ConfigError as error:

@@ -1,7 +1,9 @@
-"""The command blocks of the pages in Start and Tutorials run as they are written. Each page runs in its own folder.
+"""The command blocks of the pages in Start and Tutorials run as they are written.
+
+The blocks of a page run in a separate folder.
 
 A block with "not run" in its title needs hardware, root rights or a screen. A block with "stays
-open" runs beside the blocks after it.
+open" keeps running while the later blocks run.
 """
 
 from collections.abc import Iterator
@@ -30,18 +32,21 @@ BLOCKS_BY_PAGE = {
 EXECUTED_BLOCKS = {
     page: [block for block in parts if is_executed(block)] for page, parts in BLOCKS_BY_PAGE.items()
 }
-"""Blocks of each page that a test executes, or writes to the file that their title names."""
+"""Blocks of each page that a test executes, or that it writes to a file.
+
+The title of such a block is the name of the file.
+"""
 LONG_PAGES = ("start/first-hand.md", "tutorials/policy.md", "tutorials/tune-gains.md")
 """Pages whose commands run only at night.
 
-Each of these pages takes a minute, and its commands also occur in other pages.
+Each of these pages takes a minute, and other pages also contain its commands.
 """
 
 
 def page_cases() -> Iterator[Any]:
-    """Yield the pages that contain commands, with their test markers.
+    """Yield the pages that contain commands, with the markers of their tests.
 
-    Pages with a process in real time have the marker of tests on the real clock.
+    Pages that start a process in real time get the marker of real-time tests.
     """
     for page, parts in EXECUTED_BLOCKS.items():
         if any(block.language == "sh" for block in parts):

@@ -1,6 +1,6 @@
-"""The layout for Foxglove names only topics and fields that a log has.
+"""The layout for Foxglove contains only topics and fields that a log has.
 
-It labels each value with the value's name and unit.
+The label of each value in the layout consists of its name and unit.
 """
 
 import json
@@ -19,11 +19,11 @@ FOXGLOVE_LAYOUT = json.loads(
 LAYOUT_PANELS = FOXGLOVE_LAYOUT["configById"]
 MESSAGE_PATH_PATTERN = re.compile(r"(/[a-z_/]+)\.([a-z]+)(?:\[(\d+)\])?")
 PANEL_KINDS = {"3D", "Plot", "RosOut", "StateTransitions"}
-"""Kinds of Foxglove panels, with their names in a layout that Foxglove exports."""
+"""Kinds of panels, as a layout that Foxglove has exported names these kinds."""
 
 
 def text_leaves(node: Any) -> list[str]:
-    """Return the names of all panels in a part of the layout."""
+    """Return the names of all panels in a node of the layout tree."""
     return (
         [node]
         if isinstance(node, str)
@@ -43,7 +43,7 @@ def first_messages() -> dict[str, Any]:
 
 
 def message_paths() -> list[tuple[str, str]]:
-    """Return the path and the label of each value in the layout."""
+    """Return the message path and the label of each value in the layout."""
     return [
         (path["value"], path["label"])
         for panel in LAYOUT_PANELS.values()
@@ -52,7 +52,7 @@ def message_paths() -> list[tuple[str, str]]:
 
 
 def topics_of_layout() -> set[str]:
-    """Return the topics that the panels show, except those of transforms."""
+    """Return the topics that the panels show, except topics of transforms."""
     scene = LAYOUT_PANELS["3D!hand"]
     topics = {MESSAGE_PATH_PATTERN.fullmatch(value)[1] for value, _ in message_paths()}  # type: ignore[index]
     return (

@@ -1,9 +1,8 @@
-"""The command blocks of the README, of the How-to pages and of the page about tasks run as they are written.
+"""The command blocks of the README, the How-to pages and the page about tasks run as they are written.
 
-Blocks that need a hand run beside a simulated one.
+While blocks that need a hand run, a simulated hand also runs.
 
-The pages use files and hands that belong to the reader. The tests replace them by packaged files
-and hands.
+The pages use files and hands of the reader. The tests replace these by packaged files and hands.
 """
 
 import re
@@ -28,7 +27,7 @@ from tests.docs.command_blocks import (
 
 DOCS_FOLDER = REPOSITORY_ROOT / "docs"
 PAGES_TESTED_ELSEWHERE = {"how-to/lerobot.md": "tests/lerobot/test_environment.py"}
-"""Pages whose commands are run by another test, because the commands need other packages."""
+"""Pages whose commands another test runs, because these commands need further packages."""
 BLOCKS_BY_PAGE = {
     path.relative_to(DOCS_FOLDER).as_posix(): read_blocks(path)
     for path in (
@@ -41,7 +40,10 @@ EXECUTED_BLOCKS = {
     page: [block for block in parts if is_executed(block)] for page, parts in BLOCKS_BY_PAGE.items()
 }
 SHORT_PAGES = ("how-to/logs.md", "how-to/other-tools.md")
-"""Pages whose commands run by day. Each of the others takes from ten seconds to minutes and runs at night."""
+"""Pages whose commands run by day.
+
+The other pages run at night, because each takes from ten seconds to minutes.
+"""
 SIMULATED_HAND = "handctl sim --hand jamia --bus local:lab --time-scale 0.5"
 SIMULATOR_COMMANDS = {
     "how-to/bring-up.md": ("handctl sim --hand mine.toml --bus local:can0",),
@@ -52,13 +54,16 @@ SIMULATOR_COMMANDS = {
 }
 """Commands of simulators that replace the hardware of a page."""
 ANSWERED_COMMANDS = {"how-to/drive-modes.md": ("handctl jog ", "handctl jog --yes ")}
-"""Commands that ask before they move a motor, and the commands with the answer that replace them."""
+"""Commands that ask before they move a motor.
+
+For the test, each command is replaced by one that contains the answer.
+"""
 STIFFER_GAINS = "schema = 1\n\n[motion]\nforce_N = 16.0\n\n[tension]\nintegral_per_s = 4.0\n"
 REALTIME_MARKS = [pytest.mark.realtime, pytest.mark.alone, pytest.mark.nightly]
 
 
 def prepare_folder(golden: str, folder: Path) -> None:
-    """Write files that would belong to the reader: a log, a hand file, a task and gains."""
+    """Write the files that a reader of the pages would have: a log, a hand file, a task and gains."""
     (folder / "logs").mkdir()
     for name in ("RUN.mcap", "run.mcap", "logs/RUN.mcap"):
         shutil.copy(REPOSITORY_ROOT / "logs" / "golden" / f"{golden}.mcap", folder / name)
@@ -77,7 +82,7 @@ def files_for(page: str) -> Callable[[Path], None]:
 
 
 def page_cases() -> Iterator[Any]:
-    """Yield the pages that contain commands, with their test markers."""
+    """Yield the pages that contain commands, with the markers of their tests."""
     for page, parts in EXECUTED_BLOCKS.items():
         if any(block.language == "sh" and not stays_open(block) for block in parts):
             live = page in SIMULATOR_COMMANDS or any(map(stays_open, parts))
@@ -129,8 +134,8 @@ def test_the_commands_of_the_readme_run() -> None:
     assert len(simulators) == 1
     assert len(lines) == 6
     commands = [FencedBlock("sh", "", line) for line in lines if line.strip() not in simulators]
-    # The README advises a slower time on a slow machine. A machine that also runs other tests is
-    # slow.
+    # The README advises a smaller time scale for a slow machine. While other tests run, this
+    # machine is slow.
     run_blocks(
         commands, partial(prepare_folder, "jamia-grasp"), [f"{simulators[0]} --time-scale 0.3"]
     )

@@ -1,8 +1,8 @@
-"""A reader finds the answers to frequent questions soon, after few clicks and few words above the answer.
+"""A reader finds the answers to frequent questions after few clicks, and after few words above the answer.
 
-A reader takes two minutes for 400 words at an easy pace. The words above an answer are counted from
-the place to which the last click leads. Their number is an upper bound, because readers skip rows
-of a table.
+A reader takes two minutes for 400 words at an easy pace. The count of words starts at the target of
+the last click and ends at the answer. This count is an upper bound, because readers skip rows of a
+table.
 """
 
 import re
@@ -18,7 +18,7 @@ LOOKUPS_PAGE = DOCS_FOLDER / "evidence" / "lookups.md"
 MOST_CLICKS, MOST_WORDS, TOLERANCE_WORDS = 3, 400, 50
 """Limits of clicks and of words above an answer.
 
-The last number is how far the words on the evidence page may differ from those counted.
+The last number limits the difference between the counted words and the number on the evidence page.
 """
 ANSWER_BY_QUESTION = {
     "How do I stop the hand?": ("index.md", "", r"press Ctrl-C, or run `handctl stop"),
@@ -54,10 +54,10 @@ def words_above(page: str, anchor: str, answer: str) -> int:
 
 
 def click_count(page: str, anchor: str) -> int:
-    """Return the number of clicks from the front page to a heading.
+    """Return the number of clicks from the front page of the site to a heading.
 
-    The page takes a link, or a tab and an entry. The heading takes an entry of the table of
-    contents.
+    A page takes one click on a link, or two clicks on a tab and an entry. A heading takes a further
+    click in the table of contents.
     """
     if page == "index.md":
         return 0

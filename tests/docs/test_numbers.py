@@ -1,4 +1,4 @@
-"""The numbers of the demo in the README and on the site are those that the command next to them prints."""
+"""The results of ``handctl demo`` in the README and on the site equal the output of the command next to them."""
 
 import json
 import re
@@ -17,7 +17,7 @@ PAGES_WITH_NUMBERS = [
 ]
 NUMBER_PATTERN = re.compile(r"\d+(?:\.\d+)?")
 RELATIVE_TOLERANCE, ROUNDING_TOLERANCE = 0.1, 0.051
-"""Permitted relative difference of numbers from another processor, and half of the last printed digit."""
+"""Permitted relative difference of results from another processor, and half a unit of the last printed digit."""
 
 
 def test_the_numbers_are_fresh(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

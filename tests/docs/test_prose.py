@@ -19,7 +19,10 @@ NON_PROSE_PREFIXES = ("|", "#", "<!--", "    ")
 
 
 def paragraphs_of(text: str) -> list[str]:
-    """Return the paragraphs of a document without code and tables. Each entry of a list is a paragraph."""
+    """Return the paragraphs of a document without code and tables.
+
+    Each list entry counts as a paragraph.
+    """
     unquoted = re.sub(r"^> ?", "", FENCE_PATTERN.sub("", text), flags=re.MULTILINE)
     blocks = re.split(r"\n\s*\n", unquoted)
     prose = [block for block in blocks if not block.lstrip("\n").startswith(NON_PROSE_PREFIXES)]
@@ -44,8 +47,8 @@ def test_no_paragraph_is_long(path: Path) -> None:
     "path", DOCUMENTS, ids=lambda path: path.relative_to(REPOSITORY_ROOT).as_posix()
 )
 def test_a_second_paragraph_of_a_list_entry_is_indented_by_four(path: Path) -> None:
-    # With fewer than four spaces, the site ends the list. It then shows the marks of the next
-    # entries as text.
+    # After an indentation of fewer than four spaces, the site ends the list and shows the marks of
+    # later entries as text.
     text = FENCE_PATTERN.sub("", path.read_text(encoding="utf-8"))
     assert re.findall(r"\n\n {1,3}\S.*", text) == []
 
@@ -54,8 +57,8 @@ def test_a_second_paragraph_of_a_list_entry_is_indented_by_four(path: Path) -> N
     "path", DOCUMENTS, ids=lambda path: path.relative_to(REPOSITORY_ROOT).as_posix()
 )
 def test_no_line_begins_with_a_number_that_ends_a_sentence(path: Path) -> None:
-    # The site takes a line such as "126. The identifiers" for an entry of a list. Real entries are
-    # numbered from 1.
+    # The site shows a line such as "126. The identifiers" as a list entry. In a real list, the
+    # first number is 1.
     text = FENCE_PATTERN.sub("", path.read_text(encoding="utf-8"))
     numbers = [int(number) for number in re.findall(r"^ *(\d+)\. ", text, re.MULTILINE)]
     assert [b for a, b in zip([0, *numbers], numbers, strict=False) if b not in (1, a + 1)] == []
@@ -65,8 +68,7 @@ def test_no_line_begins_with_a_number_that_ends_a_sentence(path: Path) -> None:
     "path", DOCUMENTS, ids=lambda path: path.relative_to(REPOSITORY_ROOT).as_posix()
 )
 def test_no_code_has_a_bar_behind_a_backslash(path: Path) -> None:
-    # The site would show the backslash. `<code>A&#124;B</code>` is shown correctly on the site and
-    # on GitHub.
+    # The site would show the backslash. Site and GitHub show `<code>A&#124;B</code>` correctly.
     text = FENCE_PATTERN.sub("", path.read_text(encoding="utf-8"))
     assert re.findall(r"`[^`\n]*\\\|[^`\n]*`", text) == []
 

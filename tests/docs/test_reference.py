@@ -1,4 +1,7 @@
-"""The generated blocks of the pages agree with the code. ``python -m tools.reference`` writes them."""
+"""The generated blocks of the pages agree with the code.
+
+``python -m tools.reference`` writes these blocks.
+"""
 
 import re
 from pathlib import Path

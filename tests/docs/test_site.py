@@ -10,7 +10,7 @@ REPOSITORY_ROOT = Path(__file__).parents[2]
 FETCHING_ELEMENT_PATTERN = re.compile(
     r"<(?:script|img|iframe)[^>]*src=\"https?:[^\"]+|<link[^>]*rel=\"stylesheet\"[^>]*https?:[^\"]+"
 )
-"""Elements of a page whose content a browser would load from another server."""
+"""Pattern of HTML elements whose content a browser would load from another server."""
 
 
 def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
@@ -36,7 +36,7 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
     )  # the error page 404.html is added
     texts = [page.read_text(encoding="utf-8") for page in made]
     assert [match[0] for text in texts for match in FETCHING_ELEMENT_PATTERN.finditer(text)] == []
-    # A list without an empty line before it becomes a part of the paragraph above it.
+    # Without an empty line before it, a list becomes a part of the paragraph above.
     paragraphs = [part for text in texts for part in re.findall(r"<p>(.*?)</p>", text, re.DOTALL)]
     assert [
         part[-200:] for part in paragraphs if re.search(r"^(- |\d+\. |\|)", part, re.MULTILINE)

@@ -1,4 +1,4 @@
-"""Every program in examples/ runs with the command line of a user, and behaves as its head describes."""
+"""Every program in examples/ runs with the command line of a user, and behaves as its docstring describes."""
 
 import re
 import select
@@ -31,7 +31,7 @@ TIME_SCALE = 1.0
 
 @contextmanager
 def hand_serving(*words):
-    """Run a simulator that an example needs. The block begins when the simulator is ready."""
+    """Run a simulator for an example. The ``with`` block begins when the simulator is ready."""
     process = subprocess.Popen(
         [sys.executable, *words], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     )
@@ -45,7 +45,10 @@ def hand_serving(*words):
 
 @pytest.fixture(autouse=True)
 def work_folder(tmp_path, monkeypatch):
-    """Change to an empty folder. Sockets are in another folder with a short path."""
+    """Change to an empty folder.
+
+    The sockets are in a different folder, because their paths must be short.
+    """
     with tempfile.TemporaryDirectory(prefix="h-") as short:
         monkeypatch.setenv("HANDCTL_RUN_DIR", short)
         monkeypatch.chdir(tmp_path)
@@ -77,7 +80,7 @@ def numbers_in(text):
 
 
 def check_picture(name):
-    """Check that a picture has several colours on a white ground."""
+    """Check that a picture has several colours on a white background."""
     picture = imread(name)[..., :3]
     colours = np.unique(picture.reshape(-1, 3).round(1), axis=0)
     assert len(colours) > 5
@@ -86,7 +89,10 @@ def check_picture(name):
 
 @contextmanager
 def simulated_hand(repeat_time_scale, *words, name="jamia"):
-    """Run the simulated hand of the examples in slowed time. Yield the command-line options of its controller."""
+    """Run the simulated hand of the examples in slowed time.
+
+    Yield the command-line options for its controller.
+    """
     scale = time_scale_options(TIME_SCALE * repeat_time_scale)
     write_homed_calibration(Path("c.toml"), load_hand(name))
     with hand_serving(

@@ -1,20 +1,20 @@
-"""A clock for the simulator whose time a test sets."""
+"""A clock for the simulator. The test sets its time."""
 
 
 class ManualClock:
-    """A clock whose time a test sets.
+    """A clock that shows the time that a test has set.
 
     Attributes:
         t_ns: present time [ns].
         sent: number of ticks that a controller has sent.
-        answered: number of ticks that the server reported as answered.
-        reached_ns: time that the server reported as reached [ns].
+        answered: number of ticks that the server has reported as answered.
+        reached_ns: time that the server has reported as reached [ns].
     """
 
     scale = 1.0
 
     def __init__(self, t_ns: int) -> None:
-        """Start at a time [ns]."""
+        """Create a clock that shows the time ``t_ns`` [ns]."""
         self.t_ns = t_ns
         self.sent = self.answered = self.reached_ns = 0
 

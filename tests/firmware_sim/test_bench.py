@@ -1,4 +1,4 @@
-"""Test simulated drives with free shafts: their settings as delivered, and the motion of their shafts."""
+"""Test simulated drives with free shafts: the factory settings of each drive, and the motion of its shaft."""
 
 import math
 import struct
@@ -81,7 +81,10 @@ def test_an_odrive_follows_positions_and_velocities() -> None:
 def bench_and_speed_at(
     protocol: str, torque: float, kind: str = "", inertia: float | None = None
 ) -> tuple[SimulatedDriveBench, float]:
-    """Return a bench after five seconds with a torque command [N m], and the speed of its shaft [rad/s]."""
+    """Command a torque [N m] for five seconds.
+
+    Return the bench, and the final speed of the shaft [rad/s].
+    """
     bench = SimulatedDriveBench([drive_spec(protocol, 2, kind, inertia=inertia)])
     spec = drive_spec(protocol, 2, kind)
     code = round((torque / spec.torque_max + 1.0) / 2.0 * 4095)
@@ -117,7 +120,7 @@ def test_a_cubemars_motor_turns_no_faster_than_its_no_load_speed(kind: str) -> N
 
 
 def test_a_motor_makes_no_more_than_its_peak_torque() -> None:
-    """A DM4310 motor takes commands up to 10 N m, but its peak torque is 7 N m."""
+    """A DM4310 motor accepts commands up to 10 N m, but its peak torque is 7 N m."""
     bench, _ = bench_and_speed_at("mit", 10.0, inertia=100.0)
     assert bench.motors[0].torque == pytest.approx(7.0, rel=0.01)
 
@@ -295,9 +298,10 @@ def test_the_help_names_the_endpoints_and_the_eds_file(capsys: pytest.CaptureFix
 def test_the_watchdog_of_a_damiao_motor_is_selectable(
     behaviour: str, polled: int, idle: int
 ) -> None:
-    """The vendor's text is "no CAN commands within the interval".
+    """The vendor describes the watchdog with "no CAN commands within the interval".
 
-    It does not say whether register requests count, and whether a disabled motor has a watchdog.
+    The text does not say whether register requests count as commands, and whether a disabled motor
+    has a watchdog.
     """
     spec = drive_spec("mit", 2)
     for enabled, expected in ((True, polled), (False, idle)):

@@ -1,4 +1,7 @@
-"""Test how the simulator reads a hand file, hands with perturbed parameters, and the record of a frame."""
+"""Test how the simulator reads hand files and perturbs parameters.
+
+Also test the bytes of a simulated frame, which are those of the kernel's `canfd_frame`.
+"""
 
 import struct
 import tomllib
@@ -27,7 +30,10 @@ from handctl.hand.hand_loading import load_hand as described
 
 
 def write_edited_jamia(tmp_path: Path, old: str, new: str) -> str:
-    """Write a copy of the file of jamia with the first occurrence of a text replaced, and return its path."""
+    """Write a copy of the hand file of jamia, in which the first occurrence of a text is replaced.
+
+    Return the path of the copy.
+    """
     text = described("jamia").to_toml()
     assert old in text
     path = tmp_path / "edited.toml"
@@ -84,7 +90,10 @@ def test_incomplete_hands_are_refused_in_one_line(
 
 
 def test_motors_on_two_buses(tmp_path: Path) -> None:
-    """The first motor is on a second bus. It replies there and ignores frames on the first bus."""
+    """In this hand the first motor is on the second bus.
+
+    This motor replies on the second bus, and ignores frames on the first bus.
+    """
     first = write_edited_jamia(
         tmp_path, "[sensor_node]", '[[bus]]\nname = "side"\nbitrate = 1000000\n\n[sensor_node]'
     )

@@ -1,4 +1,4 @@
-"""The compiled drivetrain moves exactly as it does motor by motor, in Python, and with MuJoCo's ``mj_step``."""
+"""The compiled drivetrain moves exactly like the drivetrain in Python, and like MuJoCo's ``mj_step``."""
 
 import subprocess
 import sys
@@ -19,7 +19,7 @@ from firmware_sim.truth_file import read_truth
 def closing_hand(hand: str, native: bool = True, compiled: bool = True) -> Plant:
     """Build a simulated hand that closes on a cylinder.
 
-    Its tendons are slack at first and then taut. Motors follow a torque, a position, or a
+    Its tendons are slack at first and then taut. Its motors follow a torque, a position, or a
     moving position.
     """
     plant = Plant(load_hand(hand), load_scene("cylinder"), seed=3, compiled=compiled)
@@ -34,7 +34,7 @@ def closing_hand(hand: str, native: bool = True, compiled: bool = True) -> Plant
 
 
 def exact_state(plant: Plant) -> list[str]:
-    """Return all numbers of a hand's motion as texts that are exact to the last bit."""
+    """Return all numbers of the state of motion as texts. The texts are exact to the last bit."""
     motors = [(m.theta, m.omega, m.torque, m.velocity, m.heat) for m in plant.motors.values()]
     tendons = [(tendon.tension, tendon.speed, tendon.slope) for tendon, _ in plant.tendons]
     engine = plant.engine
@@ -51,7 +51,10 @@ def exact_state(plant: Plant) -> list[str]:
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 def test_all_ways_to_step_are_equal_to_the_bit(hand: str) -> None:
-    """Steps in a block, single steps, steps by MuJoCo's bindings, and steps in Python give equal bits."""
+    """Compare steps in a block, single steps, steps by MuJoCo's bindings, and steps in Python.
+
+    The results of all four are bit-identical.
+    """
     block, single = closing_hand(hand), closing_hand(hand)
     bindings, plain = closing_hand(hand, native=False), closing_hand(hand, compiled=False)
     block.advance(401)
@@ -65,7 +68,7 @@ def test_all_ways_to_step_are_equal_to_the_bit(hand: str) -> None:
 
 
 def test_compiled_and_python_worlds_send_equal_frames() -> None:
-    """The frames are equal even with faults in a motor, in a load cell and in an encoder."""
+    """The frames are equal even if a motor, a load cell and an encoder have faults."""
     worlds = [
         SimulatedWorld(load_hand("jamia"), load_scene("cylinder"), seed=4, compiled=compiled)
         for compiled in (True, False)
@@ -107,7 +110,7 @@ def test_the_engine_has_native_addresses() -> None:
 
 
 def test_the_world_steps_in_blocks_between_events() -> None:
-    """One long advance ends as many short ones. Motion and the times of watchdogs are equal."""
+    """Compare one long advance with many short ones. Motion and times of watchdogs are equal."""
     far, near = (
         SimulatedWorld(load_hand("jamia"), load_scene("cylinder"), seed=1) for _ in range(2)
     )
@@ -123,7 +126,7 @@ def test_the_world_steps_in_blocks_between_events() -> None:
 
 
 def test_a_divided_step_ends_where_the_whole_step_ends() -> None:
-    """A step that is divided for samples at exact times changes the motion only slightly."""
+    """If a step is divided for samples at exact times, the motion changes only slightly."""
     whole, divided = (Plant(load_hand("jamia"), load_scene(None), homed=True) for _ in range(2))
     for plant in (whole, divided):
         for motor in plant.motors.values():
@@ -147,9 +150,9 @@ def test_a_divided_step_ends_where_the_whole_step_ends() -> None:
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 def test_a_spool_at_constant_speed_is_sampled_without_jitter_at_any_rate(hand: str) -> None:
-    """This holds at rates that are no multiple of the step.
+    """The samples have no jitter, even if the period is no multiple of the time step.
 
-    A sample from the last whole step would be 5 encoder counts early at 3 rad/s.
+    At 3 rad/s, a sample from the last whole step would be 5 encoder counts behind.
     """
     for rate_hz in (300.0, 333.0, 450.0, 640.0):
         world = SimulatedWorld(load_hand(hand), load_scene(None), seed=2)
@@ -158,7 +161,7 @@ def test_a_spool_at_constant_speed_is_sampled_without_jitter_at_any_rate(hand: s
             -3.0,
             0.0,
             0.0,
-        )  # the spool unwinds a slack tendon
+        )  # at this speed, the spool unwinds a slack tendon
         period_ns, angles = round(1e9 / rate_hz), []
         for k in range(40):
             world.reach(k * period_ns)
@@ -169,7 +172,7 @@ def test_a_spool_at_constant_speed_is_sampled_without_jitter_at_any_rate(hand: s
 
 
 def test_samples_between_steps_do_not_move_the_rows_of_the_truth_file(tmp_path: Path) -> None:
-    """The truth file has a row for every millisecond at any rate, also if a fault is injected within a step."""
+    """At any rate the truth file has a row for every millisecond, even if a fault is injected within a step."""
     path = tmp_path / "truth"
     rig = LockstepHand("jamia", truth_path=str(path), period_ns=3_333_333)
     for k in range(30):

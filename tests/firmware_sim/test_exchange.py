@@ -1,6 +1,7 @@
-"""Test the frames of a tick as records.
+"""Test the exchange of all frames of a tick at once, as packed records.
 
-For them, the compiled kernel does the same as the nodes do for one frame after the other.
+The compiled kernel gives the same result as the nodes in Python, which process one frame after the
+other.
 """
 
 import random
@@ -32,9 +33,9 @@ OPTIONS_BY_PROTOCOL = {
 
 
 def hand_file(folder: Path, protocols: tuple[str, ...], buses: int = 1) -> str:
-    """Write the file of the packaged hand with other drives, and return its path.
+    """Write the file of a packaged hand with drives of other protocols, and return its path.
 
-    With two buses, two drives are on the second.
+    If ``buses`` is 2, two drives are on the second bus.
     """
     text = described("jamia").to_toml()
     head, *motors = text.split("[[motor]]")
@@ -113,7 +114,10 @@ def frames_of_tick(protocol: str, node: int, k: int) -> list[tuple[int, bytes]]:
 
 
 def disturb_frame(frame: Frame, rng: random.Random) -> list[Frame]:
-    """Return the frames that arrive in place of one sent frame. They are rarely lost, repeated or changed."""
+    """Return the frames that arrive in place of one sent frame.
+
+    Usually the frame itself arrives. Rarely it is lost, repeated or changed.
+    """
     can_id, data, flags, bus, t_ns = frame
     other = [
         [],
@@ -160,7 +164,7 @@ def frames_of_ticks(
 ) -> Iterator[list[Frame]]:
     """Yield the frames of each tick: first the set-up of the drives, then commands.
 
-    Some are disturbed unless the seed is 0.
+    Some frames are disturbed, unless the seed is 0.
     """
     rng = random.Random(seed)
     drives = [

@@ -1,4 +1,7 @@
-"""Test scheduled faults. They are parsed, start and end in time, count their effects, and are reproducible."""
+"""Test scheduled faults.
+
+A fault is parsed, starts and ends in time, counts its effects, and is reproducible.
+"""
 
 import contextlib
 
@@ -25,7 +28,7 @@ def make_rig(seed=0):
 
 
 def answers_of_ticks(world, ticks, frames=(REFRESH_FRAME,)):
-    """Run ticks with a SYNC and given frames in each, and return the replies of each tick."""
+    """Run ticks, each with a SYNC and the given frames, and return the replies of each tick."""
     answers = []
     for _ in range(ticks):
         k = world.world.t_ns // 2_000_000
@@ -69,7 +72,10 @@ def test_wrong_faults_are_refused_in_one_line(text, words):
 
 
 def second_motor_text(kind: str, index: int) -> str:
-    """Return the text with the second motor of a fault, empty for a kind of fault that needs one motor."""
+    """Return the option that names the second motor of a fault.
+
+    For a fault of one motor, it is empty.
+    """
     return f" with={JAMIA_HAND.motors[index].name}" if kind in TWO_MOTOR_KINDS else ""
 
 
@@ -112,7 +118,8 @@ def test_every_fault_has_an_effect_and_ends(text):
 def test_no_size_of_any_fault_ends_the_simulator(text):
     """Each kind of fault is tried with sizes from small to absurd.
 
-    Its part is the last one possible, which is the sensor node for some kinds.
+    The fault acts on the last possible part of the hand. For some kinds of faults, this is the
+    sensor node.
     """
     run = make_rig()
     for i, size in enumerate(("-1e12", "-1e6", "0", "1", "2", "1000", "1e6", "1e12")):
@@ -176,7 +183,10 @@ FAULT_TEXTS = (
 
 
 def test_blocks_of_steps_end_at_every_event():
-    """A hand that advances in blocks of steps has the frames, faults and motion of one that advances step by step."""
+    """Advance one hand in blocks of steps, and another hand step by step.
+
+    Frames, faults and motion are equal.
+    """
 
     def run(step_ns):
         hand_rig = make_rig()

@@ -1,6 +1,6 @@
 """Test the simulated Damiao motor: its states, registers and watchdog.
 
-The expected behaviour is that of the fact sheet.
+The fact sheet of the motor defines the expected behaviour.
 """
 
 import struct
@@ -20,7 +20,7 @@ FULL_TORQUE = bytes.fromhex("7fff7ff000000fff")
 
 
 class MotorBench:
-    """One motor with a free spool that is simulated in steps of 0.5 ms."""
+    """One motor with a free spool, simulated in steps of 0.5 ms."""
 
     def __init__(self) -> None:
         self.motor = Motor(MOTOR_SPEC, 0.5e-3)
@@ -196,8 +196,8 @@ def test_the_servo_holds_a_position(bench: MotorBench) -> None:
     word = code << 48 | 2047 << 36 | kp << 24 | kd << 12 | 2047
     bench.reply_to(word.to_bytes(8, "big"))
     bench.run(1000)
-    # The encoder has an offset of 0.1 rad. Coulomb friction of 0.015 N m at 5 N m/rad leaves an
-    # error of up to 3 mrad.
+    # The encoder has an offset of 0.1 rad. The Coulomb friction of 0.015 N m, divided by the
+    # stiffness of 5 N m/rad, leaves an error of up to 3 mrad.
     assert bench.motor.theta == pytest.approx(1.0, abs=4e-3)
 
 

@@ -1,4 +1,4 @@
-"""The position mode of a simulated moteus: moving target, gains, limit, and the codes of limits in effect."""
+"""Test the position mode of a simulated moteus: moving target, gains, torque limit, and the codes of active limits."""
 
 import math
 import struct
@@ -23,7 +23,7 @@ class OneDrive:
     """A simulated moteus with a heavy shaft, so that its torques hardly move it."""
 
     def __init__(self, inertia: float = 1.0, direction: int = 1) -> None:
-        """Switch the drive on in position mode, without torque."""
+        """Create a drive in position mode, without torque."""
         self.bench = SimulatedDriveBench(
             [replace(drive_spec("moteus", NODE_ID, inertia=inertia), direction=direction)]
         )
@@ -45,21 +45,24 @@ class OneDrive:
         self, position: float, velocity: float = 0.0, torque: float = 0.0, kp: float = 1.0, kd: float = 1.0,
         limit: float = 0.5,
     ) -> None:  # fmt: skip
-        """Send a position command [turn, turn/s, N m] with fractions of the gains and a watchdog of 0.2 s."""
+        """Send a position command [turn, turn/s, N m].
+
+        ``kp`` and ``kd`` are fractions of the factory gains. The watchdog time is 0.2 s.
+        """
         self.reply_to(
             b"\1\0\x0a\x0f\x20" + struct.pack("<fff", position, velocity, torque)
             + b"\x0f\x23" + struct.pack("<fff", kp, kd, limit) + b"\1\x2b\0\x0d\x27" + struct.pack("<f", 0.2)
         )  # fmt: skip
 
     def read_register(self, number: int) -> float:
-        """Read a register as float."""
+        """Read a register as a floating-point number."""
         reply = self.reply_to(bytes((0x1D, number)))
         assert reply[:2] == bytes((0x2D, number))
         value: float = struct.unpack_from("<f", reply, 2)[0]
         return value
 
     def pass_time(self, milliseconds: int) -> None:
-        """Advance the time."""
+        """Advance the simulated time."""
         self.bench.advance(self.bench.t_ns + milliseconds * NS_PER_MS)
 
 

@@ -21,7 +21,10 @@ TURN_RAD = math.tau
 def sample_each_ms(
     bench: SimulatedDriveBench, for_s: float, value: Callable[[], float]
 ) -> list[float]:
-    """Advance a bench for a time, and return a value that is read in each millisecond."""
+    """Advance a bench for a time.
+
+    Return the value that the function ``value`` gives in each millisecond.
+    """
     values = []
     for _ in range(round(for_s * 1000)):
         bench.advance(bench.t_ns + NS_PER_MS)
@@ -30,7 +33,10 @@ def sample_each_ms(
 
 
 def largest_acceleration(velocities: list[float], over_ms: int = 20) -> float:
-    """Return the largest acceleration [unit/s2] in velocities of each millisecond. It is a mean over ``over_ms``."""
+    """Return the largest mean acceleration over ``over_ms`` [unit/s2].
+
+    The list has a velocity for each millisecond.
+    """
     pairs = zip(velocities, velocities[over_ms:], strict=False)
     return max(abs(after - before) for before, after in pairs) * 1000 / over_ms
 
@@ -69,7 +75,7 @@ def test_a_trapezoid_turns_round_for_a_new_target() -> None:
     assert -2.0 <= fastest < -1.0
 
 
-# Modes of a Damiao motor.
+# Tests of the modes of a Damiao motor.
 
 
 def damiao_bench(mode: int) -> SimulatedDriveBench:
@@ -99,7 +105,8 @@ def test_the_ramps_of_a_damiao_motor_act_in_position_velocity_mode(sign: int) ->
     assert speeds[500] == pytest.approx(4.0 * 0.5, rel=0.1)
     assert max(speeds) <= 1.02 * 3.0
     assert min(speeds) > -0.1
-    # To 3 rad/s the motor takes 0.75 s and 1.125 rad, and from there to rest 1.5 s and 2.25 rad.
+    # The motor reaches 3 rad/s after 0.75 s and 1.125 rad. From this speed to rest it takes 1.5 s
+    # and 2.25 rad.
     assert sample_each_ms(bench, 1.0, lambda: sign * motor.theta)[-1] == pytest.approx(
         6.0, abs=0.01
     )
@@ -162,7 +169,10 @@ def test_a_blocked_damiao_motor_holds_the_current_of_force_position_mode() -> No
 
 
 def test_a_damiao_motor_changes_its_mode_while_enabled() -> None:
-    """A change of mode ends the old set-point. The motor coasts until it gets a command of the new mode."""
+    """A change of mode discards the old set-point.
+
+    Then the motor coasts until it gets a command for the new mode.
+    """
     bench = damiao_bench(3)
     motor = bench.motors[0]
     bench.receive(Frame(0x202, struct.pack("<f", 5.0)))
@@ -192,13 +202,16 @@ def test_the_watchdog_of_a_damiao_motor_ends_a_motion() -> None:
     assert bench.receive(Frame(0x7FF, b"\2\0\xcc\0" + bytes(4)))[-1].data[0] >> 4 == 0xD
 
 
-# Modes of an ODrive.
+# Tests of the modes of an ODrive.
 
 
 def odrive_bench(
     control: int, input_mode: int, *messages: tuple[int, bytes], inertia: float | None = None
 ) -> SimulatedDriveBench:
-    """Return a bench with an ODrive (node 3) in closed-loop control, after given messages."""
+    """Return a bench with an ODrive (node 3) in closed-loop control.
+
+    The drive has received the given messages.
+    """
     bench = SimulatedDriveBench([drive_spec("odrive", 3, inertia=inertia)])
     send_messages(
         bench,
@@ -270,8 +283,8 @@ def test_a_trajectory_of_an_odrive_has_ramps_and_says_when_it_is_done() -> None:
     bench = odrive_bench(3, 5, *limits)
     motor = bench.motors[0]
     send_messages(bench, (0x0C, struct.pack("<fhh", 3.0, 0, 0)))
-    # The trajectory takes 1 s and 0.5 turns to reach its speed, 1.5 turns at this speed, and 2 s
-    # and 1 turn to rest, in all 4.5 s.
+    # The trajectory accelerates for 1 s and 0.5 turns, runs 1.5 turns at full speed, and brakes for
+    # 2 s and 1 turn. In total it takes 4.5 s.
     speeds = sample_each_ms(bench, 1.0, lambda: motor.omega / TURN_RAD)
     assert speeds[499] == pytest.approx(0.5, rel=0.05)
     assert next_heartbeat(bench)[2] == 0
@@ -330,7 +343,7 @@ def test_an_odrive_keeps_its_gains_and_limits_when_they_are_impossible() -> None
     assert bench.nodes[0].motion.settings == before  # type: ignore[attr-defined]
 
 
-# Modes of a CiA 402 drive.
+# Tests of the modes of a CiA 402 drive.
 
 COUNTS_PER_TURN = 1 << 16
 
@@ -340,7 +353,7 @@ def cia402_bench(
 ) -> SimulatedDriveBench:
     """Return a bench with an enabled CiA 402 drive (node 33) in a mode.
 
-    ``objects`` (index, sub-index, value, size) are written before it is enabled.
+    Before the drive is enabled, ``objects`` (index, sub-index, value, size) are written.
     """
     spec = drive_spec("cia402", 33)
     bench = SimulatedDriveBench([replace(spec, options={**spec.options, **options})])
@@ -380,7 +393,7 @@ def send_controlword(bench: SimulatedDriveBench, word: int) -> int:
 
 def test_a_cia402_drive_lists_its_modes() -> None:
     bench = SimulatedDriveBench([drive_spec("cia402", 33)])
-    # Bit n - 1 stands for mode n. The modes are profile position, homing, and the three cyclic
+    # Bit n - 1 stands for mode n. The drive supports profile position, homing, and the three cyclic
     # modes.
     assert read_object(bench, 0x6502) == sum(1 << mode - 1 for mode in (1, 6, 8, 9, 10))
     for mode, shown in ((1, 1), (6, 6), (8, 8), (9, 9), (10, 10), (3, 0), (-1, 0)):
@@ -450,8 +463,8 @@ def test_a_profile_position_has_ramps_and_says_when_it_is_reached() -> None:
     word = send_controlword(bench, 0x1F)
     assert word & (1 << 12 | 1 << 10) == 1 << 12, "the target is acknowledged and not reached"
     assert not send_controlword(bench, 0x0F) & 1 << 12
-    # The speed is 1 turn/s, reached with 1 turn/s2 and left with 0.5 turn/s2. This takes 1 s, 1.5 s
-    # at the speed, and 2 s.
+    # The drive accelerates to 1 turn/s with 1 turn/s2 (1 s), keeps this speed for 1.5 s, and brakes
+    # with 0.5 turn/s2 (2 s).
     speeds = sample_each_ms(bench, 4.6, lambda: motor.omega / TURN_RAD)
     assert speeds[480] == pytest.approx(0.5, rel=0.05)
     assert max(speeds) < 1.02

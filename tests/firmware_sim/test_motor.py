@@ -101,7 +101,10 @@ def test_gains_of_the_whole_range_are_stable(kp: float, kd: float) -> None:
 
 @pytest.mark.parametrize("speed", [4.0, -15.0])
 def test_a_moving_target_is_followed_as_a_mass_on_a_spring(speed: float) -> None:
-    """J e'' + kd e' + kp e = 0 for the error e of a rotor that starts at rest at a target of constant speed."""
+    """A rotor starts at rest and follows a target with constant speed.
+
+    The error e of the rotor obeys J e'' + kd e' + kp e = 0.
+    """
     kp, kd, step_s = 0.5, 0.004, 1e-5
     motor = Motor(FRICTIONLESS_SPEC, step_s)
     servo = motor.servo
@@ -117,7 +120,7 @@ def test_a_moving_target_is_followed_as_a_mass_on_a_spring(speed: float) -> None
     largest = 0.0
     for k in range(1, 10001):
         motor.advance(0.0)
-        # The current follows with its lag.
+        # The motor current follows the command with a lag.
         t = k * step_s - CURRENT_LAG_S
         exact = speed / omega * math.exp(-decay * t) * math.sin(omega * t)
         error = speed * k * step_s - motor.theta

@@ -34,7 +34,7 @@ def lock_joints() -> Hand:
 
 
 def pull_tendons(plant: Plant, torque: float, seconds: float, ramp: float = 0.3) -> None:
-    """Raise the torque of all motors to a value [N m] in a ramp, and hold it."""
+    """Raise the torque of all motors in a ramp to ``torque`` [N m], and hold this torque."""
     start = [motor.servo.torque for motor in plant.motors.values()]
     steps = round(seconds * 2000)
     for i in range(steps):
@@ -53,9 +53,9 @@ def test_the_springs_hold_the_free_hand_open() -> None:
 
 @pytest.mark.parametrize("tension", [8.0, 10.0, 12.0])
 def test_spring_and_tendon_balance_at_every_joint(tension: float) -> None:
-    """Without friction r f = k (q + q0) holds at each joint, so all angles are equal.
+    """Without friction, each joint obeys r f = k (q + q0), so all joint angles are equal.
 
-    Gravity is parallel to the hinges.
+    Gravity has no effect, because it is parallel to the hinges.
     """
     plant = free_hand({"friction": 0.0})
     pull_tendons(plant, tension * 0.005, 2.0)
@@ -98,7 +98,7 @@ def test_a_slack_tendon_makes_no_force() -> None:
 
 
 def test_a_blocked_finger_is_as_stiff_as_its_tendon() -> None:
-    """With locked joints, the tension changes by k r for each radian of the spool."""
+    """With locked joints, the tension rises by k r for each radian of the spool."""
     plant = free_hand({"friction": 0.0}, lock_joints())
     pull_tendons(plant, 0.25, 2.0)
     low, theta_low = plant.tensions()[0], plant.motors["index_motor"].theta
@@ -144,7 +144,10 @@ def link_frames(plant: Plant) -> Any:
 
 
 def test_forward_kinematics_of_the_links() -> None:
-    """The fingers flex towards -y and the thumb towards +y. All move in planes of constant z."""
+    """The fingers flex towards -y, and the thumb towards +y.
+
+    All digits move in planes of constant z.
+    """
     plant = free_hand()
     q = [0.3, 0.4, 0.1] * 3 + [0.5, 0.2]
     plant.engine.set_joints(q, [0.0] * 11)
@@ -193,7 +196,10 @@ def test_a_diverging_plant_is_an_error() -> None:
 def closing_hand(
     monkeypatch: pytest.MonkeyPatch, step_s: float
 ) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
-    """Return the joint angles every 5 ms while a free hand closes to 12 N in 0.4 s. The time step [s] is given."""
+    """Close a free hand to 12 N in 0.4 s with the time step ``step_s`` [s].
+
+    Return the joint angles every 5 ms.
+    """
     monkeypatch.setattr("firmware_sim.plant.plant.STEP_S", step_s)
     monkeypatch.setattr(
         "firmware_sim.plant.plant.model_text",
@@ -212,7 +218,10 @@ def closing_hand(
 
 
 def test_the_step_is_short_enough(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The first-order integration of tendons, friction and rotors has a small error, which falls with the time step."""
+    """The first-order integration of tendons, friction and rotors has a small error.
+
+    The error falls with the time step.
+    """
     exact = closing_hand(monkeypatch, 0.05e-3)
     errors = [
         np.degrees(np.sqrt(((closing_hand(monkeypatch, step) - exact) ** 2).mean()))

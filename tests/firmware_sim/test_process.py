@@ -1,4 +1,8 @@
-"""Test the simulator as a process. It prints a ready line, serves a bus, writes a truth file, and ends in order."""
+"""Test the simulator as a process.
+
+The process prints a ready line, serves a bus, writes a truth file, and closes everything at its
+end.
+"""
 
 import json
 import select

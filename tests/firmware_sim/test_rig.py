@@ -1,4 +1,7 @@
-"""Test a whole simulated hand in lockstep. It is moved by frames that are written byte by byte."""
+"""Test a whole simulated hand in lockstep.
+
+The frames that move the hand are written byte by byte.
+"""
 
 import math
 import struct
@@ -23,7 +26,10 @@ def frame_tuple(can_id: int, data: bytes) -> FrameTuple:
 
 
 def torque_payload(torque: float) -> bytes:
-    """Return the bytes of a command with only a torque, for the range TMAX = 0.8 N m."""
+    """Return the bytes of a command that contains only a torque.
+
+    The torque range of the motor is 0.8 N m (TMAX).
+    """
     return (0x7FFF << 48 | 0x7FF << 36 | round((torque + 0.8) * 4095 / 1.6)).to_bytes(8, "big")
 
 
@@ -41,7 +47,10 @@ def step_with_torque(rig: LockstepHand, k: int, torque: float) -> list[Frame]:
 def close_hand(
     rig: LockstepHand, tension: float, seconds: float, ramp: float = 0.8
 ) -> list[list[Frame]]:
-    """Enable all motors, raise them in a ramp to a tension [N] and hold it, without feedback. Return the replies."""
+    """Enable all motors.
+
+    Raise the tension [N] in a ramp and hold it, without feedback. Return the replies of each tick.
+    """
     answers = [rig.step(0, [frame_tuple(motor, ENABLE_PAYLOAD) for motor in MOTOR_NODES])]
     for k in range(1, round(seconds * 500)):
         answers.append(step_with_torque(rig, k, 0.005 * tension * min(1.0, k / 500 / ramp)))
@@ -182,10 +191,10 @@ def test_content_of_the_truth_file(tmp_path: Path) -> None:
     assert np.array_equal(np.diff(truth.t_ns), np.full(len(truth.t_ns) - 1, 1_000_000))
     assert len(truth.t_ns) == 500
     assert np.isfinite(truth.values).all()
-    # Speed and angle of a row belong to the same time, so dq is the slope of q.
+    # The speed and the angle in a row belong to the same time, so dq is the slope of q.
     q, dq = truth.column("q/index_j1"), truth.column("dq/index_j1")
     assert q[-1] - q[0] == pytest.approx(float(np.sum(dq[1:] + dq[:-1]) / 2 * 1e-3), abs=5e-3)
-    # The true tension is near the tension of the motor command.
+    # The true tension is close to the tension that the motor command makes.
     assert truth.column("tension/index_tendon")[-1] == pytest.approx(20.0, abs=4.0)
 
 
@@ -199,7 +208,7 @@ def test_the_load_cell_reads_the_present_true_tension(tmp_path: Path) -> None:
         (int.from_bytes(tick[0].data, "little") >> 4 & 0xFFF) * 0.0625 - 6.0 for tick in answers[1:]
     ]
     error = np.array(read) - tension[2::2][: len(read)]
-    # The tolerance is half a count of the load cell, plus its drift in one second.
+    # The tolerance is half a count of the load cell, plus the drift of the load cell in one second.
     assert np.abs(error).max() < 0.03125 + 0.6
     assert np.std(np.diff(error)) < 0.05
 

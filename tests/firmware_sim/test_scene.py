@@ -1,4 +1,4 @@
-"""Test scenes of the simulator: packaged ones, their short form, scene files, and errors in them."""
+"""Test scenes of the simulator: packaged scenes, short forms of their names, scene files, and errors in files."""
 
 from pathlib import Path
 

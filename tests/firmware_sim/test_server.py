@@ -1,6 +1,7 @@
-"""Test the server of the simulator for real time on a clock that tests set.
+"""Test the real-time server of the simulator, on a clock whose time the tests set.
 
-It replies at once, follows the clock, and slips in an orderly way if it is too slow.
+The server replies at once and follows the clock. If it is too slow, it slips behind in an orderly
+way.
 """
 
 import socket
@@ -31,7 +32,7 @@ STATE_ENABLED, STATE_LOST = 1, 0xD
 
 
 class FakePort:
-    """A port of a bus. A test gives it frames and reads the frames that are sent to it."""
+    """A fake port of a bus. A test puts in the received frames, and reads the sent frames."""
 
     due_ns = 1 << 62
 
@@ -64,7 +65,7 @@ class ServerBench:
         self.server = BusServer(self.world, [self.wire], self.clock)
 
     def turn(self, t_ms: float, *frames: Frame) -> list[Frame]:
-        """Set the clock, let the server run one turn with given frames, and return the frames that it sent."""
+        """Set the clock, let the server run one turn with the received frames, and return its sent frames."""
         self.clock.t_ns = START_NS + round(t_ms * NS_PER_MS)
         self.wire.coming, self.wire.sent = list(frames), []
         self.server.turn()
@@ -88,9 +89,9 @@ def test_the_plant_follows_the_clock_in_whole_steps(bench: ServerBench) -> None:
 
 
 def test_a_frame_samples_the_plant_at_its_exact_time(bench: ServerBench) -> None:
-    """The sample is not that of the last whole step, which may be 0.5 ms older.
+    """The sample does not come from the last whole step, which may be 0.5 ms older.
 
-    The times of the steps do not change.
+    Sampling does not change the times of the steps.
     """
     bench.turn(3.7, Frame(1, ENABLE_PAYLOAD))
     assert bench.world.t_ns == START_NS + round(3.7 * NS_PER_MS)
@@ -177,7 +178,7 @@ def test_an_answer_waits_for_one_stride_at_most(bench: ServerBench) -> None:
 
 
 class GrantedPriority:
-    """Real-time priority that a test grants."""
+    """Fake real-time priority, which is always granted."""
 
     def __init__(self) -> None:
         self.now_s, self.requests, self.active = 0.0, 0, False
@@ -212,12 +213,12 @@ def test_priority_is_taken_for_a_host_and_given_back_after_slips() -> None:
 
 
 def test_a_slow_machine_is_reported_once_a_second_with_an_advised_pace() -> None:
-    """Regression: a slow simulator printed 2,338 lines in 275 s, and none of them advised a slower time."""
+    """Regression: a slow simulator printed 2,338 lines in 275 s, without the advice to choose a smaller time scale."""
     now = {"wall": 0.0, "cpu": 0.0}
     lines: list[str] = []
     pace = PaceCounter(0, lambda: now["wall"], lambda: now["cpu"], lines.append)
     plant_ns = 0
-    for _ in range(100):  # 10 s at a tenth of real time, never idle
+    for _ in range(100):  # 10 s of wall time at a tenth of real time, without idle time
         now["wall"] += 0.1
         now["cpu"] += 0.1
         plant_ns += 10 * NS_PER_MS

@@ -1,6 +1,6 @@
-"""Test frames on a Linux CAN socket byte by byte, and an interface that refuses frames.
+"""Test the bytes of frames on a Linux CAN socket, and an interface that refuses frames.
 
-tests/vcan uses real interfaces.
+The tests in tests/vcan use real interfaces.
 """
 
 import errno
@@ -19,7 +19,7 @@ FD_FRAME = Frame(1 << 31 | 0x1ABCDE, bytes(range(12)), FDF | BRS)
 
 
 class FakeSocket:
-    """The end of a raw CAN socket that the kernel would have."""
+    """Fake raw CAN socket. A test plays the part of the kernel."""
 
     def __init__(self) -> None:
         self.waiting: list[bytes | OSError] = []

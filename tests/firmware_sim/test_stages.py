@@ -1,6 +1,6 @@
 """Test the stages of a scene.
 
-The hand is turned, the object is pushed, and the friction is changed, each at its time.
+At its time, a stage turns the hand, pushes the object, or changes the friction.
 """
 
 import math
@@ -74,7 +74,8 @@ def test_duration_of_a_push_and_lasting_friction() -> None:
 def test_the_plant_applies_the_stage(tmp_path: Path) -> None:
     """The first contact starts the stages.
 
-    Gravity then points towards the thumb, and the friction of all contacts is changed.
+    The stage of this test lets gravity point towards the thumb, and changes the friction of all
+    contacts.
     """
     path = tmp_path / "stages.toml"
     path.write_text(TWO_STAGE_SCENE)

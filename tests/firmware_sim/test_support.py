@@ -12,7 +12,10 @@ TABLE_SETTINGS = SinkingTable(
 
 
 def contact_forces(*digits: float) -> list[float]:
-    """Return the contact force vector of each digit, with a given size along a skew axis."""
+    """Return a contact force vector for each digit.
+
+    Each vector has the given size and a skew direction.
+    """
     return [part for size in digits for part in (0.6 * size, 0.0, -0.8 * size)]
 
 

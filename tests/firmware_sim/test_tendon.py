@@ -1,4 +1,7 @@
-"""Compare the simulated tendon and its pulleys with the formulas of the model, which are computed independently."""
+"""Compare the simulated tendon and its pulleys with the formulas of the model.
+
+The test computes these formulas independently.
+"""
 
 import math
 
@@ -38,7 +41,11 @@ class TendonOnSpool:
     def pull(
         self, q: list[float], dq: list[float], theta: float, omega: float, torque: list[float]
     ) -> float:
-        """Add the torques of the pulleys to ``torque``, without the compensation of damping, and return the tension."""
+        """Compute a step.
+
+        Add the torques of the pulleys to ``torque``, without the compensation of damping. Return
+        the tension.
+        """
         self.motor.theta, self.motor.omega = theta, omega
         self.motor.steps_alone, total = True, [0.0] * 3
         step_drivetrain(*self.parts, q, dq, total, [0.0], False)

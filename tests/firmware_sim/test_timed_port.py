@@ -1,6 +1,6 @@
-"""Test a local bus with the timing of a wire, on a clock that tests set.
+"""Test a local bus that has the timing of a real wire, on a clock whose time the tests set.
 
-A client of handctl is on one side, a simulated hand on the other.
+At one end is a bus client of handctl, at the other end a simulated hand.
 """
 
 import select
@@ -27,9 +27,9 @@ SYNC_ID, TENSIONS_ID, REGISTERS_ID = 0x80, 0x1A0, 0x7FF
 
 
 class TimedBus:
-    """A simulated hand and a host on a bus with the timing of a wire.
+    """A simulated hand and a host on a bus that has the timing of a real wire.
 
-    ``frames_at`` sets the clock and processes all events that are due.
+    The method ``frames_at`` sets the clock, and processes all events that are due then.
     """
 
     def __init__(self, words: list[str], hand: bool = True) -> None:

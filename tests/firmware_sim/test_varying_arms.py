@@ -1,4 +1,4 @@
-"""Test tendons of the simulator whose moment arms depend on the joint angle."""
+"""Test simulated tendons whose moment arms depend on the joint angle."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +17,10 @@ STEP_S = 0.5e-3
 
 @pytest.mark.parametrize("name", ["jamia11", "n_plus_1", "orca_like"])
 def test_the_joints_get_the_work_that_the_tendons_do(name: str, tmp_path: Path) -> None:
-    """Without friction and damping, the sum of tension times tendon speed equals the sum of torque times joint rate."""
+    """Compare the power of tendons and joints: tension times tendon speed equals torque times joint rate.
+
+    The plant has no friction and no damping.
+    """
     path = tmp_path / "hand.toml"
     path.write_text(with_varying_arms(name, 0.3).to_toml())
     hand = load_hand(str(path))

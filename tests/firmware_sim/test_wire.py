@@ -28,7 +28,7 @@ FRAME_STRATEGY = st.builds(
 
 
 class BusMember:
-    """A CAN controller on the wire, and the frames that its owner has received."""
+    """A CAN controller on the simulated wire, and the frames that it has received."""
 
     def __init__(self, wire: SimulatedWire, queue: int | None = None) -> None:
         self.received: list[Frame] = []
@@ -46,7 +46,10 @@ class BusMember:
 
     @property
     def classes(self) -> list[int]:
-        """Return the classes of the received error frames, without the bits that mark error frames and counters."""
+        """Return the classes of the received error frames.
+
+        The bits that mark error frames and counters are cleared.
+        """
         return [frame.can_id & 0x1FF for frame in self.errors]
 
 
@@ -62,7 +65,7 @@ def test_both_packages_compute_the_same_maximum_frame_time(frame: Frame) -> None
 
 
 def test_a_frame_whose_bits_were_counted_by_hand() -> None:
-    """A frame with identifier 0 and no data has 19 zeros and a CRC of zeros.
+    """A frame with identifier 0 and without data consists of 19 zeros and a CRC of zeros.
 
     A stuff bit follows every five zeros.
     """

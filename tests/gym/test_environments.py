@@ -1,4 +1,7 @@
-"""Test the environments of ``handctl.gym``: their interface, determinism and safety. Both tasks can be solved."""
+"""Test the environments of ``handctl.gym``: interface, determinism and safety.
+
+The tasks of both environments can be solved.
+"""
 
 import re
 import subprocess
@@ -25,13 +28,16 @@ GRASP_PARAMETERS = {
     "jamia_bench": (70, 0.3),
     "t42": (15, 0.15),
 }
-"""For each packaged hand, the time of contact and the tension of a scripted grasp.
+"""For each packaged hand, the numbers of a scripted grasp.
 
-The numbers are the step in which its digits are close to the object, and the action that holds the
-object by tension.
+The first number is the step after which the digits are close to the object. The second one is the
+tension action that holds the object.
 """
 DIAMETER_OPTIONS = {"t42": {"diameter_mm": (33.4, 35.0)}}
-"""Diameters of the object [mm]. The two fingers of the t42 would squeeze smaller objects out."""
+"""Diameters of the object [mm].
+
+The two fingers of the hand t42 would squeeze out smaller objects.
+"""
 
 
 def make_env(name: str, **options: Any) -> Any:
@@ -40,7 +46,10 @@ def make_env(name: str, **options: Any) -> Any:
 
 
 def following_action(env: Any, seen: Any) -> Any:
-    """Return the action whose targets are the reference after the horizon, which an observation contains."""
+    """Return the action whose targets equal the reference after the horizon.
+
+    The observation contains this reference.
+    """
     first = env.layout.names.index(f"reference_ahead_rad[{env.names[0]}]")
     return env.action_for(np.degrees(seen[first : first + len(env.names)]))
 
@@ -54,7 +63,7 @@ def closing_action(env: Any, step: int) -> Any:
 
 
 def run_episode(env: Any, seed: int, steps: int) -> bytes:
-    """Return the observations and rewards of an episode with random actions, as bytes."""
+    """Run an episode with random actions, and return its observations and rewards as bytes."""
     rng = np.random.default_rng(seed)
     seen, _ = env.reset(seed=seed)
     rows = [seen.tobytes()]
@@ -91,7 +100,7 @@ def test_equal_seeds_and_actions_give_equal_episodes(name: str) -> None:
     ("hand", "span"), [("jamia", None), ("jamia11", None), ("jamia_bench", None), ("t42", 0.05)]
 )
 def test_the_reference_can_be_tracked(hand: str, span: float | None) -> None:
-    """The fingers of the t42 touch each other at 9 degrees, so its reference moves only little."""
+    """The reference of the hand t42 moves only a little, because its fingers touch each other at 9 degrees."""
     env = make_env(TRACK_ENV, hand=hand, **({} if span is None else {"span": (0.0, span)}))
     seen, _ = env.reset(seed=3)
     rewards, ended, truncated = [], False, False
@@ -148,9 +157,9 @@ def test_a_fault_ends_an_episode() -> None:
 
 
 def test_random_actions_are_limited_and_trip_nothing_on_a_free_hand() -> None:
-    """The environment limits the random targets of all 20 seeds.
+    """With each of the 20 seeds, the environment limits random actions to safe targets.
 
-    No fault ends an episode, and the tensions stay within their limits.
+    No fault ends an episode, and the true tensions stay below the limit.
     """
     env = make_env(TRACK_ENV, duration_s=1.0)
     limit = max(tendon.tension_max_N for tendon in env.hand.tendon)
@@ -179,7 +188,7 @@ def test_several_processes_give_the_episodes_of_one_process() -> None:
         return gymnasium.make("handctl.gym:handctl/Track-v0", duration_s=0.2)
 
     rng = np.random.default_rng(0)
-    actions = rng.uniform(-1.0, 1.0, (15, 2, 4)).astype(np.float32)  # more than one episode
+    actions = rng.uniform(-1.0, 1.0, (15, 2, 4)).astype(np.float32)  # longer than one episode
     rows = []
     for kind in (SyncVectorEnv, AsyncVectorEnv):
         envs = kind([made, made])

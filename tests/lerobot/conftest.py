@@ -1,4 +1,4 @@
-"""Fixtures with a simulated hand in slowed time for LeRobot's robots and scripts."""
+"""Fixtures with a simulated hand in slowed time, for tests with LeRobot's robots and scripts."""
 
 import tempfile
 
@@ -13,12 +13,15 @@ from tests.runtime.processes import (
 )
 
 TIME_SCALE = 0.5
-"""Time of the hand that passes per second of wall time."""
+"""Time on the clock of the hand that passes in one second of wall time."""
 
 
 @pytest.fixture
 def work_folder(tmp_path, monkeypatch):
-    """Change to an empty folder. Sockets are in another folder with a short path."""
+    """Change to an empty folder.
+
+    The sockets are in a different folder, because their paths must be short.
+    """
     with tempfile.TemporaryDirectory(prefix="h-") as short:
         monkeypatch.setenv("HANDCTL_RUN_DIR", short)
         monkeypatch.setenv("HF_HUB_OFFLINE", "1")
@@ -29,7 +32,7 @@ def work_folder(tmp_path, monkeypatch):
 
 @pytest.fixture
 def robot_options(work_folder):
-    """Start a simulated hand in slowed time, and return the options of its controller."""
+    """Start a simulated hand in slowed time, and return the options of a controller for this hand."""
     scale = time_scale_options(TIME_SCALE)
     process = start_hand(work_folder / "hand.truth", "--hand", "jamia", "--scene", "none", *scale)
     yield ["--calibration", "c.toml", "--log", "run.mcap", *scale]

@@ -1,6 +1,6 @@
 """Test camera videos in an exported dataset.
 
-LeRobot's loader reads them back. The tests are skipped where LeRobot is not installed.
+LeRobot's loader reads the videos back. The tests are skipped if LeRobot is not installed.
 """
 
 import json
@@ -26,12 +26,15 @@ FPS = 50
 CAMERA_HZ = 30
 IMAGE_WIDTH_PX, IMAGE_HEIGHT_PX = 64, 48
 LEVEL_PER_S = 40.0
-"""Rise of the brightness of the test videos [1/s]. The largest brightness is 255."""
+"""Increase of the brightness in a test video per second [1/s]. The maximum brightness is 255."""
 
 
 @pytest.fixture(autouse=True)
 def ffmpeg(tmp_path_factory, monkeypatch):
-    """Add the ffmpeg of the package imageio to PATH. Another ffmpeg in PATH has priority."""
+    """Add the program ffmpeg of the package imageio to PATH.
+
+    If PATH already has an ffmpeg, that one has priority.
+    """
     from imageio_ffmpeg import get_ffmpeg_exe
 
     folder = tmp_path_factory.mktemp("bin")
@@ -40,9 +43,9 @@ def ffmpeg(tmp_path_factory, monkeypatch):
 
 
 def write_video(path, seconds, width=IMAGE_WIDTH_PX):
-    """Write a video that becomes brighter and return its path.
+    """Write a video whose images become brighter with time, and return its path.
 
-    The brightness of an image shows the time at which it was taken.
+    The brightness of an image thus shows the time at which the image was taken.
     """
     import imageio
 
@@ -53,13 +56,13 @@ def write_video(path, seconds, width=IMAGE_WIDTH_PX):
             image = np.full(
                 (IMAGE_HEIGHT_PX, width, 3), 20 + round(LEVEL_PER_S * i / CAMERA_HZ), np.uint8
             )
-            image[:, : width // 2, 0] = 0  # no red in the left half
+            image[:, : width // 2, 0] = 0  # the left half has no red
             writer.append_data(image)
     return path
 
 
 def tick_times(log):
-    """Return the first and the last time of the active part of a log [s], which becomes an episode."""
+    """Return the start and the end of that part of a log that becomes an episode: the active part [s]."""
     active = log.t_ns[log.mode == int(HandMode.ACTIVE)] / 1e9
     return active[0], active[-1]
 
@@ -73,7 +76,7 @@ def test_the_loader_gives_the_image_of_each_frame(tmp_path) -> None:
     decoders = pytest.importorskip("torchcodec.decoders", reason="LeRobot needs torchcodec")
     try:
         decoders.VideoDecoder(str(write_video(tmp_path / "any.mp4", 0.2)))
-    except RuntimeError as error:  # test_environment.py makes them known
+    except RuntimeError as error:  # test_environment.py puts the FFmpeg libraries in place
         pytest.skip(f"torchcodec finds no FFmpeg libraries: {str(error).splitlines()[0]}")
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 

@@ -1,6 +1,6 @@
 """Run the tests of this folder with the real LeRobot, in an environment that this test makes.
 
-It runs at night, because the packages have 6 GB.
+The test runs only at night, because the packages take 6 GB.
 """
 
 import os
@@ -14,15 +14,18 @@ import pytest
 REPOSITORY_ROOT = Path(__file__).parents[2]
 LEROBOT_REQUIREMENT = "lerobot==0.4.4"
 GIVEN_PYTHON = os.environ.get("HANDCTL_LEROBOT_PYTHON", "")
-"""Python of an environment that already exists. If it is empty, the test makes an environment."""
+"""Path of the Python of an existing environment.
+
+If the text is empty, the test makes an environment.
+"""
 INSTALL_TIMEOUT_S = 3600.0
 TESTS_TIMEOUT_S = 1800.0
 MIN_PASSED_TESTS = 13
-"""Smallest number of tests that must pass. Without it, skipped tests would go unnoticed."""
+"""Smallest number of tests that must pass. Without this limit, skipped tests would go unnoticed."""
 
 
 def run_pip(lerobot_python: str, *words: str) -> None:
-    """Install packages into the environment of a Python."""
+    """Install packages into an environment, given by the path of its Python."""
     command = [
         lerobot_python,
         "-m",
@@ -39,7 +42,7 @@ def run_pip(lerobot_python: str, *words: str) -> None:
 
 
 def link_ffmpeg(lerobot_python: str, folder: Path) -> str:
-    """Give the FFmpeg libraries of PyAV the names under which torchcodec looks for them.
+    """Create links to the FFmpeg libraries of PyAV, with the names under which torchcodec looks for them.
 
     Returns: The folders that ``LD_LIBRARY_PATH`` must contain.
     """

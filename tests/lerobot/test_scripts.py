@@ -1,6 +1,6 @@
 """Test the plug-in with LeRobot's own scripts and its loader of datasets.
 
-The tests are skipped where LeRobot is not installed.
+The tests are skipped if LeRobot is not installed.
 """
 
 import json
@@ -39,7 +39,8 @@ def run_script(name: str, *words: str) -> "subprocess.CompletedProcess[str]":
 def fault_texts(log: RunLog) -> list[str]:
     """Return the faults that made a run relax.
 
-    Other faults are ignored, because a busy machine delays frames and actions.
+    Other faults are ignored, because a busy machine delays frames and actions and thereby causes
+    faults.
     """
     return [
         row.event.text
@@ -88,7 +89,8 @@ def test_recorded_episodes_can_be_loaded_replayed_and_run(robot_options, work_fo
         active = log.mode == HandMode.ACTIVE
         highest = np.degrees(np.nanmax(log.field("q_goal")[active][:, :3].mean(axis=1)))
     first = actions[: int(dataset.meta.episodes[0]["length"])]
-    # The joints of a finger are coupled, so they turn by the nearest common angle.
+    # The joints of a finger are coupled. Coupled joints share one angle: the nearest one to the
+    # recorded angles.
     expected = np.degrees(first[:, :3].mean(axis=1).max())
     assert highest == pytest.approx(expected, abs=2.0)
 

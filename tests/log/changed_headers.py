@@ -1,4 +1,7 @@
-"""Write logs with a changed header. Metadata records are replaced, all other records are unchanged."""
+"""Write logs with a changed header.
+
+Metadata records are replaced, and all other records stay unchanged.
+"""
 
 import struct
 from collections.abc import Callable, Iterator
@@ -13,7 +16,9 @@ _RECORD_HEAD_STRUCT = struct.Struct("<BQ")
 
 
 def with_metadata(raw: bytes, change: Callable[[str, MetadataEntries], MetadataEntries]) -> bytes:
-    """Return the bytes of a log with changed metadata, without the checksums of the whole file.
+    """Return the bytes of a log with changed metadata.
+
+    The checksums over the whole file are left out.
 
     Args:
         raw: bytes of a complete log.
@@ -31,7 +36,10 @@ def with_metadata(raw: bytes, change: Callable[[str, MetadataEntries], MetadataE
 
 
 def with_run_metadata(path: Path, out: Path, **values: str) -> Path:
-    """Write a copy of a log to `out` with other JSON texts in its record `handctl.run`, and return the path."""
+    """Write a copy of a log to `out`, with other JSON texts in its metadata record `handctl.run`.
+
+    Return the path of the copy.
+    """
     out.write_bytes(
         with_metadata(
             path.read_bytes(), lambda name, old: old | values if name == "handctl.run" else old

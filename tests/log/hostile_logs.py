@@ -1,4 +1,4 @@
-"""Hostile log files: decompression bombs, wrong lengths, and a million records of one kind."""
+"""Log files that an attacker could make: decompression bombs, wrong lengths, and a million records of one kind."""
 
 import struct
 import zlib
@@ -24,7 +24,7 @@ def _chunk_record(compression: str, packed: bytes, size: int, crc: int = 0) -> b
 
 
 def _with_chunks(small_log: Path, chunks: bytes) -> bytes:
-    """Return the bytes of the start of a real log, followed by other chunks."""
+    """Return the bytes of a log: the start of a real log, followed by the given chunks."""
     file, scan = LogFile(small_log), RecordScan()
     scan_records(file, scan)
     file.close()
@@ -38,7 +38,10 @@ def _zeros_zstd(size: int) -> bytes:
 
 
 def hostile_files(small_log: Path) -> dict[str, bytes]:
-    """Return the name and the bytes of each hostile file. Most begin as a real log."""
+    """Return the name and the bytes of each hostile file.
+
+    Most of these files begin like a real log.
+    """
     message = struct.pack("<BQHIQQ", 5, 22, 3, 0, 0, 0)
     other = struct.pack("<BQHIQQ", 5, 22, 4, 0, 0, 0)
     many = (message + other) * (MAX_CHUNK_BYTES // 62)

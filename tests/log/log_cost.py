@@ -1,6 +1,7 @@
-"""Measure the cost of a log.
+"""Measure the CPU time that a log costs per tick.
 
-`python tests/log/log_cost.py` prints microseconds per tick on this machine, and checks no limit.
+`python tests/log/log_cost.py` prints microseconds per tick on this machine. The program checks no
+limits.
 """
 
 import tempfile
@@ -17,7 +18,7 @@ from handctl.log.write.writer import LogWriter
 
 
 def _us_per_item(number: int, work: Callable[[], object]) -> float:
-    """Return the processor time of some work per item [us], the best of three runs."""
+    """Run a function three times, and return its shortest CPU time per item [us]."""
     spent = []
     for _ in range(3):
         start = time.process_time()
@@ -35,7 +36,7 @@ def _write_log(path: Path, run: synthetic_run.RunHeader, bodies: list[bytes]) ->
 
 
 def main() -> None:
-    """Measure the times to pack ticks, write a log, pass ticks through the pipe in lockstep, and read a log."""
+    """Measure the time per tick to pack it, write it to a log, pass it through the pipe in lockstep, and read it."""
     for hand, rate_hz in (("jamia", 500), ("jamia11", 1000)):
         run = synthetic_run.synthetic_header(hand, rate_hz)
         ticks = list(synthetic_run.SyntheticTicks(run, 10.0))

@@ -1,4 +1,4 @@
-"""Read logs with the packages of others, to compare the results."""
+"""Read logs with packages of other projects, for comparison with the reader of handctl."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,7 +23,10 @@ class LoggedMessage(NamedTuple):
 
 
 def read_messages(path: Path) -> list[LoggedMessage]:
-    """Return all messages of a log in the order of their log times, and check the checksums."""
+    """Return all messages of a log in the order of their log times.
+
+    Check all checksums of the file.
+    """
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         return [
@@ -42,7 +45,7 @@ def read_messages(path: Path) -> list[LoggedMessage]:
 
 
 def messages_by_topic(path: Path) -> dict[str, list[LoggedMessage]]:
-    """Return the messages of a log by topic, each in the order of the log times."""
+    """Return the messages of each topic of a log, in the order of the log times."""
     topics: dict[str, list[LoggedMessage]] = {}
     for message in read_messages(path):
         topics.setdefault(message.topic, []).append(message)
@@ -58,7 +61,10 @@ class Ros2SupportSerialiser:
 
 
 class RosbagsSerialiser:
-    """Serialiser of the package rosbags for one message type. It knows only the definition in the log."""
+    """Serialiser of the package rosbags for one message type.
+
+    The serialiser gets the definition of the type from the log.
+    """
 
     def __init__(self, kind: str, schema: str) -> None:
         self.store: Typestore = get_typestore(Stores.EMPTY)

@@ -1,6 +1,6 @@
-"""Feed a recorder until this process is killed: `python recorder_feeder.py PATH`.
+"""Send ticks to a recorder until this process is killed: `python recorder_feeder.py PATH`.
 
-It prints each tick that the pipe has accepted.
+The program prints the number of each tick that the pipe has accepted.
 """
 
 import itertools
@@ -16,7 +16,7 @@ from handctl.log.write.recorder import Recorder
 
 
 def main() -> None:
-    """Record endless ticks, with about a millisecond between them."""
+    """Record ticks without end, about one per millisecond."""
     run = synthetic_run.synthetic_header(rate_hz=1000, deterministic=False)
     ticks = list(synthetic_run.SyntheticTicks(run, 0.2))
     recorder = Recorder.start(Path(sys.argv[1]), run)

@@ -1,9 +1,10 @@
-"""Synthetic run: plausible motion of a hand, for tests of the log and trials of the viewer.
+"""Synthetic run with a plausible motion of a hand, for tests of the log and for trials of the viewer.
 
 Command: `python tests/log/synthetic_run.py OUT.mcap [--hand jamia|jamia11] [--seconds 10] [--rate 500]`.
 
-Three fingers and the thumb tighten, close, touch an object one after the other, hold it at a rising tension, release
-and open. One drive warms up, one bus error happens, one gain changes, one frame is late.
+Three fingers and the thumb tighten, close, touch an object one after the other, hold it at a rising
+tension, release and open. The run contains a drive that warms up, a bus error, a change of a gain,
+and a late frame.
 """
 
 import argparse
@@ -40,7 +41,10 @@ PHASE_ENDS = (
     ("release", 0.85),
     ("open", 0.98),
 )
-"""Phases of the run, each with the fraction of the run at which it ends. The phase after them is "end"."""
+"""Phases of the run.
+
+The number is the fraction of the run at which the phase ends. The last phase is "end".
+"""
 
 
 def synthetic_header(hand: str = "jamia", rate_hz: int = 500, **more: object) -> RunHeader:
@@ -112,7 +116,7 @@ class SyntheticTicks:
             )
 
     def _closing(self, fraction: float) -> float:
-        """Return how far the hand is closed at a fraction of the run, from 0 to 1."""
+        """Return the degree to which the hand is closed, from 0 to 1, at a fraction of the run."""
         up = float(np.clip((fraction - 0.08) / 0.32, 0, 1))
         down = float(np.clip((fraction - 0.85) / 0.13, 0, 1))
         return (up * up * (3 - 2 * up)) * (1 - down * down * (3 - 2 * down))
@@ -190,7 +194,7 @@ def write_synthetic_run(
 
 
 def main() -> None:
-    """Write the log of a synthetic run, as the command line asks."""
+    """Write the log of a synthetic run with the options of the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("path", type=Path, help="log to write")
     parser.add_argument("--hand", default="jamia", help="packaged hand (default: jamia)")

@@ -1,6 +1,7 @@
 """Test meshes in a log.
 
-They are embedded up to a bound, found again without the hand file, and named if they are missing.
+A log contains the meshes up to a maximum size. A reader finds these meshes without the hand file.
+Missing meshes are named.
 """
 
 from pathlib import Path

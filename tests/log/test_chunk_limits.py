@@ -1,4 +1,4 @@
-"""Test the limits of the work that one chunk of a log can cause."""
+"""Test the limits on the work that a single chunk of a log can cause for a reader."""
 
 import struct
 
@@ -16,7 +16,10 @@ def message_record(number: int) -> bytes:
 
 
 def test_a_chunk_may_define_so_many_channels_however_large_it_is() -> None:
-    """Regression: a million channels in thirty megabytes kept `log check` busy for more than a second."""
+    """The limit does not depend on the size of the chunk.
+
+    Regression: `log check` took more than a second for a million channels.
+    """
     plenty = 1 << 30
     allowed = channel_record(7) * 2 * MAX_CHANNELS + message_record(7)
     assert [one.channel for one in iter_messages(allowed, plenty)] == [7]

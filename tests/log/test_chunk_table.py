@@ -53,9 +53,9 @@ def test_packing_changes_neither_their_order_nor_a_number(chunks: int) -> None:
 
 
 def test_an_hour_of_chunks_is_less_than_half_a_megabyte() -> None:
-    """Regression: this table made a recorder grow by 30 MiB per hour.
+    """Regression: with an earlier table, the memory of a recorder grew by 30 MiB per hour.
 
-    The soak test allows 1 MiB for the whole recorder.
+    The soak test permits 1 MiB per hour for the whole recorder.
     """
     chunks_an_hour, channels, chance = 4 * 3600, range(34), random.Random(1)
     start = 0

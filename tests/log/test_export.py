@@ -1,4 +1,7 @@
-"""Test exports of a log. Readers of other projects find equal values in them."""
+"""Test exports of a log.
+
+In the exported files, readers of other projects find the values of the log.
+"""
 
 import ast
 import csv
@@ -71,7 +74,10 @@ def test_csv_reads_back_bit_for_bit(golden_log: RunLog, tmp_path: Path) -> None:
 
 
 def test_units_are_those_that_the_telemetry_declares() -> None:
-    """The docstring of each field of `Telemetry` ends with its unit in brackets, unless the field has no unit."""
+    """The units equal those in `Telemetry`.
+
+    The docstring of each field there ends with the unit in brackets, if it has a unit.
+    """
     source = ast.parse(inspect.getsource(tick_types))
     (telemetry,) = (
         node for node in source.body if isinstance(node, ast.ClassDef) and node.name == "Telemetry"
@@ -104,7 +110,7 @@ def test_every_column_says_its_unit(golden_log: RunLog, tmp_path: Path) -> None:
 
 
 def test_the_page_has_the_units() -> None:
-    """The table in docs/how-to/logs.md has the unit of every exported quantity."""
+    """The table in docs/how-to/logs.md contains the unit of every exported quantity."""
     page = (GOLDEN_FOLDER.parents[1] / "docs" / "how-to" / "logs.md").read_text(encoding="utf-8")
     listed = {
         name: row[2]
@@ -139,9 +145,9 @@ def test_python_can_reads_the_candump(golden_log: RunLog, tmp_path: Path) -> Non
 def test_time_stamps_of_the_candump_rise(
     golden_log: RunLog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """On a local bus, a frame gets its time stamp when it is read.
+    """On a local bus, a frame gets its time stamp at the moment when it is read.
 
-    This may be after the start of the tick whose frames follow it.
+    This moment may be after the start of the tick, whose own frames come next in the file.
     """
     path = tmp_path / "x.log"
     ticks = [tick for tick, _ in zip(golden_log.ticks(), range(500), strict=False)]

@@ -1,6 +1,6 @@
-"""Test the header of a log from elsewhere.
+"""Test logs of unknown origin, whose headers may contain wrong values.
 
-Every command checks the type and range of each value that it computes with.
+Every command checks the type and range of each header value with which it computes.
 """
 
 import json
@@ -85,7 +85,7 @@ def log_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def _refusal_line(capsys: pytest.CaptureFixture[str], *words: str) -> str:
     """Return the error line that a command prints when it refuses a log.
 
-    `log check` prints its finding on standard output and has exit code 1.
+    For `log check`, return the finding on standard output. The exit code of this command is 1.
     """
     checks = words[:2] == ("log", "check")
     assert main(words) == (1 if checks else 2), words

@@ -1,4 +1,7 @@
-"""Every command that reads a log ends with one clear line for a hostile file, within a second and 256 MiB."""
+"""For a hostile log file, every command ends with one clear line.
+
+The command takes at most a second and 256 MiB.
+"""
 
 import json
 import subprocess
@@ -19,9 +22,9 @@ EXIT_CODES = {
     "replay drive": (2, 4),
     "view --save": (2, 3),
 }
-"""Exit codes of commands whose result is not that of bad input.
+"""Exit codes of commands that do not exit with the code of bad input.
 
-The logs name no hand, which `replay drive` checks first.
+`replay drive` first checks the name of the hand, which these logs lack.
 """
 PROBE_PROGRAM = """
 import contextlib, io, json, resource, sys, time

@@ -1,4 +1,4 @@
-"""Every message of a log equals the bytes that mcap-ros2-support and rosbags write."""
+"""Every message of a log has the same bytes as the message that mcap-ros2-support and rosbags write."""
 
 import struct
 from pathlib import Path
@@ -37,7 +37,7 @@ STANDARD_PACKAGES = (
 
 
 SNAPSHOTS = {30: b"one state", 136: bytes(range(256)) * 100}
-"""Snapshots of the run by the number of the tick that precedes them."""
+"""Snapshots of the run. The key is the number of the tick before the snapshot."""
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,6 @@
-"""A log is read exactly as it was recorded.
+"""The reader returns exactly the recorded values of a log.
 
-A bad log raises one LogError, within a short time and with little memory.
+For a bad log it raises a LogError, after a short time and with little memory.
 """
 
 import contextlib
@@ -70,9 +70,9 @@ def test_every_field_comes_back_bit_for_bit(
 def test_a_log_without_the_latest_fields_is_read(
     varied_log: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A later version may have a field that an older log lacks, as logs of version 0.1 lack q_sigma.
+    """A log of an older version may lack a field. For example, logs of version 0.1 lack q_sigma.
 
-    The field is then NaN.
+    All values of a missing field are NaN.
     """
     recorded = [out.telemetry for _, out in varied_run.varied_ticks(varied_run.varied_header())]
     monkeypatch.setitem(TELEMETRY_AXES, "coming", "joint")

@@ -1,4 +1,7 @@
-"""A tick passes unchanged through the pipe to the recorder. Bytes that are no tick are refused."""
+"""The record of a tick passes unchanged through the pipe to the recorder.
+
+Bytes that are no such record are refused.
+"""
 
 import contextlib
 import math

@@ -1,4 +1,4 @@
-"""The recorder survives the end of the controller, never delays it, and reports failed writes."""
+"""The recorder survives the end of the controller, never delays the controller, and reports failed writes."""
 
 import os
 import random
@@ -37,9 +37,11 @@ FEEDER_PROGRAM = Path(__file__).with_name("recorder_feeder.py")
 def start_recorder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[Callable[..., Recorder]]:
-    """Yield a function that starts a recorder with a pipe of unprivileged size.
+    """Yield a function that starts a recorder.
 
-    All recorders are ended after the test.
+    The pipe of the recorder has the largest size for a user without privileges.
+
+    After the test, end all recorders.
     """
     started: list[Recorder] = []
     monkeypatch.setattr("handctl.log.write.recorder.PIPE_BYTES", PIPE_BYTES[-1:])
@@ -78,7 +80,7 @@ def _is_finished(path: Path) -> bool:
 def test_a_recorder_that_does_not_start_in_time_is_named(
     start_recorder: Callable[..., Recorder], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The error gives the time in which the recorder has not started, and asks for a computer with less load."""
+    """The error names the time for which the start was awaited, and advises a computer with less load."""
     python = tmp_path / "python"
     python.write_text("#!/bin/sh\nexec sleep 10\n")
     python.chmod(0o755)
@@ -206,8 +208,8 @@ def test_a_stalled_recorder_never_holds_up_the_controller(
 def test_a_deterministic_run_has_no_event_of_the_time_that_its_recorder_takes(
     start_recorder: Callable[..., Recorder],
 ) -> None:
-    # The run waits while the pipe is full, and loses nothing. An event about this would make two
-    # equal runs differ.
+    # A deterministic run waits while the pipe is full, and loses no tick. An event about the wait
+    # would make two equal runs differ.
     recorder = start_recorder(deterministic=True)
     os.kill(recorder._child.pid, signal.SIGSTOP)
     events, sent = [], 0
@@ -311,9 +313,9 @@ def test_a_file_that_cannot_be_created_is_refused(
 
 
 LIMIT_BYTES = 800_000
-"""Largest size of a file, which simulates a full disk [bytes].
+"""Largest permitted size of a file, which simulates a full disk [bytes].
 
-Some of the chunks of a run fit into this size, but not all.
+Some chunks of a run fit into a file of this size, but not all chunks.
 """
 
 
@@ -421,7 +423,7 @@ def test_the_syncing_process_does_not_hold_the_reserved_space(tiny_disk: Path) -
     writer._reserved.release()
     assert _wait_until(lambda: shutil.disk_usage(tiny_disk).free > 256 << 10, 5.0)
     writer.finish("finished", 0)
-    os.close(syncer._request_pipe)  # ends the syncer's process
+    os.close(syncer._request_pipe)  # this ends the process of the syncer
 
 
 def test_recording_a_tick_is_fast(start_recorder: Callable[..., Recorder]) -> None:
@@ -440,7 +442,9 @@ def test_recording_a_tick_is_fast(start_recorder: Callable[..., Recorder]) -> No
 
 
 def test_the_recorder_needs_no_compiler(tmp_path: Path) -> None:
-    """The recorder imports no compiler, because a run waits for the start of its recorder.
+    """The recorder imports no compiler.
+
+    The import would delay every run, because a run waits for its recorder.
 
     Regression: the recorder imported numba, llvmlite and scipy to check a single text.
     """

@@ -1,4 +1,4 @@
-"""If a log is cut at any byte, exactly the complete chunks before the cut are recovered."""
+"""If a log ends early at any byte, exactly its complete chunks are recovered."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -19,9 +19,11 @@ SAMPLE_COUNT = 500
 
 @pytest.fixture(scope="module")
 def smallest_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Write a complete log of at most 68 KiB, which is cut at every byte, and return its path.
+    """Write a complete log of at most 68 KiB, and return its path.
 
-    It has no URDF, so that it is small, and eight chunks.
+    Tests cut this log at every byte.
+
+    The log has eight chunks. It has no URDF, so that it is small.
     """
     path = tmp_path_factory.mktemp("log") / "least.mcap"
     attachments = {
@@ -50,7 +52,7 @@ def _recover_bytes(data: bytes, folder: Path) -> tuple[RecoveryReport, Path]:
 
 
 def _chunk_starts(path: Path) -> dict[int, int]:
-    """Return the number of /tick messages in the first n chunks, for every n."""
+    """Return, for every n, the number of /tick messages in the first n chunks of a log."""
     scan, ticks = _scan_log(path), {0: 0}
     with RunLog(path) as log:
         for n in range(1, len(scan.chunks) + 1):

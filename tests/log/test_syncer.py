@@ -1,4 +1,4 @@
-"""Test the transfer of a file to the disk, for which the writer does not wait."""
+"""Test the syncer, which transfers a file to the disk. The log writer does not wait for this."""
 
 import os
 import select

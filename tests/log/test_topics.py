@@ -1,4 +1,7 @@
-"""The topics of a log are complete, joined by sequence number, independent of chunks, and readable by other tools."""
+"""The topics of a log are complete, and independent of the borders of chunks.
+
+Sequence numbers join the topics, and other tools can read them.
+"""
 
 import json
 import math
@@ -34,7 +37,10 @@ def _write_log(
     flush_at: frozenset[int] = frozenset(),
     events: tuple[str, ...] = (),
 ) -> Path:
-    """Write a log in this process, with further chunk borders at ``flush_at``, and check the reports of the writer."""
+    """Write a log in this process, with additional chunk borders at ``flush_at``.
+
+    Check the reports of the writer.
+    """
     path.unlink(missing_ok=True)
     problems: list[str] = []
     writer = LogWriter(path, run, lambda event, number: problems.append(event), 1)

@@ -1,4 +1,4 @@
-"""A synthetic short run that has every kind of content that a log may have."""
+"""A short synthetic run with every kind of content that a log can have."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -35,8 +35,8 @@ def varied_header(**more: object) -> RunHeader:
 def varied_ticks(run: RunHeader, count: int = 120) -> Iterator[tuple[TickIn, TickOut]]:
     """Yield ticks with every kind of content.
 
-    Some ticks are missed. There are frames of all kinds on all buses, NaN, infinities, odd texts,
-    every mode and every action.
+    Some ticks are missed. The other ticks contain frames of all kinds on all buses, NaN,
+    infinities, odd texts, all modes and all actions.
     """
     random, k = np.random.default_rng(1), 0
     for index in range(count):

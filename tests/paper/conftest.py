@@ -1,4 +1,7 @@
-"""Results of experiments made up for tests of pages and figures without the simulator."""
+"""Invented results of experiments.
+
+Tests of pages and figures use these results in place of the simulator.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -14,7 +17,7 @@ from handctl.paper.figures.gallery import draw_all_figures
 
 @pytest.fixture(scope="session")
 def measured() -> dict[str, Any]:
-    """Return two tendons with noise, and a load case for each diameter and axis."""
+    """Return invented results: two tendons with noise, and a load case for each diameter and axis."""
     chance = np.random.default_rng(11)
     ropes = []
     for knee in map(float, src.KNEE_TENSIONS_N):
@@ -35,7 +38,7 @@ def measured() -> dict[str, Any]:
 
 
 def case(diameter: float, axis: str, k: int) -> dict[str, Any]:
-    """Return a load that grows to 20 N and slips at 8 to 14 N."""
+    """Return a load case in which the load grows to 20 N, and the object slips at 8 to 14 N."""
     load = 8.0 + 3.0 * k
     moved = np.interp(np.linspace(0.0, 20.0, 200), [0.0, load, 20.0], [0.0, 0.3, 6.0])
     names = src.paper_hand().digit_names
@@ -55,5 +58,5 @@ def case(diameter: float, axis: str, k: int) -> dict[str, Any]:
 
 @pytest.fixture(scope="session")
 def drawn(measured: dict[str, Any], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Return the SVG file of each figure, drawn once."""
+    """Draw all figures once, and return the SVG file of each."""
     return draw_all_figures(tmp_path_factory.mktemp("figures"), measured)

@@ -1,7 +1,7 @@
-"""A pytest plugin that puts Eq. 10 of the paper into the dynamics of handctl, either as printed or corrected.
+"""A pytest plugin that puts Eq. 10 of the paper into the dynamics of handctl, either with its misprints or corrected.
 
-``test_literal.py`` loads it into a run of the tests of the model. The variable HANDCTL_EQ10 selects
-the version.
+``test_literal.py`` runs the tests of the model with this plugin. The environment variable
+HANDCTL_EQ10 selects the version of the equation.
 """
 
 import os
@@ -20,7 +20,8 @@ PRESENT_TORQUE = dynamics._rigid_body_torque
 def torque_of_eq10(digit, gravity, q, dq, ddq):
     """Return the joint torques of a digit.
 
-    The first follows from Eq. 10 for T_1, the others are those of the model.
+    The torque of the first joint follows from Eq. 10 for T_1. The other torques are those of the
+    model.
     """
     _, tau2, tau3 = (*PRESENT_TORQUE(digit, gravity, q, dq, ddq), 0.0, 0.0)[:3]
     r1, r2, _ = (*digit.armature, 0.0, 0.0)[:3]

@@ -1,4 +1,7 @@
-"""Test the errata of the paper: equations that sympy derives, numbers from separate arithmetic, and completeness."""
+"""Test the errata of the paper against equations that sympy derives and numbers from separate arithmetic.
+
+No known misprint is missing.
+"""
 
 from functools import cache
 
@@ -41,7 +44,7 @@ def derived_energies() -> tuple[list[sp.Expr], sp.Expr]:
 
 
 def in_symbols(expression: sp.Expr) -> sp.Expr:
-    """Return an expression with the formulas' names in place of functions of time."""
+    """Return an expression in which the names of the formulas replace functions of time."""
     for order in (2, 1, 0):
         expression = expression.subs(
             {
@@ -75,7 +78,7 @@ def test_corrected_torques_follow_from_the_lagrangian(i: int) -> None:
 
 
 def test_the_thumb_equations_are_the_same_without_a_third_link() -> None:
-    """With m3 = I3 = 0 the equations have two links, as the thumb of this project."""
+    """With m3 = I3 = 0 the equations describe two links, like those of the thumb of this project."""
     thumb = DigitModel.from_hand(src.paper_hand(), "thumb").with_gravity((0.0, -9.81, 0.0))
     chance = np.random.default_rng(3)
     states = {
@@ -249,7 +252,7 @@ def test_no_erratum_denies_a_statement_that_the_paper_makes() -> None:
 
 
 def test_torques_convert_between_relative_and_absolute_angles() -> None:
-    """The conversions are tau = S^T T and M_q = S^T M_theta S, as the page states."""
+    """The conversions on the page about the paper are right: tau = S^T T and M_q = S^T M_theta S."""
     digit = lagrange.paper_finger()
     states = lagrange.finger_states(digit)
     tau, torque = (

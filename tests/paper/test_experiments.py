@@ -1,4 +1,4 @@
-"""Test the paper's experiments on the simulated hand, and the evaluation of their recordings."""
+"""Test the experiments of the paper on the simulated hand, and the evaluation of recorded experiments."""
 
 import json
 import math
@@ -47,7 +47,10 @@ def test_a_blocked_finger_shows_the_knee_of_its_tendon(tmp_path: Path) -> None:
 
 
 def falling_object_truth(speed: float, after: float) -> TruthRecord:
-    """Return the truth, in rows of 1 ms, of an object that rests until a time and then falls at a speed [m/s]."""
+    """Return a truth record with one row per ms.
+
+    The object rests until ``after`` and then falls at ``speed`` [m/s].
+    """
     t = np.arange(4000)
     z = -speed * np.maximum(0.0, t / 1000.0 - after)
     return TruthRecord(

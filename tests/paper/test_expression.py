@@ -1,4 +1,4 @@
-"""Test formulas that are written as text: their values, their dimensions and their typesetting."""
+"""Test formulas that are written as text: value, physical dimension and typesetting of each formula."""
 
 import numpy as np
 import pytest

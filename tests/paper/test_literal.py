@@ -1,4 +1,4 @@
-"""The tests of the dynamic model fail with the paper's Eq. 10 exactly as it is printed."""
+"""With Eq. 10 exactly as the paper prints it, the tests of the dynamic model fail."""
 
 import os
 import re
@@ -21,9 +21,9 @@ NEED_EQ10 = {
 
 
 def run_with_equation(which: str) -> tuple[set[str], str]:
-    """Run the tests of the model with Eq. 10 as printed or corrected.
+    """Run the tests of the model with the printed or with the corrected Eq. 10.
 
-    Return the names of failed tests, and the last line.
+    Return the names of the failed tests, and the last line of the output.
     """
     command = [
         sys.executable,

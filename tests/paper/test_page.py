@@ -1,6 +1,7 @@
 """Test the page about the paper.
 
-Its Markdown is up to date, its JSON has a schema, and its HTML needs no other file.
+The Markdown page is up to date, the JSON result follows its schema, and the HTML page needs no
+other file.
 """
 
 import json
@@ -23,9 +24,9 @@ RESULTS_FILE = REPOSITORY_ROOT / "docs" / "evidence" / "paper-results.json"
 
 
 def test_the_page_in_the_repository_is_the_generator_s(capsys: pytest.CaptureFixture[str]) -> None:
-    """Every line of the page is compared, also those with measured values.
+    """Every line of the page equals the generated page, including lines with measured values.
 
-    If this test fails, run the command on the page.
+    If this test fails, run the command that the page states.
     """
     assert main(["paper", "--markdown", "--results", str(RESULTS_FILE)]) == 0
     assert (

@@ -1,4 +1,4 @@
-"""The verdict on a printed number follows from its decimal places and the exact value."""
+"""The decimal places of a printed number and the exact value determine the verdict on the printed number."""
 
 from decimal import ROUND_DOWN, ROUND_HALF_EVEN, Decimal
 from fractions import Fraction

@@ -1,4 +1,4 @@
-"""Fixtures with golden logs, and with a log of a new run with faults."""
+"""Fixtures with the golden logs, and with the log of a newly recorded run with faults."""
 
 import sys
 from pathlib import Path

@@ -14,7 +14,7 @@ SETTLED_S = 0.4
 
 
 def mean_angle_differences(before: RunLog, after: RunLog) -> NDArray[np.float64]:
-    """Return the difference of both runs in the mean joint angle of each digit (times, digits) [deg]."""
+    """Return by how much the mean joint angle of each digit differs between the runs (times, digits) [deg]."""
     start, end = active_interval(before)
     times = np.arange(0.0, end - start, 0.005)
     hand = load_hand(before.header.metadata["hand"])
@@ -26,7 +26,7 @@ def mean_angle_differences(before: RunLog, after: RunLog) -> NDArray[np.float64]
 
 
 def tensions_held(before: RunLog, after: RunLog) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the mean tensions (tendons,) [N] of both runs in the time in which the grasp is at rest."""
+    """Return the mean tensions of both runs, each (tendons,), while the grasp is at rest [N]."""
     starts = {change.name: change.t_ns * 1e-9 for change in before.phases}
     start, _ = active_interval(before)
     at_rest = starts["hold"] + SETTLED_S - start, starts["release"] - start
@@ -36,7 +36,7 @@ def tensions_held(before: RunLog, after: RunLog) -> tuple[NDArray[np.float64], N
 
 
 def start_of_repetition_s(log: RunLog) -> float:
-    """Return the time in a log at which the repetition of the recorded motion starts [s]."""
+    """Return the time at which the repetition of the recorded motion starts, in the log of the repetition [s]."""
     return next(change.t_ns * 1e-9 for change in log.phases if change.name == "playback")
 
 

@@ -1,4 +1,7 @@
-"""Short runs in lockstep, and the golden logs. `python tests/replay/short_runs.py logs/golden` writes them anew."""
+"""Short runs in lockstep, and the golden logs.
+
+`python tests/replay/short_runs.py logs/golden` writes new golden logs.
+"""
 
 import sys
 import tempfile
@@ -70,10 +73,12 @@ sink_speed_m_s = 0.2
 
 @dataclass
 class PeerWithLostReplies:
-    """A lockstep peer whose replies with one identifier are lost from some time on.
+    """Wrapper of a lockstep simulator.
+
+    From a given time on, it loses the replies with one identifier.
 
     Attributes:
-        peer: the peer without lost replies.
+        peer: wrapped simulator, which sends all replies.
         can_id: identifier of the lost replies.
         since_ns: start of the loss [ns].
     """
@@ -83,7 +88,7 @@ class PeerWithLostReplies:
     since_ns: int
 
     def step(self, t_ns: int, frames: list[Any]) -> list[Any]:
-        """Step the peer, and return its replies without the lost ones."""
+        """Step the wrapped simulator, and return those of its replies that are not lost."""
         replies = self.peer.step(t_ns, frames)
         return [
             reply
@@ -92,12 +97,12 @@ class PeerWithLostReplies:
         ]
 
     def close(self) -> None:
-        """Close the peer without lost replies."""
+        """Close the wrapped simulator."""
         self.peer.close()
 
 
 def short_task(folder: Path) -> TaskProgram:
-    """Return the program of the short grasp of these runs. Its task is written into a folder."""
+    """Return the program of a short grasp, and write its task file into a folder."""
     path = folder / "task.toml"
     path.write_text(SHORT_GRASP_TASK)
     return TaskProgram(load_task(path))
@@ -119,13 +124,13 @@ def record_lockstep_run(
     """Run a program in lockstep on a simulated hand that closes on a cylinder, and record a log.
 
     Args:
-        log: path of the log. It contains nothing about the machine and the date.
+        log: path of the log. The log contains no data about the machine or the date.
         program: the program to run.
         hand, rate_hz, seed: name of the hand, control rate [Hz], and seed of the simulator.
         friction: friction coefficient of the cylinder.
-        spoil: function that wraps the simulator in a peer with a fault.
-        io_events, requests: events of buses and host, and requests, by the number of the tick.
-        truth: path of the truth file, None for none.
+        spoil: function that wraps the simulator, for example to lose some replies.
+        io_events, requests: events of buses and host, and requests, by the number of their tick.
+        truth: path of the truth file, or None to write no truth file.
     """
     described = load_hand(hand)
     plan = RunPlan(described, Gains(), rate_hz, ())
@@ -173,7 +178,10 @@ def record_lockstep_run(
 
 
 def peer_with_silent_index(peer: LockstepSimulator) -> LockstepSimulator:
-    """Return a peer whose index motor sends no replies from 2.2 s on. This is during the hold."""
+    """Wrap a simulator.
+
+    From 2.2 s on, which is during the hold phase, the replies of its index motor are lost.
+    """
     return PeerWithLostReplies(peer, 0x11, 2_200_000_000)
 
 

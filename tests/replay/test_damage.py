@@ -1,4 +1,7 @@
-"""A changed byte in a log is reported with the first tick that it affects, even if every checksum was adjusted."""
+"""A changed byte in a log is reported, with the first tick that it affects.
+
+This holds even if all checksums were adjusted.
+"""
 
 import json
 import zlib
@@ -31,7 +34,10 @@ def _scan_chunks(path: Path) -> tuple[LogFile, RecordScan]:
 
 
 def _change_message(path: Path, topic: str, k: int, at: int, fitting: bool) -> None:
-    """Change a byte in the message of tick k. With `fitting`, all checksums are adjusted, as a forger would do."""
+    """Change a byte in the message of tick k.
+
+    If `fitting` is True, also adjust all checksums, as a forger would.
+    """
     file, scan = _scan_chunks(path)
     names = {
         name: number
@@ -54,7 +60,10 @@ def _change_message(path: Path, topic: str, k: int, at: int, fitting: bool) -> N
 def _put_chunk(
     path: Path, scan: RecordScan, chunk: ChunkLocation, bent: bytes, fitting: bool
 ) -> None:
-    """Write a log in which a chunk has other bytes. The file ends without its last checksum."""
+    """Write a log in which one chunk has other bytes.
+
+    The file then ends before its last checksum.
+    """
     raw = path.read_bytes()
     packed = lz4.frame.compress(bent)
     head = bytearray(raw[chunk.offset : chunk.data_offset])

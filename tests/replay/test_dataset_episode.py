@@ -1,6 +1,6 @@
 """Test episodes of a LeRobot dataset as programs.
 
-A hand follows them in lockstep, and an episode that does not suit the hand is refused.
+A hand follows an episode in lockstep. An episode that does not fit the hand is refused.
 """
 
 import json
@@ -30,7 +30,7 @@ JAMIA_HAND = load_hand("jamia")
 
 @pytest.fixture
 def exported_dataset(tmp_path: Path) -> Path:
-    """Return the folder of a dataset with two episodes: a run with a fault, and a grasp."""
+    """Export a dataset with two episodes (a run with a fault, and a grasp), and return its folder."""
     with (
         RunLog(GOLDEN_FOLDER / "jamia-fault.mcap") as one,
         RunLog(GOLDEN_FOLDER / "jamia-grasp.mcap") as two,
@@ -153,7 +153,7 @@ def test_jumps_become_ramps_by_a_speed(exported_dataset: Path) -> None:
 
 
 def edit_info(exported_dataset: Path, **fields: object) -> None:
-    """Change fields in the description of a dataset."""
+    """Change fields in the file that describes a dataset."""
     path = exported_dataset / "meta" / "info.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | fields))
 

@@ -1,4 +1,4 @@
-"""Test a recorded grasp that a simulated hand performs again."""
+"""Test the replay of a recorded grasp on a simulated hand."""
 
 from pathlib import Path
 

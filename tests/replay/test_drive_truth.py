@@ -1,9 +1,9 @@
-"""Test a recorded grasp that is performed again.
+"""Test the replay of a recorded grasp with true values.
 
-The truth of the simulator gives the angles, tensions and forces of both runs.
+The truth files of the simulator contain the angles, tensions and forces of both runs.
 
-Both runs are in lockstep, so their numbers never change. The second run has another rate and other
-noise.
+Both runs are in lockstep, so the tests always see the same numbers. The second run has another rate
+and other noise.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ DIGITS = ("index", "middle", "ring", "thumb")
 
 @dataclass(frozen=True)
 class RunAndRepeat:
-    """A run and its repetition: their logs, and their truths over the same interval."""
+    """A run and its repetition: the logs of both, and the true values of both over the same interval."""
 
     folder: Path
     raw: bool
@@ -39,7 +39,7 @@ class RunAndRepeat:
         return self.folder / f"again-{self.raw}.mcap"
 
     def truths(self, *names: str) -> tuple[Array, Array, Array]:
-        """Return times since the start of the interval [s], and the named columns of both truths (times, names)."""
+        """Return times since the start of the interval [s], and named true values of both runs (times, names)."""
         with RunLog(self.folder / "first.mcap") as before, RunLog(self.repeat) as after:
             recorded_start, end = active_interval(before)
             start = next(change.t_ns for change in after.phases if change.name == "playback")
@@ -55,7 +55,10 @@ class RunAndRepeat:
         )
 
     def at_rest(self) -> tuple[float, float]:
-        """Return start and end of the time in which the grasp is at rest, since the start of the interval [s]."""
+        """Return start and end of the time in which the grasp is at rest.
+
+        Both times are measured from the start of the interval [s].
+        """
         with RunLog(self.folder / "first.mcap") as before:
             starts = {change.name: change.t_ns * 1e-9 for change in before.phases}
             start, _ = active_interval(before)
@@ -81,7 +84,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module", params=[False, True], ids=["trajectories", "tensions"])
 def run_and_repeat(folder: Path, request: pytest.FixtureRequest) -> RunAndRepeat:
-    """Return the first run and its repetition, which follows either trajectories or tensions."""
+    """Return the first run and its repetition.
+
+    The repetition follows either the recorded angles or the recorded tensions.
+    """
     made = RunAndRepeat(folder, request.param)
     with RunLog(folder / "first.mcap") as before:
         program = playback_program(before, 1 / RATE_HZ, made.raw)
@@ -96,12 +102,12 @@ def run_and_repeat(folder: Path, request: pytest.FixtureRequest) -> RunAndRepeat
 
 
 def test_second_replay_gives_the_same_log(run_and_repeat: RunAndRepeat) -> None:
-    """If only tensions are repeated, a digit in motion is not held at an angle.
+    """If a replay repeats only tensions, no angle of a moving digit is controlled.
 
-    Half a newton moves its springs by six degrees.
+    Half a newton then turns the digit against its springs by six degrees.
 
-    At the first contact of a digit, one newton moves the estimated angles of its joints by two
-    degrees more.
+    At the first contact of a digit, one newton changes the estimated angles of its joints by two
+    further degrees.
     """
     compared = run_and_repeat.compare_replay()
     worst = (
@@ -123,7 +129,8 @@ def test_second_replay_gives_the_same_log(run_and_repeat: RunAndRepeat) -> None:
 def test_second_replay_gives_the_same_truth(run_and_repeat: RunAndRepeat, digit: str) -> None:
     """The mean joint angle of each digit is compared.
 
-    Contact and friction decide how the motion of a tendon is divided among the joints.
+    Single joints are not compared, because contact and friction determine how a tendon's motion is
+    divided among the joints.
     """
     joints = [f"q/{digit}_j{n}" for n in range(1, 3 if digit == "thumb" else 4)]
     _, before, after = run_and_repeat.truths(*joints)

@@ -1,7 +1,7 @@
 """Test the execution of a log's ticks.
 
-Without a change the result is equal to the last bit, and after a change the first affected tick is
-found.
+An unchanged log gives results that are equal to the last bit. After a change, the first affected
+tick is found.
 """
 
 import math
@@ -66,7 +66,7 @@ def test_a_fresh_run_with_faults_and_requests_repeats_to_the_last_bit(fresh_log:
 
 @pytest.mark.parametrize("name", GOLDEN_NAMES)
 def test_golden_logs_decide_the_same_within_1e_9(golden_folder: Path, name: str) -> None:
-    """The golden logs come from another machine. Its processor may round the last bits differently."""
+    """The golden logs were recorded on another machine, whose processor may round the last bits differently."""
     with RunLog(golden_folder / f"{name}.mcap") as log:
         assert not log.warning
         result = execute_log(log)
@@ -76,9 +76,9 @@ def test_golden_logs_decide_the_same_within_1e_9(golden_folder: Path, name: str)
 
 
 def test_one_bit_of_a_gain_is_found_at_the_first_tick_with_an_effect(fresh_log: Path) -> None:
-    """The changed gain is that of the tension loop's integral.
+    """The changed gain is the integral gain of the tension loop.
 
-    It acts from the first tick of the tightening on, not before.
+    This gain has an effect from the first tick of the tightening on.
     """
     with RunLog(fresh_log) as log:
         gains = logged_gains(log)

@@ -1,6 +1,6 @@
-"""A log contains the gains that were set during its run, and identified parameters.
+"""A log contains the gains that were set during its run, and the identified parameters.
 
-The run therefore repeats to the last bit.
+Re-execution of such a log therefore agrees to the last bit.
 """
 
 from pathlib import Path
@@ -52,7 +52,7 @@ def test_a_run_whose_gains_were_set_repeats(tmp_path: Path) -> None:
 def identified_calibration(hand: Hand, torque_gain: float) -> Calibration:
     """Return the calibration of a hand with known motor zeros.
 
-    Its drives make the fraction ``torque_gain`` of a command.
+    In this calibration, the drives make the fraction ``torque_gain`` of a commanded torque.
     """
     calibration = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     identified = IdentifiedParameters(
@@ -72,7 +72,7 @@ def test_a_run_with_an_identified_hand_repeats_and_its_commands_are_corrected(
 ) -> None:
     """The drives make 0.8 of each commanded torque.
 
-    The controller knows this factor as an identified value, so it commands a quarter more.
+    The identified parameters contain this factor, so the controller commands a quarter more torque.
     """
     hand, log = load_hand("jamia"), tmp_path / "identified.mcap"
     plan = RunPlan(hand, Gains(), 500.0, ())
@@ -100,7 +100,8 @@ def test_a_run_with_an_identified_hand_repeats_and_its_commands_are_corrected(
 def test_a_drive_with_identified_torque_error_is_no_fault(torque_gain: float) -> None:
     """A drive reports its nominal torque, which differs from the corrected command.
 
-    Regression: this was the fault N14.
+    Regression: because of this difference, the controller reported the fault N14 (a command is not
+        obeyed).
     """
     hand = load_hand("jamia")
     plan = RunPlan(hand, Gains(), 500.0, ())

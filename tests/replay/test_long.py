@@ -1,6 +1,6 @@
 """Record ten simulated minutes with injected faults, and execute the log again. This test runs at night.
 
-`python tests/replay/test_long.py OUT.mcap` keeps the log.
+`python tests/replay/test_long.py OUT.mcap` stores the log.
 """
 
 import random
@@ -28,7 +28,9 @@ MOVE_PHASE = (
 
 @dataclass
 class LossyPeer:
-    """A lockstep peer that loses one reply in two hundred, and sometimes all replies of two ticks.
+    """Wrapper of a lockstep simulator.
+
+    The wrapper loses one reply in two hundred, and sometimes all replies of two ticks.
 
     Such losses do not end a run.
     """
@@ -38,7 +40,7 @@ class LossyPeer:
     silent: int = 0
 
     def step(self, t_ns: int, frames: list[Any]) -> list[Any]:
-        """Step the peer, and return its replies without the lost ones."""
+        """Step the wrapped simulator, and return those of its replies that are not lost."""
         replies = self.peer.step(t_ns, frames)
         if self.chance.random() < 0.002:
             self.silent = 2
@@ -46,14 +48,14 @@ class LossyPeer:
         return [reply for reply in replies if self.silent < 0 and self.chance.random() > 0.005]
 
     def close(self) -> None:
-        """Close the peer without lost replies."""
+        """Close the wrapped simulator."""
         self.peer.close()
 
 
 def write_long_log(log: Path) -> None:
     """Record ten minutes with a grasp and many moves.
 
-    Frames are lost all the time, and a motor falls silent at the end.
+    Frames are lost during the whole run, and a motor stops sending at the end.
     """
     chance = random.Random(7)
     moves = [

@@ -1,4 +1,4 @@
-"""Test logs with gaps, logs with values that the controller refuses, and logs of runs that ended early."""
+"""Test re-execution of logs with gaps, logs with refused values, and logs of runs that ended early."""
 
 import json
 import math

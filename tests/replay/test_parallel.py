@@ -1,6 +1,6 @@
 """Test snapshots of the state in a log.
 
-Parallel execution from the snapshots gives the result of a serial execution.
+Execution in parallel from the snapshots gives the same result as execution in sequence.
 """
 
 from collections.abc import Callable
@@ -34,7 +34,7 @@ ExecuteBothWays = Callable[..., tuple[LogExecution, LogExecution]]
 def execute_both_ways(fresh_log: Path, monkeypatch: pytest.MonkeyPatch) -> ExecuteBothWays:
     """Return a function that executes a log with one process and with three.
 
-    A change may spoil the controller's state.
+    The function takes a change that spoils the state of the controller.
     """
 
     def run(change: StateChange | None = None) -> tuple[LogExecution, LogExecution]:
@@ -56,7 +56,7 @@ def execute_both_ways(fresh_log: Path, monkeypatch: pytest.MonkeyPatch) -> Execu
 
 
 def execution_findings(execution: LogExecution) -> dict[str, Any]:
-    """Return all results of an execution except its times."""
+    """Return all results of an execution except the measured times."""
     return {
         name: value for name, value in asdict(execution).items() if name not in ("wall_s", "cpu_s")
     }
@@ -73,7 +73,10 @@ def spoil_state(field: str, at: int) -> StateChange:
 
 
 def test_a_snapshot_restores_the_state_unchanged(fresh_log: Path) -> None:
-    """The bytes, the hash and the next tick agree in every tick of a run with faults and requests."""
+    """In every tick of a run with faults and requests, the restored state has the same bytes and hash.
+
+    The next tick from the restored state is also the same.
+    """
     with RunLog(fresh_log) as log:
         controller = rebuild_controller(log)
         state = controller.initial_state()
@@ -121,7 +124,7 @@ def test_three_processes_find_no_difference_where_one_finds_none(
 def test_three_processes_find_the_first_difference_wherever_it_is(
     execute_both_ways: ExecuteBothWays, at: int
 ) -> None:
-    """A field changes in the part of each process, and at the border between two parts."""
+    """The changed field is in the part of each of the processes, or at the border between two parts."""
     one, three = execute_both_ways(spoil_state("travel", at))
     assert one.first_difference is not None
     assert execution_findings(three) == execution_findings(one)

@@ -1,4 +1,4 @@
-"""Invented runs and truths for tests of the report. Their numbers can be checked by hand."""
+"""Invented runs and true values for tests of the report. All numbers can be checked by hand."""
 
 import json
 from pathlib import Path
@@ -16,7 +16,10 @@ PERIOD_NS = 10_000_000
 
 
 class InventedLog:
-    """The parts of a `RunLog` that the report uses. All telemetry is NaN until a test sets it."""
+    """Fake log with the parts of a `RunLog` that the report uses.
+
+    All telemetry is NaN until a test sets it.
+    """
 
     def __init__(self, hand: Hand, ticks: int, phases: dict[int, str]) -> None:
         sizes = {
@@ -52,7 +55,7 @@ class InventedLog:
 
 
 def zero_truth(hand: Hand, ticks: int, offset_ns: int = 0) -> TruthRecord:
-    """Create a truth with one row of zeros per tick. It has two rows more than the run at each end."""
+    """Create a truth record with one row of zeros per tick, and two further rows before and after the run."""
     columns = [f"tension/{name}" for name in hand.tendon_names]
     columns += [f"q/{name}" for name in hand.joints]
     columns += [f"contact_force/{name}/{axis}" for name in hand.digit_names for axis in "xyz"]
@@ -62,7 +65,7 @@ def zero_truth(hand: Hand, ticks: int, offset_ns: int = 0) -> TruthRecord:
 
 
 def set_truth_column(truth: TruthRecord, name: str, values: np.ndarray | float) -> None:
-    """Set a column of a truth over the ticks of the run.
+    """Set a column of a truth record in the ticks of the run.
 
     The rows outside the run get the first and the last value.
     """
@@ -72,7 +75,7 @@ def set_truth_column(truth: TruthRecord, name: str, values: np.ndarray | float) 
 
 
 def write_truth(path: Path, truth: TruthRecord) -> None:
-    """Write a truth to a file in the form in which a simulator writes it."""
+    """Write a truth record to a file in the format of a simulator."""
     rows = np.zeros(len(truth.t_ns), [("t_ns", "<i8"), ("v", "<f8", (len(truth.columns),))])
     rows["t_ns"], rows["v"] = truth.t_ns, truth.values
     path.write_bytes(json.dumps({"columns": list(truth.columns)}).encode() + b"\n" + rows.tobytes())

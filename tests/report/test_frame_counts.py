@@ -1,4 +1,7 @@
-"""Test the counts of late and lost frames in a log. Frames of a golden run are delayed or removed."""
+"""Test the counts of late and lost frames in a log.
+
+In copies of a golden run, frames are delayed or removed.
+"""
 
 from collections.abc import Iterator
 from itertools import islice
@@ -34,7 +37,7 @@ def count_frames(golden_ticks: list[TickRecord]) -> tuple[int, ...]:
 
 
 def without_frame(golden_ticks: list[TickRecord], at: int) -> tuple[list[TickRecord], object]:
-    """Return ticks of which one has lost its first tension frame, and this frame."""
+    """Return the ticks without the first tension frame of one tick, and the removed frame."""
     first_tension_frame = make_sensors(JAMIA_HAND).ids[0]
     entry = golden_ticks[at].tick_in
     [lost] = [frame for frame in entry.frames if frame.can_id == first_tension_frame][:1]
@@ -71,7 +74,7 @@ def test_a_refused_frame_is_lost(golden_ticks: list[TickRecord]) -> None:
 
 
 def test_a_paused_simulator_causes_a_tick_without_frames(golden_ticks: list[TickRecord]) -> None:
-    """The replies of a tick arrive in the next tick."""
+    """If the simulator pauses, the replies of a tick arrive in the next tick."""
     entry, following = golden_ticks[300].tick_in, golden_ticks[301].tick_in
     golden_ticks = [*golden_ticks]
     golden_ticks[300] = golden_ticks[300]._replace(tick_in=entry._replace(frames=()))

@@ -1,4 +1,7 @@
-"""Test how a lift is judged by the motion of the table and by the motion of the object in the hand."""
+"""Test the judgement of a lift.
+
+The judgement depends on the motions of the table, and of the object in the hand.
+"""
 
 from dataclasses import replace
 from typing import Any
@@ -13,11 +16,14 @@ from tests.report.invented_run import JAMIA, InventedLog, set_truth_column, zero
 
 TICK_COUNT = 400
 SINK_START_TICK, SINK_END_TICK = 200, 350
-"""Tick in which the table begins to sink, and tick in which the hold ends."""
+"""Tick at which the table begins to sink, and tick at which the hold phase ends."""
 
 
 def log_and_truth_of_lift(sunk_m: float, fallen_m: float) -> tuple[InventedLog, TruthRecord]:
-    """Create a log and a truth in which table and object sink linearly from SINK_START_TICK to the end of the hold."""
+    """Create a log and a truth record.
+
+    Table and object sink linearly from SINK_START_TICK to SINK_END_TICK.
+    """
     log = InventedLog(JAMIA, TICK_COUNT, {0: "close", 100: "carry", SINK_END_TICK: "release"})
     truth = zero_truth(JAMIA, TICK_COUNT)
     truth = replace(
@@ -29,10 +35,10 @@ def log_and_truth_of_lift(sunk_m: float, fallen_m: float) -> tuple[InventedLog, 
     set_truth_column(truth, "support", sunk_m * fall)
     set_truth_column(
         truth, "object/z", -fallen_m * fall - 0.5 * (np.arange(TICK_COUNT) >= SINK_END_TICK)
-    )  # falls when released
+    )  # the object falls when the hand releases it
     set_truth_column(
         truth, "object/x", 0.05 * (np.arange(TICK_COUNT) < 150)
-    )  # pushed before the lift
+    )  # the object is pushed before the lift
     return log, truth
 
 

@@ -1,4 +1,4 @@
-"""The figure of a run can also be drawn from an incomplete run."""
+"""The figure of a run can be drawn even if the run is incomplete."""
 
 from pathlib import Path
 

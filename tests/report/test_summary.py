@@ -25,7 +25,10 @@ def quiet_run() -> InventedLog:
 
 
 def hold_log(ramp: int = 20) -> InventedLog:
-    """Create a run of four seconds with a hold. Its tension goal rises, and index and thumb are in contact."""
+    """Create a run of four seconds with a hold phase.
+
+    In this phase the tension goal rises, and index and thumb are in contact.
+    """
     log = InventedLog(JAMIA, 400, {0: "home", 100: "hold", 300: "release"})
     for name in ("tension", "tension_raw", "tip_force"):
         log.fields[name][:] = 0.0
@@ -65,7 +68,7 @@ def test_summary_without_truth_has_nan() -> None:
 
 
 def test_a_truth_of_another_time_is_no_truth() -> None:
-    """The truth file of an earlier simulator on the same bus may still exist. It is not used for a later run."""
+    """A later run does not use the truth file that an earlier simulator on the same bus has left."""
     log = hold_log()
     result = summarise_run(log, JAMIA, zero_truth(JAMIA, 400, offset_ns=10**15), 0)
     assert math.isnan(result["tracking_rmse_rad"])
@@ -87,9 +90,9 @@ def test_tracking_error_is_computed_in_free_motion_only() -> None:
     log.fields["q_goal"][:, joints] = 0.5
     for joint in JAMIA.joints[joints]:
         motion = np.full(200, 0.49)
-        motion[100:120] = 0.2  # contact that the controller detected
-        motion[120:140] = 0.1  # contact that only the plant has
-        motion[140:160] = 0.0  # not active
+        motion[100:120] = 0.2  # in this time, the controller detects contact
+        motion[120:140] = 0.1  # in this time, only the truth has contact
+        motion[140:160] = 0.0  # in this time, the hand is not active
         set_truth_column(truth, f"q/{joint}", motion)
     log.fields["contact"][100:120, 0] = 1.0
     force = np.zeros(200)
@@ -108,7 +111,10 @@ def test_tracking_error_is_computed_in_free_motion_only() -> None:
 
 
 def test_tension_errors_are_computed_for_estimate_and_raw_load_cell() -> None:
-    """The estimate of a tick belongs to the time of the tick. The load-cell sample was taken one period before."""
+    """The estimate of a tick is compared with the truth at the tick.
+
+    The load-cell sample was taken one period before.
+    """
     log, truth = quiet_run(), zero_truth(JAMIA, 200)
     real = 20.0 + np.arange(200) * 0.1
     for name in JAMIA.tendon_names:
@@ -157,7 +163,7 @@ def test_hold_error_is_the_worst_mean_of_a_tendon_that_holds() -> None:
     wave = np.where(np.arange(400) % 2, 1.5, -1.5)
     set_truth_column(truth, f"tension/{index}", 25.0 - 0.4 + wave)
     set_truth_column(truth, f"tension/{thumb}", 25.0 + 0.7)
-    set_truth_column(truth, f"tension/{middle}", 3.0)  # its goal is a feedforward without contact
+    set_truth_column(truth, f"tension/{middle}", 3.0)  # a feedforward, without contact
     result = summarise_run(log, JAMIA, truth, 0)
     assert result["tension_hold_error_n"] == pytest.approx(0.7, abs=0.02)
     assert result["tension_hold_peak_error_n"] == pytest.approx(1.9, abs=0.02)
@@ -201,9 +207,9 @@ def test_rms_ignores_nan() -> None:
 
 
 def test_measured_load_equals_a_hand_calculation() -> None:
-    """In a classical frame of 8 bytes, 34 + 64 bits get at most one stuff bit for four bits.
+    """In a classical frame of 8 bytes, 34 + 64 bits get at most one stuff bit for every four bits.
 
-    Its 13 other bits get none.
+    The other 13 bits of the frame get no stuff bits.
     """
     log = quiet_run()
     one = (98 + 97 // 4 + 13) / 1e6

@@ -1,4 +1,4 @@
-"""Test the reader of truth files with files that are complete, cut at any byte, or missing."""
+"""Test the reader of truth files with a complete file, a file cut at any byte, and a missing file."""
 
 import json
 from pathlib import Path

@@ -1,6 +1,6 @@
 """Tests of the contract that every bus must fulfil.
 
-A module that imports them defines the fixture ``medium``, the bus under test.
+A module that imports these tests must define the fixture ``medium``, which is the bus under test.
 """
 
 import random
@@ -22,37 +22,37 @@ FD_PAYLOAD_SIZES = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 
 @dataclass
 class BusUnderTest:
-    """CAN bus on which several nodes can be opened.
+    """CAN bus under test, to which several nodes can be connected.
 
     Attributes:
         spec: specification of the bus, as ``open_bus`` takes it.
-        opened: functions that close the opened nodes after the test.
+        opened: functions that close the connected nodes after the test.
     """
 
     spec: str
     opened: list[Callable[[], None]] = field(default_factory=list)
 
     def open(self, index: int = 0, stamp: Callable[[int], int] = int) -> Bus:
-        """Open a further node on the bus with handctl."""
+        """Connect a further node to the bus, with a bus class of handctl."""
         bus = open_bus(self.spec, index, 1_000_000, 5_000_000, stamp=stamp)
         self.opened.append(bus.close)
         return bus
 
     def python_can(self) -> can.BusABC:
-        """Open a further node on the bus with python-can alone."""
+        """Connect a further node to the bus, with python-can and without handctl."""
         interface, _, channel = self.spec.partition(":")
         bus = can.Bus(channel, interface=interface, fd=True, ignore_config=True)
         self.opened.append(bus.shutdown)
         return bus
 
     def close(self) -> None:
-        """Close all nodes that were opened on the bus."""
+        """Close all nodes that were connected to the bus."""
         for close in self.opened:
             close()
 
 
 def drain_bus(bus: Bus, count: int) -> list[Frame]:
-    """Read frames until at least ``count`` have arrived or the time is over."""
+    """Read frames from a bus until at least ``count`` frames have arrived or a timeout is over."""
     frames = list(bus.drain())
     end = time.monotonic() + RECEIVE_TIMEOUT_S
     while len(frames) < count and time.monotonic() < end:
@@ -66,7 +66,7 @@ def frame_contents(frames: Sequence[Frame]) -> list[tuple[int, bytes, int]]:
 
 
 def random_frames(count: int, seed: int) -> list[Frame]:
-    """Return random frames of all kinds: classical, remote and FD, with standard and extended identifiers."""
+    """Return random frames of all kinds: classical, remote and FD frames, with standard and extended identifiers."""
     rng = random.Random(seed)
     frames = []
     for _ in range(count):

@@ -14,7 +14,10 @@ RUN_DIR_VARIABLE = "HANDCTL_RUN_DIR"
 
 @contextmanager
 def hub_process(name: str, folder: Path) -> Iterator[None]:
-    """Run the hub of the simulator in a process. It serves ``local:NAME`` with its socket in a folder."""
+    """Run the hub of the simulator in a separate process.
+
+    The hub serves ``local:NAME``, and its socket is in the folder.
+    """
     words = [sys.executable, "-m", "firmware_sim", "bus", name]
     environment = {**os.environ, RUN_DIR_VARIABLE: str(folder)}
     process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=environment)
@@ -28,7 +31,7 @@ def hub_process(name: str, folder: Path) -> Iterator[None]:
 
 
 class ScriptedHub:
-    """A hub of a local bus with one client. The test itself reads from and writes to the client."""
+    """A hub of a local bus with one client. The test itself exchanges bytes with the client."""
 
     def __init__(self, folder: Path, name: str) -> None:
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)

@@ -19,7 +19,10 @@ from tests.runtime.processes import (
 
 @pytest.fixture
 def work_folder(tmp_path, monkeypatch):
-    """Change to an otherwise empty folder with two tasks. Sockets are in another folder with a short path."""
+    """Change to a folder that contains only two tasks.
+
+    The sockets are in a different folder with a short path.
+    """
     with tempfile.TemporaryDirectory(prefix="h-") as short:
         monkeypatch.setenv("HANDCTL_RUN_DIR", short)
         monkeypatch.chdir(tmp_path)
@@ -30,7 +33,10 @@ def work_folder(tmp_path, monkeypatch):
 
 @pytest.fixture
 def processes():
-    """Return a list to which a test adds its processes. They are ended after the test."""
+    """Return a list to which a test adds its processes.
+
+    After the test, end all processes in the list.
+    """
     running = []
     yield running
     for process in reversed(running):
@@ -45,13 +51,13 @@ def scale(request, repeat_time_scale):
 
 @pytest.fixture
 def hand(work_folder, processes, scale):
-    """Start a simulated hand with the time scale on the bus, and return the path of its truth file."""
+    """Start a simulated hand with the time scale of the test, and return the path of its truth file."""
     processes.append(start_hand(work_folder / "hand.truth", "--hand", "jamia", *scale))
     return work_folder / "hand.truth"
 
 
 @pytest.fixture
 def calibrated(work_folder):
-    """Write the calibration of a simulated hand, and return the command-line options for a controller of this hand."""
+    """Write a calibration of the simulated hand, and return the command-line options for a controller of this hand."""
     write_homed_calibration(work_folder / "c.toml", load_hand("jamia"))
     return ("--hand", "jamia", "--bus", LOCAL_BUS, "--calibration", "c.toml")

@@ -1,4 +1,7 @@
-"""A SocketCAN bus over datagram sockets. Like CAN sockets, these have time stamps and count dropped frames."""
+"""A SocketCAN bus over datagram sockets.
+
+Like CAN sockets, datagram sockets have time stamps and count dropped frames.
+"""
 
 import socket
 from collections.abc import Iterator
@@ -9,7 +12,7 @@ from handctl.runtime.buses.socketcan import SocketCanBus
 
 @contextmanager
 def datagram_bus(index: int) -> Iterator[tuple[SocketCanBus, socket.socket]]:
-    """Yield an open bus with an index, and the socket at its other end."""
+    """Yield an open bus with the given index, and the socket at the other end of this bus."""
     near, far = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
     near.bind(("127.0.0.1", 0))
     far.bind(("127.0.0.1", 0))

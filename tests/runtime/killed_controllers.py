@@ -1,8 +1,10 @@
-"""Start controllers one after the other, and kill or stop each at a random time. The simulated hand goes on.
+"""Start controllers one after the other, and kill or stop each at a random time.
 
-Each controller is a process that is forked from this one, which saves its imports. Its recorder and
-the simulator are processes as in any run. The truth file of the simulator shows how the drives
-react.
+The simulated hand keeps running.
+
+Each controller is forked from this process, which saves the time of its imports. As in any run, the
+recorder and the simulator are separate processes. The truth file of the simulator shows how the
+drives react.
 """
 
 import json
@@ -41,22 +43,25 @@ from tests.runtime.processes import (
 )
 
 SYNC_ID = 0x080
-"""CAN identifier of the SYNC frame, whose first byte is the tick count."""
+"""CAN identifier of the SYNC frame. The first byte of this frame is the tick count."""
 FRAME_RECORD_BYTES = 72
 """Size of the record of a frame on the local bus [bytes]."""
 RATE_HZ = 500.0
 WATCHDOG_MS = 50.0
-"""Timeout of the drives' watchdog in the hand file. No torque may be left after this time and ``DECAY_MS`` [ms]."""
+"""Watchdog time of the drives in the hand file [ms].
+
+After this time plus ``DECAY_MS``, no motor may make torque.
+"""
 DECAY_MS = 4.0
 """Time in which the current of a disabled motor decays [ms]."""
 MIN_TORQUE_N_M = 1e-3
-"""Motor torque above which a motor counts as driven [N m]."""
+"""A motor counts as driven if its torque is above this value [N m]."""
 MIN_TAUT_N = 8.0
-"""Tension above which a tendon counts as pulled [N]."""
+"""A tendon counts as taut if its tension is above this value [N]."""
 RELEASE_S = 0.3
-"""Time in which the fingers open after the watchdogs have removed the torque [s]."""
+"""Time that the fingers need to open after the watchdogs have removed the torque [s]."""
 MAX_DELAY_S = 1.8
-"""Longest time from the first SYNC of a controller to the signal that disturbs it [s].
+"""Longest time from the first SYNC of a controller to the signal that kills or stops it [s].
 
 In this time a run arms the hand, bends its fingers and holds them.
 """
@@ -65,16 +70,16 @@ PROCESS_TIMEOUT_S = 60.0
 
 
 class DisturbedRun(NamedTuple):
-    """Record of one run of a controller that was disturbed by a signal.
+    """Record of one run of a controller that was killed or stopped by a signal.
 
     Attributes:
         sent_signal: signal that was sent to the controller.
-        before_signal_ns: time of the simulator before the signal [ns].
-        after_signal_ns: time of the simulator after the signal [ns].
-        slipped_ns: time after the signal in which the simulator with its drives did not run [ns].
+        before_signal_ns: time on the simulator's clock just before the signal [ns].
+        after_signal_ns: time on the simulator's clock just after the signal [ns].
+        slipped_ns: time after the signal in which the simulator and its drives did not run [ns].
         bus_sync_counts: tick counts of the SYNC frames that were on the bus.
         log_sync_counts: tick counts of the SYNC frames that are in the log.
-        warning: text about a damaged or incomplete log file, empty for none.
+        warning: text about a damaged or incomplete log file. For a complete log, it is empty.
     """
 
     sent_signal: signal.Signals
@@ -87,14 +92,14 @@ class DisturbedRun(NamedTuple):
 
 
 class KillVerdict(NamedTuple):
-    """A disturbed run compared with the truth file of the simulator.
+    """Result of a comparison between a disturbed run and the truth file of the simulator.
 
     Attributes:
         run: record of the run.
-        was_taut: whether a tendon was under tension at the signal.
-        was_driven: whether a motor made torque at the signal.
-        max_torque_off_ms: time from before the signal until no motor made torque [ms].
-        min_torque_off_ms: time from after the signal until no motor made torque [ms].
+        was_taut: True if a tendon was taut at the signal.
+        was_driven: True if a motor made torque at the signal.
+        max_torque_off_ms: time from ``before_signal_ns`` until no motor made torque [ms].
+        min_torque_off_ms: time from ``after_signal_ns`` until no motor made torque [ms].
         tension_left_N: largest tension after the fingers have had time to open [N].
     """
 
@@ -107,14 +112,14 @@ class KillVerdict(NamedTuple):
 
     @property
     def torque_ended_in_time(self) -> bool:
-        """Return True if no motor made torque after the watchdog time of the drives."""
+        """Return True if all motors lost their torque within the watchdog time of the drives."""
         return self.min_torque_off_ms <= WATCHDOG_MS + DECAY_MS
 
     @property
     def has_complete_log(self) -> bool:
-        """Return True if the log contains every tick on the bus.
+        """Return True if the log contains every tick that was on the bus.
 
-        The last tick may be missing if its SYNC was just sent.
+        The last tick may be missing, because the signal may come just after its SYNC.
         """
         on_bus = self.run.bus_sync_counts
         in_log = self.run.log_sync_counts
@@ -157,7 +162,7 @@ class KillTestHand:
         self.simulator = start_hand(self.truth, "--hand", "jamia", *time_scale_options(scale))
 
     def now_ns(self) -> tuple[int, int]:
-        """Return the time of the simulator, and the part of this time in which it did not run [ns]."""
+        """Return the simulator's time, and the part of this time in which the simulator did not run [ns]."""
         reply_path = run_dir() / f"kills-{os.getpid()}"
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as link:
             link.bind(str(reply_path))
@@ -168,7 +173,7 @@ class KillTestHand:
         return int(answer["t_ns"]), int(answer["slip_ns"])
 
     def start_controller(self, log: Path) -> int:
-        """Fork a controller and return its process number."""
+        """Start a controller as a fork of this process, and return its process id."""
         child = os.fork()
         if child:
             return child
@@ -182,7 +187,10 @@ class KillTestHand:
             os._exit(code)
 
     def disturb_controller(self, number: int, how: signal.Signals, delay_s: float) -> DisturbedRun:
-        """Start a controller, send it a signal ``delay_s`` after its first SYNC, and return the record of its run."""
+        """Start a controller, and send it a signal ``delay_s`` after its first SYNC.
+
+        Return the record of its run.
+        """
         log = self.folder / f"{number}.mcap"
         with SyncListener() as listener:
             child = self.start_controller(log)
@@ -209,7 +217,10 @@ class KillTestHand:
         )
 
     def kill_verdicts(self, runs: list[DisturbedRun]) -> list[KillVerdict]:
-        """Compare the runs with the truth file of the simulator. The simulator must have ended."""
+        """Compare the runs with the truth file of the simulator.
+
+        This requires that the simulator has ended.
+        """
         truth = read_truth(self.truth)
         return [verdict_of_kill(truth, run) for run in runs]
 
@@ -236,7 +247,10 @@ class SyncListener:
         self.link.close()
 
     def listen(self, seconds: float) -> None:
-        """Wait for a time [s] and read the bus meanwhile, because a full socket would lose frames."""
+        """Read the bus for a time [s].
+
+        Without reading, the socket would become full and lose frames.
+        """
         until = time.monotonic() + seconds
         while True:
             self._read_bus()
@@ -265,7 +279,7 @@ class SyncListener:
 
 
 def wait_for_end(child: int, listener: SyncListener) -> None:
-    """Wait for the end of a controller process. Terminate it if it does not end without a signal."""
+    """Wait for the end of a controller process. If it does not end, terminate it."""
     until = time.monotonic() + 3.0
     while os.waitpid(child, os.WNOHANG) == (0, 0):
         if time.monotonic() > until:
@@ -314,7 +328,10 @@ def verdict_of_kill(truth: TruthRecord, run: DisturbedRun) -> KillVerdict:
 
 
 def disturb_controllers(folder: Path, times: int, seed: int, scale: float) -> list[KillVerdict]:
-    """Disturb ``times`` controllers of one simulated hand, by SIGKILL and SIGSTOP in turn."""
+    """Disturb ``times`` controllers of one simulated hand.
+
+    The signals are SIGKILL and SIGSTOP in turn.
+    """
     chance = random.Random(seed)
     place = KillTestHand(folder, scale)
     runs: list[DisturbedRun] = []
@@ -328,11 +345,17 @@ def disturb_controllers(folder: Path, times: int, seed: int, scale: float) -> li
 
 
 CONTROLLERS_PER_SIMULATOR = 25
-"""Number of controllers beside one simulator. Its truth file is read after each batch and then deleted."""
+"""Number of controllers for one simulator (a batch).
+
+After a batch, the truth file of the simulator is read and deleted.
+"""
 
 
 def disturb_in_batches(times: int, seed: int, scale: float) -> Iterator[list[KillVerdict]]:
-    """Disturb ``times`` controllers. Each simulator has ``CONTROLLERS_PER_SIMULATOR`` of them one after the other."""
+    """Disturb ``times`` controllers in batches, and yield the verdicts of each batch.
+
+    For each batch, a new simulator is started.
+    """
     for first in range(0, times, CONTROLLERS_PER_SIMULATOR):
         with tempfile.TemporaryDirectory(prefix="h-") as folder:
             os.environ["HANDCTL_RUN_DIR"] = folder

@@ -22,14 +22,17 @@ COMMAND_TIMEOUT_S = 200.0
 """Longest time that a command of handctl may run [s]."""
 LOCAL_BUS = "local:t"
 TIME_SCALE = 1.0
-"""Speed of time in simulator and controller, 1 for real time.
+"""Time scale of simulator and controller. 1 is real time.
 
-If the machine is too slow for it, the clock that both share pauses.
+If the machine is too slow for this time scale, the shared clock of simulator and controller pauses.
 """
 SERIAL_BASE = 0x4000
-"""Base of the simulated drives' serial numbers. Each drive adds its node number."""
+"""Base of the serial numbers of simulated drives.
+
+The serial number of a drive is this base plus its node number.
+"""
 HOMED_OPTIONS = ("--homed", "--serial", f"{SERIAL_BASE:#x}")
-"""Options of a simulated hand for which ``write_homed_calibration`` writes the right calibration."""
+"""Options of a simulated hand that fits the calibration of ``write_homed_calibration``."""
 TASK_HEAD = 'schema = 1\nname = "short"\n'
 MOVE_PHASE = (
     '[[phase]]\nkind = "move"\nname = "{name}"\nangle_deg = {angle}\nduration_s = {duration}\n'
@@ -88,7 +91,7 @@ def run_handctl(
 
 
 def end_process(process: "subprocess.Popen[str]") -> None:
-    """End a process and close its pipes. It is killed if it does not end."""
+    """Terminate a process and close its pipes. If the process does not end, kill it."""
     if process.poll() is None:
         process.send_signal(signal.SIGTERM)
         try:
@@ -125,7 +128,10 @@ def socket_names() -> list[str]:
 
 
 def write_homed_calibration(path: Path, description: Hand) -> None:
-    """Write the calibration of a hand that starts with ``HOMED_OPTIONS``. All its tares and offsets are zero."""
+    """Write the calibration of a simulated hand with ``HOMED_OPTIONS``.
+
+    All tares and offsets in it are zero.
+    """
     zero = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     calibration = Calibration(
         hand=description.name,

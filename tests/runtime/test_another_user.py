@@ -1,8 +1,8 @@
 """Test the protection against another user of the machine.
 
-The folder for sockets is private, and a request counts only once it is confirmed. A test that needs
-a second user forks a process and changes the user of this process. Without root rights such a test
-is skipped.
+The folder for sockets is private, and a request counts as done only after its confirmation. A test
+that needs a second user forks a process, which then changes its user. Without root rights, tests
+with a second user are skipped.
 """
 
 import json
@@ -45,7 +45,10 @@ UNCONFIRMED_TEXT = "no confirmation from the controller: switch the power off"
 
 
 def as_nobody(do) -> str:
-    """Call a function in a process of the user nobody. Return its result as text, or the name of its error."""
+    """Call a function in a process of the user ``nobody``.
+
+    Return the result as text, or the name of the raised error.
+    """
     out, into = os.pipe()
     child = os.fork()
     if child == 0:
@@ -69,9 +72,9 @@ def as_nobody(do) -> str:
 
 @pytest.fixture
 def shared_tmp(monkeypatch):
-    """Return a folder for temporary files in which every user can write, as in /tmp.
+    """Return a folder for temporary files in which every user may write, like /tmp.
 
-    It contains the run directory.
+    The run directory (the folder for sockets) is inside this folder.
     """
     folder = Path(tempfile.mkdtemp(prefix="h-"))
     folder.chmod(0o1777)
@@ -87,7 +90,7 @@ def folder_of_nobody(shared_tmp: Path) -> Path:
 
 
 def check_refusals(word: str) -> None:
-    """Check that the controller, the simulator and every request refuse the run directory with a given reason."""
+    """Check that controller, simulator and all requests refuse the run directory, with ``word`` in the reason."""
     for refused in (
         lambda: Mailbox("local:x"),
         lambda: StatusWatcher("local:x"),
@@ -155,7 +158,10 @@ def test_a_folder_that_others_can_write_in_is_refused(shared_tmp, deep):
 
 @pytest.mark.parametrize("make", [run_dir, simulated.run_dir])
 def test_a_new_or_readable_folder_is_made_private(shared_tmp, make):
-    """Earlier versions of handctl made the parent folder with mode 0755."""
+    """Even a folder with mode 0755 is made private.
+
+    Earlier versions of handctl made the parent folder with this mode.
+    """
     folder = make()
     assert folder == folder_of_nobody(shared_tmp) / "handctl"
     for path in (folder, folder.parent):
@@ -167,7 +173,7 @@ def test_a_new_or_readable_folder_is_made_private(shared_tmp, make):
 
 @pytest.mark.parametrize("deep", [False, True])
 def test_a_link_is_refused(shared_tmp, deep):
-    """A run directory that is a link is refused, whatever its target and its owner are."""
+    """A run directory that is a symbolic link is refused, with any target and any owner."""
     target = shared_tmp / "elsewhere"
     target.mkdir(mode=0o700)
     if deep:
@@ -189,7 +195,10 @@ def test_a_link_of_another_user_above_is_refused(shared_tmp, monkeypatch):
 def test_a_stop_does_not_reach_another_user_s_socket_in_place_of_the_mailbox(
     shared_tmp, short_confirmation_wait
 ):
-    """The attacker renames the mailbox and binds another socket to its path, to receive the requests for the hand."""
+    """An attacker renames the mailbox and binds another socket to its path.
+
+    This socket would receive the requests for the hand.
+    """
     box = Mailbox("local:x")
     folder = run_dir()
     aside = folder / "aside"
@@ -229,7 +238,7 @@ def test_a_stop_does_not_reach_another_user_s_socket_in_place_of_the_mailbox(
 
 @SECOND_USER
 def test_requests_and_status_lines_of_another_user_are_ignored(shared_tmp):
-    """They are ignored even if the folder is open to others, because the kernel names the user of each sender."""
+    """Even in an open folder they are ignored, because the kernel names the user of each sender."""
     box = Mailbox("local:x")
     watcher = StatusWatcher("local:x")
     for path in (watcher.path, Path(box.path)):
@@ -280,7 +289,10 @@ def test_a_hub_accepts_only_its_own_user(shared_tmp):
 
 
 class AnsweringController:
-    """A thread that serves the mailbox of a bus as a controller does, with the same texts of events."""
+    """A thread that serves the mailbox of a bus.
+
+    The thread sends the same event texts as a controller.
+    """
 
     def __init__(self, end_with: str = "DISARM -> DONE", deaf_after: str = "") -> None:
         self.box = Mailbox(LOCAL_BUS)
@@ -312,7 +324,7 @@ class AnsweringController:
             line = {"k": k, "t_s": k * 0.002, "mode": mode, "phase": "", "events": events}
             if mode == "RELAX" and (
                 self.box.watchers or self._deaf
-            ):  # until a watcher has subscribed
+            ):  # wait until a watcher has subscribed
                 mode = "" if self._deaf == "RELAX" else "DONE"
                 line |= {"mode": mode, "events": [{"name": "mode", "where": "", "text": self._end}]}
             if mode == "ACTIVE" and "stop" in self.taken:
@@ -344,7 +356,7 @@ def test_stop_names_a_drive_that_stays_on(work_folder, capsys):
 
 @pytest.fixture
 def short_confirmation_wait(monkeypatch):
-    """Shorten the time that a request waits for its confirmation to 0.4 s."""
+    """Let a request wait for its confirmation for only 0.4 s."""
     monkeypatch.setattr("handctl.runtime.confirmed_requests.CONFIRMATION_TIMEOUT_S", 0.4)
 
 
@@ -386,7 +398,7 @@ def test_a_request_is_confirmed_although_all_watcher_slots_are_taken(work_folder
 
 
 def fill_mailbox(path: Path) -> int:
-    """Fill the mailbox at a path completely, and return the number of datagrams in it."""
+    """Send datagrams to the mailbox at a path until it is full, and return their number."""
     count = 0
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
         out.setblocking(False)

@@ -14,7 +14,7 @@ REALTIME = pytest.mark.realtime
 
 
 async def use_hand(*options):
-    """Move, stream, observe and cancel with a client, while another asyncio task counts."""
+    """Move, stream, observe and cancel with a client. Meanwhile another asyncio task counts."""
     counted = 0
 
     async def count():
@@ -52,7 +52,10 @@ async def use_hand(*options):
 
 
 async def watch(hand):
-    """Return the ticks of 200 observations, and the range of the first joint's angle in them [deg]."""
+    """Observe a hand 200 times.
+
+    Return the ticks of the observations, and the range of the first joint angle [deg].
+    """
     ticks, angles = [], []
     async for one in hand.observations():
         ticks.append(one.k)
@@ -98,7 +101,7 @@ def test_a_controller_that_cannot_start_is_one_error(work_folder):
 
 
 def test_every_call_has_its_coroutine():
-    """Each call of the ordinary client, except for a few, is a coroutine of the asyncio client."""
+    """For each method of the ordinary client, with a few exceptions, the asyncio client has a coroutine."""
     apart = {
         "open",
         "close",

@@ -1,6 +1,6 @@
-"""Test clients that misbehave, in real time and judged by the truth of the simulator.
+"""Test clients that misbehave, in real time. The true values of the simulator show the effects.
 
-tests/controller/test_target_streams.py has such tests in lockstep.
+tests/controller/test_target_streams.py contains similar tests in lockstep.
 """
 
 import os
@@ -15,14 +15,17 @@ NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 TIME_SCALE = 0.6
 TESTED_CLIENTS = list(CLIENT_BEHAVIOURS) if NIGHTLY else ["flooding", "killed"]
 HOLD_FAULT = "I11a"
-"""Fault of a stream that sends no target for 100 ms. Its action is that the hand holds."""
+"""Fault of a stream that sends no target for 100 ms. The controller then holds the hand."""
 RELAX_FAULT = "I11b"
-"""Fault of a stream that sends no target for a second. Its action is that the hand relaxes."""
+"""Fault of a stream that sends no target for a second. The controller then relaxes the hand."""
 FAULTS_BY_CLIENT = {
     "paused-500": {HOLD_FAULT}, "nan": {HOLD_FAULT}, "1e308": {HOLD_FAULT}, "late-150": {HOLD_FAULT},
     "killed": {HOLD_FAULT, RELAX_FAULT}, "killed-owner": set(),
 }  # fmt: skip
-"""Faults of streams that each client must cause. A client without an entry must cause none."""
+"""For each client, the stream faults that it must cause.
+
+A client without an entry must cause no fault.
+"""
 
 
 @pytest.fixture

@@ -1,7 +1,7 @@
 """Test unusual batches of frames on all buses.
 
-They have mixed kinds, lengths from 0 to 64, more frames than a buffer holds, or error frames in
-between.
+The batches contain frames of mixed kinds and of 0 to 64 bytes, more frames than a buffer holds, or
+error frames.
 """
 
 import random
@@ -62,7 +62,10 @@ def frame_contents(frames: Frames) -> list[tuple[int, bytes, int, int]]:
 
 
 def has_zeros_behind_payloads(frames: Frames) -> bool:
-    """Return True if frame records have zeros behind each payload. Check that the records have their full width."""
+    """Return True if frame records have only zeros behind each payload.
+
+    Also check the width of the records.
+    """
     assert frames.rows.shape == (len(frames), WORDS_PER_RECORD)
     behind = np.arange(64) >= frames.records["length"][:, np.newaxis]
     return not frames.records["data"][behind].any()
@@ -98,7 +101,10 @@ def drain_frames(bus: Bus, count: int) -> Frames:
 
 
 def kernel_datagram(frame: Frame, garbage: bytes = b"") -> bytes:
-    """Return a frame in the form in which the kernel delivers it. A driver may leave any bytes behind a payload."""
+    """Return a frame as the kernel delivers it, with garbage behind the payload.
+
+    A driver may leave such bytes there.
+    """
     can_id, data, flags, *_ = frame
     if flags & FDF:
         return FD_FRAME_STRUCT.pack(can_id, len(data), flags, data + garbage[: 64 - len(data)])

@@ -1,4 +1,4 @@
-"""Run the tests of the bus contract on the buses that need no hardware. tests/vcan runs them on SocketCAN."""
+"""Run the tests of the bus contract on all buses that need no hardware. tests/vcan runs the same tests on SocketCAN."""
 
 import uuid
 from collections.abc import Iterator

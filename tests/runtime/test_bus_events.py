@@ -1,4 +1,7 @@
-"""Compare decoded error frames with the header of the kernel, and test states that are reported while they last."""
+"""Compare decoded error frames with the kernel's header file.
+
+Test states of a CAN controller that are reported as long as they last.
+"""
 
 import errno
 
@@ -31,7 +34,7 @@ def event_kinds(events: BusEvents) -> set[str]:
 def test_error_frame_gives_the_events_of_its_class(
     can_id: int, status: int, expected: set[str]
 ) -> None:
-    """The numbers are CAN_ERR_* and CAN_ERR_CRTL_* of the header ``can/error.h`` of Linux."""
+    """The numbers in the cases are CAN_ERR_* and CAN_ERR_CRTL_* of the Linux header ``can/error.h``."""
     events = BusEvents("can0")
     events.add_error_frame(ERROR_FLAG | can_id, bytes((0, status, 0, 0, 0, 0, 0, 0)))
     assert event_kinds(events) == expected
@@ -58,7 +61,7 @@ def test_passive_lasts_until_the_controller_reports_another_state() -> None:
         assert events.take_events() == [("error_passive", "can0", 1)]
     events.add_error_frame(
         ERROR_FLAG | 0x04, bytes((0, 0x01))
-    )  # an overflow leaves the CAN controller's state
+    )  # an overflow does not change the state of the CAN controller
     assert "error_passive" in event_kinds(events)
     events.add_error_frame(ERROR_FLAG | 0x04, bytes((0, 0x08)))
     events.take_events()

@@ -1,4 +1,4 @@
-"""Test edge cases of the local bus: records in parts, a slow hub, a lost hub, dropped frames, and error frames."""
+"""Test edge cases of the local bus: records in several parts, a slow or lost hub, dropped frames, error frames."""
 
 import socket
 import time

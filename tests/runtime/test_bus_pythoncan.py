@@ -21,7 +21,7 @@ from tests.runtime.bus_hub import RUN_DIR_VARIABLE, ScriptedHub, frame_record, h
 
 
 class BrokenCanBus(can.BusABC):
-    """A python-can interface whose calls fail with a given error, always or a number of times."""
+    """A python-can interface whose calls fail with a given error: always, or the first few times."""
 
     def __init__(self, error: Exception, times: int = 1_000_000) -> None:
         super().__init__("broken")
@@ -51,7 +51,7 @@ def virtual_bus() -> Iterator[PythonCanBus]:
 def test_frames_that_an_adapter_echoes_are_not_received(virtual_bus: PythonCanBus) -> None:
     """A gs_usb adapter returns every sent frame as a received frame.
 
-    If handctl received such a frame, it would look like that of a second controller.
+    If handctl did not discard this echo, it would look like a frame of a second controller.
     """
     virtual_bus._bus.shutdown()
     virtual_bus._bus = can.Bus("broken", interface="virtual", receive_own_messages=True)
@@ -159,7 +159,7 @@ def test_fd_can_be_disabled(handctl_bus: Bus) -> None:
         received = theirs.recv(5.0)
         while (
             received is not None and received.arbitration_id < 0x6F1
-        ):  # skip what an earlier client sent
+        ):  # skip frames of an earlier client
             received = theirs.recv(5.0)
     assert received is not None
     assert received.arbitration_id == 0x6F2
@@ -185,7 +185,7 @@ def test_a_notifier_receives_messages(handctl_bus: Bus) -> None:
 
 
 def test_a_notifier_in_an_event_loop_receives_a_complete_batch(handctl_bus: Bus) -> None:
-    """python-can's notifier reads one message per event.
+    """The notifier of python-can reads one message per event of the file descriptor.
 
     The file descriptor must stay readable while messages wait.
     """
@@ -213,7 +213,7 @@ def test_python_cans_logger_writes_what_was_sent(
     logger = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         end = time.monotonic() + 30.0
-        while not file.exists():  # its file exists only after it opened the bus
+        while not file.exists():  # the process creates this file after it has opened the bus
             assert time.monotonic() < end
             time.sleep(0.02)
         for _ in range(20):

@@ -66,7 +66,7 @@ def test_the_size_of_a_datagram_distinguishes_fd_from_classical(
     udp_bus: tuple[SocketCanBus, socket.socket],
 ) -> None:
     bus, far = udp_bus
-    far.send(FD_FRAME_STRUCT.pack(1, 8, 0, bytes(8)))  # as kernels before 6.1, without CANFD_FDF
+    far.send(FD_FRAME_STRUCT.pack(1, 8, 0, bytes(8)))  # like kernels before 6.1, without CANFD_FDF
     far.send(CLASSICAL_FRAME_STRUCT.pack(1, 8, bytes(8)))
     assert [frame.flags for frame in wait_for_frames(bus, 2)] == [FDF, 0]
 
@@ -89,7 +89,10 @@ def test_batches_beyond_the_buffers_keep_their_order(
 
 
 KERNEL_STAMPS_S = 0.3
-"""Time after which the kernel adds time stamps [s]. The first request for them patches the code of the kernel."""
+"""Time from the first request for time stamps until the kernel adds them [s].
+
+The kernel first patches its code.
+"""
 
 
 def test_stamps_are_times_of_arrival_not_of_reading(
@@ -111,7 +114,10 @@ def test_stamps_are_times_of_arrival_not_of_reading(
 def test_stamps_never_run_backwards_or_ahead(
     udp_bus: tuple[SocketCanBus, socket.socket], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """This holds even if the wall clock is set while frames wait in the socket."""
+    """The wall clock is set while frames wait in the socket.
+
+    The time stamps of these frames are nevertheless in order, and not in the future.
+    """
     bus, far = udp_bus
     real = time.time_ns
     stamps = []
@@ -129,7 +135,10 @@ def test_stamps_never_run_backwards_or_ahead(
 def test_stamps_are_right_although_the_wall_clock_was_set(
     udp_bus: tuple[SocketCanBus, socket.socket], step_ns: int
 ) -> None:
-    """The offset of the clocks is measured before the wall clock is set. The kernel stamps the frame after that."""
+    """The offset between the clocks is measured first.
+
+    Then the wall clock is set, and the kernel stamps the frame.
+    """
     bus, far = udp_bus
     time.sleep(KERNEL_STAMPS_S)
     far.send(CLASSICAL_FRAME_STRUCT.pack(1, 0, b""))
@@ -157,7 +166,7 @@ def test_frames_that_overflow_the_socket_are_counted(
         for number in range(2000):
             far.send(CLASSICAL_FRAME_STRUCT.pack(number & 0x7FF, 0, b""))
         received += len(bus.drain())
-        far.send(CLASSICAL_FRAME_STRUCT.pack(0, 0, b""))  # carries the kernel's count of drops
+        far.send(CLASSICAL_FRAME_STRUCT.pack(0, 0, b""))  # brings the count of drops
         received += len(wait_for_frames(bus, 1))
         sent += 2001
         dropped += [number for kind, _, number in bus.take_events() if kind == "dropped"]
@@ -183,7 +192,7 @@ def test_a_full_queue_refuses_without_waiting() -> None:
 def test_a_broken_socket_is_an_event(udp_bus: tuple[SocketCanBus, socket.socket]) -> None:
     bus, far = udp_bus
     far.close()
-    bus.send([Frame(1, b"")])  # makes the next call fail
+    bus.send([Frame(1, b"")])  # this call makes the next call fail
     assert bus.drain() == []
     assert bus.take_events() == [("enodev", "socketcan:test", 1)]
     for _ in range(3):

@@ -1,4 +1,7 @@
-"""``handctl bus watch`` reads every drive and load cell of a hand, and no motor makes torque."""
+"""``handctl bus watch`` reads every drive and load cell of a hand.
+
+Meanwhile no motor makes torque.
+"""
 
 import json
 import math
@@ -20,7 +23,10 @@ from tests.drives.test_cia404 import hand_with_amplifiers
 
 PERIOD_NS = 10_000_000
 TURNED_RAD = -0.5
-"""Angle to which the first spool is turned by hand [rad]. A negative angle makes its tendon slack."""
+"""Angle to which an operator turns the first spool [rad].
+
+A negative angle makes its tendon slack.
+"""
 
 
 class SimulatedBuses:
@@ -35,7 +41,10 @@ class SimulatedBuses:
         self.max_torque_N_m = 0.0
 
     def wait(self, k):
-        """Advance time to tick k, and let the drives reply to the frames of the last tick. Return 0 missed ticks."""
+        """Advance the time to tick k, and let the drives reply to the frames of the last tick.
+
+        Return 0, the number of missed ticks.
+        """
         self.t_ns = k * PERIOD_NS
         self.incoming = [
             Frame(*frame) for frame in self.rig.step(max(0, k - 1) * PERIOD_NS, self.outgoing)
@@ -90,7 +99,7 @@ def test_every_protocol_is_read_without_torque(protocol, tmp_path):
     assert watch.states[0].position == pytest.approx(TURNED_RAD, abs=0.01)
     assert (
         all(not math.isnan(state.temperature) for state in watch.states) or protocol == "cia402"
-    )  # CiA 402 has no object with the temperature
+    )  # CiA 402 has no object for the temperature
     tensions = [reading.value_at(place.t_ns) for reading in watch.tensions.values()]
     assert len(tensions) == len(place.motors)
     assert all(abs(tension) < 8.0 for tension in tensions)

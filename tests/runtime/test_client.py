@@ -1,4 +1,4 @@
-"""Test the Python client of a running hand: its requests, their replies, errors, and the end of a run."""
+"""Test the Python client of a running hand: requests, replies, errors, and the end of a run."""
 
 import json
 import signal
@@ -53,7 +53,10 @@ def test_every_numeric_type_is_accepted(unserved_client, number, monkeypatch):
     "number", [float("nan"), 10**400, "3", True, np.True_, None, np.array([3.0, 4.0]), 1e9]
 )
 def test_an_invalid_angle_is_refused_before_it_is_sent(unserved_client, number):
-    """The client refuses it, because a controller that refuses three requests within a second relaxes the hand."""
+    """The client refuses such an angle before sending.
+
+    A controller that refuses three requests in a second relaxes the hand.
+    """
     with pytest.raises(ConfigError, match=r"move: angle_deg.index: .*; expected"):
         unserved_client.move(index=number)
 
@@ -70,7 +73,7 @@ def status_with_events(*texts):
     "theirs", ["refused: no digit 'x'", "request: Invalid JSON", "move index 3"]
 )
 def test_replies_to_other_programs_are_ignored(unserved_client, monkeypatch, theirs):
-    """Regression: of two programs that used one hand, one reported refusals of requests of the other."""
+    """Regression: two programs used one hand, and one of them reported refused requests of the other one."""
     sent = []
     monkeypatch.setattr(
         unserved_client._watcher, "send", lambda data, timeout: sent.append(json.loads(data))
@@ -109,7 +112,7 @@ def test_a_hold_without_a_tension_brings_the_hand_to_rest(unserved_client, monke
 
 
 def test_digits_may_come_as_a_mapping(unserved_client, monkeypatch):
-    """Regression: a mapping as first argument was taken as the duration. The error was then "no digit"."""
+    """Regression: a mapping as first argument was taken as the duration, and the client raised the error "no digit"."""
     requests = []
     monkeypatch.setattr(unserved_client, "_set_goal", requests.append)
     unserved_client.move({"index": 10}, thumb=5, wait=False)
@@ -273,7 +276,7 @@ def test_a_task_of_another_program_goes_on(
 
 
 def start_program(processes, *words):
-    """Start a program that connects to the hand and holds it for a minute."""
+    """Start a program that connects to the hand and stays connected for a minute."""
     code = CLIENT_PROGRAM.format(words=words)
     program = subprocess.Popen(
         [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True

@@ -1,4 +1,4 @@
-"""Test the contract of clocks with clocks of real time, of scaled time and of virtual time."""
+"""Test the contract of all clocks: the clocks for real time, scaled time and virtual time."""
 
 import statistics
 import time
@@ -62,7 +62,7 @@ def test_lateness_is_in_the_runs_time_and_shifts_no_later_deadline(
     clock.wait(0)
     wall.now_ns = (
         clock.start_ns + 25 * PERIOD_NS
-    )  # due: tick 1 after 10 periods of wall time, tick 2 after 20
+    )  # tick 1 is due after 10 periods of wall time, tick 2 after 20
     assert clock.wait(1) == pytest.approx(1.5 * PERIOD_NS, abs=1000)
     assert clock.wait(2) == pytest.approx(0.5 * PERIOD_NS, abs=1000)
     assert clock.wait(3) < 1000
@@ -110,9 +110,9 @@ def test_the_granted_priority_is_described() -> None:
 
 
 class RecordingPeer:
-    """A lockstep peer that records its steps.
+    """A fake simulator for the lockstep clock. This simulator records its steps.
 
-    It replies to each frame with a frame whose identifier is larger by 0x10.
+    The reply to a frame has an identifier that is larger by 0x10.
     """
 
     def __init__(self, fail: str = "") -> None:
@@ -177,7 +177,10 @@ def test_a_second_run_continues_the_peers_time_from_its_own_zero() -> None:
 
 
 class RecordPeer(RecordingPeer):
-    """A lockstep peer that takes and returns records of frames instead of objects."""
+    """A fake simulator for the lockstep clock.
+
+    This simulator exchanges frames as packed records and not as objects.
+    """
 
     def exchange(self, t_ns: int, records: RecordArray) -> RecordArray:
         self.steps.append((t_ns, list(Frames(records))))

@@ -1,6 +1,6 @@
 """Test the conformance checks on simulated drives in virtual time.
 
-A good drive passes all of them, and a broken drive fails the check of its fault.
+A good drive passes all checks. A broken drive fails the check for its fault.
 """
 
 import pytest
@@ -52,9 +52,9 @@ def test_a_good_drive_passes_every_conformance_check(protocol):
 
 
 def test_a_good_drive_passes_three_times_running(protocol):
-    """Regression: the checks left ODrives and CiA 402 drives with a latched error.
+    """Regression: after the checks, ODrives and CiA 402 drives had a latched error.
 
-    These drives then failed the second time.
+    These drives then failed the second series of checks.
     """
     place = VirtualBench(protocol)
     for _ in range(3):
@@ -103,9 +103,9 @@ def test_a_broken_drive_fails_its_check(protocol, fault):
 @pytest.mark.parametrize("fault", ["deaf", "eager", "mute", "sign", "twin"])
 @pytest.mark.parametrize("protocol", sorted(PROTOCOL_TRAITS.keys() - set(GUARDED_PROTOCOLS)))
 def test_a_broken_motor_without_guards_fails_its_check(protocol, fault):
-    """Regression: a CubeMars that ignores commands passed all checks.
+    """Regression: a CubeMars drive that ignores commands passed all checks.
 
-    Its feedback does not report whether it is enabled.
+    The feedback of a CubeMars drive does not report whether it is enabled.
     """
     good, _, _ = check_results(protocol)
     broken, place, _ = check_results(protocol, fault)
@@ -124,7 +124,7 @@ def test_an_odrive_of_firmware_05_is_judged_without_torque_reports(fault):
 
 
 def test_a_second_drive_never_turns(protocol):
-    """The checks enable no drive after a second drive has replied."""
+    """The second drive is never enabled, because the checks stop as soon as a second drive replies."""
     _, place, _ = check_results(protocol, "twin")
     assert place.largest_torque == 0.0
 
@@ -163,7 +163,10 @@ def test_a_motor_in_velocity_mode_is_set_to_mit_mode():
 
 @pytest.mark.parametrize("answers", ["each", "error", "never"])
 def test_an_error_is_cleared_whether_the_clear_command_is_answered_or_not(answers):
-    """Regression: a host that waited for a reply to the clear command never found the motor ready."""
+    """Regression: the host waited for a reply to the clear command.
+
+    Without this reply, it never found the motor ready.
+    """
     place = VirtualBench("mit", clear_answers=answers)
     rig = drive_rig_on(place, "mit", TORQUE_LIMIT_N_M)
     assert rig.run_until(DriveTarget.POLL, lambda state: state.phase.name == "READY", 2.0)
@@ -177,9 +180,9 @@ def test_an_error_is_cleared_whether_the_clear_command_is_answered_or_not(answer
 
 @pytest.mark.parametrize("watchdog", ["commands", "frames", "always"])
 def test_a_disabled_motor_is_ready_whenever_its_watchdog_fires(watchdog):
-    """Register requests do not feed the watchdog.
+    """Register requests do not reset the watchdog.
 
-    Regression: a motor whose watchdog fires while it is disabled was in fault before arming.
+    Regression: the watchdog of a disabled motor fired, and the motor was in fault before arming.
     """
     place = VirtualBench("mit", watchdog=watchdog)
     rig = drive_rig_on(place, "mit", TORQUE_LIMIT_N_M)

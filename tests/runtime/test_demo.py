@@ -1,4 +1,4 @@
-"""Test ``handctl demo`` on the clock that simulator and controller share."""
+"""Test ``handctl demo`` in real and scaled time, with the shared clock of simulator and controller."""
 
 import pytest
 
@@ -18,7 +18,7 @@ FAST_DEMO_OPTIONS = (
     "16",
     "--json",
 )
-"""Command-line options of a demo that runs faster than any machine can simulate."""
+"""Command-line options of a demo with a time scale that is too fast for any machine."""
 
 
 def test_the_clock_of_the_demo_pauses_on_a_slow_machine(work_folder, processes):

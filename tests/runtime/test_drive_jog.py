@@ -1,4 +1,4 @@
-"""Test jogging a simulated drive in virtual time: modes, limits, guards, and the state of the drive afterwards."""
+"""Test how a simulated drive is jogged in virtual time: modes, limits, guards, and the final state of the drive."""
 
 import math
 import struct
@@ -105,7 +105,10 @@ def test_no_command_beyond_its_range_is_encoded(protocol, mode, value):
 
 @pytest.mark.parametrize(("protocol", "mode"), PROTOCOL_MODES)
 def test_a_drive_that_is_turned_away_stays_where_it_is_when_it_is_enabled(protocol, mode):
-    """The drive starts 5 rad away from zero. A position command of zero would move it by this angle."""
+    """The drive starts at 5 rad.
+
+    If enabling set the position command to zero, the drive would move by this angle.
+    """
     place, rig, torque_drive = bench_of(protocol, mode)
     place.bench.motors[0].theta = 5.0
     result = jog_drive(rig, goal_of(mode, 0.0, 1.0, 0.2))

@@ -1,4 +1,4 @@
-"""Test the rig on which the conformance checks run a drive."""
+"""Test the rig (drive, bus and clock) with which the conformance checks run a drive."""
 
 import pytest
 
@@ -8,9 +8,9 @@ from handctl.runtime.diagnostics import drive_rig
 
 
 def test_everything_is_compiled_before_the_clock_begins(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Regression: the first command of the rig was compiled for a second.
+    """Regression: at the first command, the rig compiled code for a second.
 
-    The watchdog of the drive fired meanwhile.
+    In this second the watchdog of the drive fired.
     """
     order = []
 

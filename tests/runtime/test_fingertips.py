@@ -50,7 +50,7 @@ def test_wrong_digits_are_refused(digits):
 
 
 class StreamOwner:
-    """Client that owns a stream. Its hand is at rest."""
+    """Fake client that owns a stream. The hand of this client is at rest."""
 
     def observe(self):
         """Return an observation in which all joint angles are 20 deg."""
@@ -63,13 +63,13 @@ class StreamOwner:
 
 
 class StoringSender:
-    """Sender of streamed targets that stores them."""
+    """Fake sender that stores streamed targets."""
 
     def __init__(self):
         self.sent = []
 
     def send(self, index, sent_ns, values):
-        """Store a target, and report that it was sent."""
+        """Store a target, and report success."""
         self.sent.append(values.tolist())
         return True
 

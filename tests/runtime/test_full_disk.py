@@ -1,6 +1,7 @@
 """Test a run whose disk becomes full.
 
-This is reported at once, the hand goes on, and the log can be read as far as it was written.
+The full disk is reported at once, the hand keeps running, and the written part of the log can be
+read.
 """
 
 import contextlib
@@ -27,7 +28,11 @@ from tests.runtime.processes import (
 
 pytestmark = [pytest.mark.realtime, pytest.mark.alone]
 DISK_SIZE = "96m"
-"""Size of the disk. It is larger than the free space at which the recorder ends a log."""
+"""Size of the disk.
+
+The recorder ends a log while there is still some free space, so the disk must be larger than this
+space.
+"""
 
 
 @pytest.fixture
@@ -59,7 +64,7 @@ def fill_disk(path):
 
 
 def seconds_until(process, word, timeout_s=20.0):
-    """Return the time until the process of a run prints a word to standard error [s]."""
+    """Wait until a run prints a word to standard error, and return the time of waiting [s]."""
     start = time.monotonic()
     output = b""
     while time.monotonic() - start < timeout_s:

@@ -1,6 +1,6 @@
 """Test findings about a CAN interface from the output of ``ip``.
 
-The output is written for these tests in the form of iproute2.
+The texts were written for these tests, in the format of iproute2.
 """
 
 import json
@@ -19,7 +19,7 @@ MEGABIT_PER_S = 1_000_000
 
 
 def link_json(**changes) -> str:
-    """Return the output of ``ip -details -statistics -json`` about a good CAN interface, with given changes."""
+    """Return an output of ``ip -details -statistics -json`` about a good CAN interface, with changed values."""
     data = {
         "state": "ERROR-ACTIVE",
         "berr_counter": {"tx": 0, "rx": 0},

@@ -1,6 +1,6 @@
 """Test a run in lockstep in which a fault holds the hand.
 
-No operator can clear the fault, so the run must end without one.
+In lockstep no operator can clear the fault, so the run must end by a time limit.
 """
 
 from pathlib import Path
@@ -22,7 +22,10 @@ from tests.runtime.processes import MOVE_PHASE, TASK_HEAD
 
 @pytest.mark.timeout(120)
 def test_a_run_held_by_a_fault_ends_with_its_reason(tmp_path: Path) -> None:
-    """While a fault holds the hand, the time of the task stops. Regression: such a run had no end."""
+    """While a fault holds the hand, the task makes no progress.
+
+    Regression: such a run never ended.
+    """
     task = tmp_path / "bend.toml"
     task.write_text(TASK_HEAD + MOVE_PHASE.format(name="bend", angle=10.0, duration=0.5))
     hand = load_hand("jamia")

@@ -1,6 +1,6 @@
 """Test the control loop on a scripted clock.
 
-It does not catch up missed ticks, loses no frame, and disables the drives after every error.
+The loop skips missed ticks, loses no frame, and disables the drives after every error.
 """
 
 import gc
@@ -27,7 +27,10 @@ CUT_FRAMES = (Frame(1, b"\xfd"), Frame(2, b"\xfd", bus=1))
 
 @dataclass
 class ScriptedClock:
-    """A clock that is late by given times in its first waits [ns] and then in time. It records all waits."""
+    """A clock whose first waits end late by the given times [ns], and all later waits in time.
+
+    The clock records all waits.
+    """
 
     late: list[int] = field(default_factory=list)
     waits: list[int] = field(default_factory=list)
@@ -49,7 +52,10 @@ class ScriptedClock:
 
 @dataclass
 class FakeBus:
-    """A bus that delivers given frames in each tick. In one call it accepts at most ``capacity`` frames."""
+    """A bus that delivers the given frames in each tick.
+
+    One call of ``send`` accepts at most ``capacity`` frames.
+    """
 
     index: int = 0
     capacity: int = 1000
@@ -74,7 +80,7 @@ class FakeBus:
 
 @dataclass
 class WholeTick:
-    """A tick that performs all its steps in ``command``."""
+    """A tick that does all its work in the step ``command``."""
 
     tick: Callable[[int, TickIn], tuple[int, TickOut]]
     state: int
@@ -92,7 +98,7 @@ class WholeTick:
 
 @dataclass
 class RecordedLoop:
-    """A control loop that runs a few ticks, with records of all its calls."""
+    """A control loop that runs a few ticks. The test records all calls of the loop."""
 
     ticks: int = 5
     clock: ScriptedClock = field(default_factory=ScriptedClock)
@@ -270,7 +276,7 @@ def test_any_error_cuts_the_drives_and_is_raised_again(stage: str) -> None:
     else:
         whole = getattr(left, stage)
         setattr(left, stage, lambda *words: raise_error() if run.recorded else whole(*words))
-    with pytest.raises(PowerError if stage == "send" else StageError):  # a cut could not be sent
+    with pytest.raises(PowerError if stage == "send" else StageError):  # the cut was not sent
         run.go()
     assert right.sent[-1] == (CUT_FRAMES[1],)
     if stage != "send":
@@ -279,9 +285,9 @@ def test_any_error_cuts_the_drives_and_is_raised_again(stage: str) -> None:
 
 
 def poll_times(run: RecordedLoop, answers: list[tuple[str, ...]]) -> list[int]:
-    """Let a loop fail in its third tick, and return the times at which it polled the drives [ns].
+    """Let a loop fail in its third tick, and return the times at which it then polled the drives [ns].
 
-    ``answers`` are the drives that are not confirmed off after each poll.
+    ``answers`` lists, for each poll, the drives that have not confirmed that they are off.
     """
     times: list[int] = []
 
@@ -329,7 +335,10 @@ def test_drives_that_cannot_be_polled_do_not_count_as_disabled() -> None:
 
 
 def test_a_cut_that_finds_a_full_queue_is_sent_until_there_is_room() -> None:
-    """A cut must not be lost. No later tick repeats it, and a drive without a watchdog would keep its torque."""
+    """The frames of a cut must not be lost.
+
+    No later tick repeats them, and a drive without a watchdog would keep its torque.
+    """
     left = FakeBus()
     right = FakeBus(1)
     run = RecordedLoop(5, buses=[left, right])
@@ -401,7 +410,7 @@ def test_garbage_collection_is_restored_when_the_clock_does_not_begin(
 def test_a_long_run_has_the_lateness_of_its_last_ticks(monkeypatch: pytest.MonkeyPatch) -> None:
     """The loop stores only the lateness of its last ticks.
 
-    That of a day at 500 Hz would take 330 MiB of locked memory.
+    The lateness of all ticks of a day at 500 Hz would take 330 MiB of locked memory.
     """
     monkeypatch.setattr(loop, "LATENESS_RING_TICKS", 16)
     run = RecordedLoop(200, clock=ScriptedClock(list(range(200))))

@@ -1,6 +1,6 @@
-"""Test a client that dies or hangs after a ``start_holding_client``.
+"""Test a client that dies or hangs while the hand holds a tension for it.
 
-The hand relaxes when the lease of the client has ended, which the truth of the simulator shows.
+The hand relaxes when the lease of the client has ended. The truth file of the simulator shows this.
 """
 
 import re
@@ -34,7 +34,10 @@ with handctl.connect("jamia", {LOCAL_BUS!r}, **{{options}}) as hand:
 
 
 def start_holding_client(**options):
-    """Start another client in a process. It holds a tension and then does nothing."""
+    """Start another client in a separate process.
+
+    This client requests a tension and then does nothing.
+    """
     command = [sys.executable, "-c", CLIENT_PROGRAM.format(options=options)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert select.select([process.stdout], [], [], READY_TIMEOUT_S)[0]
@@ -43,7 +46,10 @@ def start_holding_client(**options):
 
 
 def wait_for_end(client, seconds):
-    """Wait until the run ends, and return its reason. The longest wait is ``seconds`` of the hand's time."""
+    """Wait until the run ends, and return the reason for its end.
+
+    Wait at most ``seconds`` on the hand's clock.
+    """
     start = client.observe().t_s
     try:
         while client.observe().t_s < start + seconds:
@@ -102,7 +108,7 @@ def test_a_lost_client_makes_the_hand_relax(work_folder, hand, calibrated, scale
 def test_a_program_that_waits_keeps_its_hold(work_folder, hand, calibrated, scale):
     """A thread of the client renews its lease while the program waits.
 
-    A client without a lease needs no sign of life.
+    A client without a lease need not send signs of life.
     """
     factor = float(scale[1])
     options = ("--calibration", "c.toml", "--log", "live.mcap", *scale)
@@ -135,7 +141,10 @@ def test_a_wrong_lease_is_one_line(options, line):
 
 
 def test_a_watchdog_stops_the_signs_of_life(work_folder):
-    """A program without calls sends no more signs of life. Its next call resumes them."""
+    """A watchdog notices that the program makes no calls, and stops its signs of life.
+
+    The next call resumes the signs.
+    """
     box = Mailbox("local:beats")
     beats = Heartbeat("local:beats", "one", 0.01, 0.15)
 

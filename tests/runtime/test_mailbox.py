@@ -1,6 +1,7 @@
 """Test the socket for requests.
 
-Requests arrive in order and never block, a bus has one controller, and watchers get status lines.
+Requests arrive in order and never block. A bus has at most one controller. Watchers get status
+lines.
 """
 
 import json
@@ -36,7 +37,10 @@ def run_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def send_request(name: str, text: str) -> None:
-    """Send a request to a bus as any program of this user can, without waiting for a reply."""
+    """Send a request to the mailbox of a bus, as any program of this user can.
+
+    Do not wait for a reply.
+    """
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
         out.sendto(text.encode(), str(mailbox_path(name)))
 
@@ -121,7 +125,10 @@ def test_a_hand_whose_second_bus_has_a_controller_is_refused(
 
 
 def test_a_killed_controller_leaves_no_lock(run_folder: Path) -> None:
-    """The socket file of the killed controller is still there. The next controller uses its name."""
+    """The socket file of the killed controller remains.
+
+    The next controller can still use the same name.
+    """
     code = "import time; from handctl.runtime.mailbox import Mailbox as M; m = M('local:x'); print(1, flush=1)"
     code += "; time.sleep(60)"
     child = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)

@@ -1,6 +1,6 @@
 """Test ``handctl replay drive`` on the real clock.
 
-It repeats a recorded grasp on a simulated hand in another process.
+The command repeats a recorded grasp on a simulated hand in another process.
 """
 
 import json
@@ -51,9 +51,9 @@ def test_a_golden_grasp_repeats_on_the_local_bus(work_folder, scale):
         end_process(simulated)
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
-    # At first contact one joint of a digit yields before the other. This makes 2.7 deg here, and
-    # more after a late tick. The RMS of each joint and the mean angle of each digit stay within
-    # their limits.
+    # At the first contact, one joint of a digit yields before the other one. The angles then differ
+    # by 2.7 deg, and by more after a late tick. The RMS difference of each joint, and the mean
+    # angle of each digit, stay within limits.
     single = 6.0
     assert {name for name, row in result["joint_deg"].items() if row["peak"] > single} == set()
     assert max(row["rms"] for row in result["joint_deg"].values()) < 1.0, (

@@ -1,4 +1,7 @@
-"""Test the ring of observations in shared memory and the socket for streamed targets, both in one process."""
+"""Test the ring of observations in shared memory, and the socket for streamed targets.
+
+One process is at both ends.
+"""
 
 import json
 import math
@@ -46,7 +49,7 @@ def run_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def numbers_of(k: int) -> PackedTelemetry:
-    """Return telemetry whose numbers all follow from the tick and from the index of the number."""
+    """Return telemetry in which the tick and the index of a number determine the number."""
     places, first = {}, 0
     for name in TELEMETRY_FIELDS:
         places[name] = slice(first, first + AXIS_LENGTHS[TELEMETRY_AXES[name]])
@@ -143,7 +146,7 @@ def test_a_half_written_record_is_not_returned() -> None:
     writer = ObservationWriter("local:x", AXIS_LENGTHS, {})
     reader = ObservationReader("local:x")
     write_observation(writer, 1)
-    writer._counters[0][0] = 3  # as while record 2 is written
+    writer._counters[0][0] = 3  # the state of the counter while record 2 is written
     assert reader.read_record(0) is None
     assert reader.latest_record() is None, "a reader does not wait for a dead writer"
     reader.close()
@@ -197,7 +200,10 @@ def test_targets_arrive_in_order_with_the_time_of_the_run() -> None:
 
 
 def test_a_flood_neither_blocks_nor_delays_a_stop() -> None:
-    """Of a flood of targets, the newest reach the tick. The socket for requests stays free."""
+    """If targets flood the socket, the tick gets the newest ones.
+
+    The socket for requests stays free.
+    """
     box, mail = TargetBox("local:x", int), Mailbox("local:x")
     sender, sent = TargetSender("local:x", 1, 1), 0
     began = time.monotonic()

@@ -1,7 +1,7 @@
 """Test handctl in a process with the simulated hand in another process, on the real clock.
 
-These tests cover the beginning and the end of runs. Time is slowed, because a stall of the machine
-would rightly end a run.
+These tests cover the beginning and the end of runs. The time scale is slow, because a stall of the
+machine would end a run in real time.
 """
 
 import itertools
@@ -62,7 +62,10 @@ def test_a_run_commissions_moves_and_reports_its_result(work_folder, processes, 
 
 
 def start_long(processes, calibrated, *more):
-    """Start a run that stays in its last phase until it is stopped, and wait until it has reached this phase."""
+    """Start a run that stays in its last phase until it is stopped.
+
+    Wait until the run is in this phase.
+    """
     process = start_handctl(
         "run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *more
     )

@@ -1,4 +1,7 @@
-"""A second controller on a bus is refused with one line of text. The first controller goes on."""
+"""A second controller on a bus is refused with one error line.
+
+The first controller keeps running.
+"""
 
 import time
 

@@ -1,4 +1,4 @@
-"""Test the clock that controller and simulator share: when it pauses, and the time that the simulator reads from it."""
+"""Test the shared clock of controller and simulator: its pauses, and the time that the simulator reads."""
 
 import random
 import signal
@@ -25,10 +25,11 @@ class SharedClockPair:
 
     Attributes:
         now: time of the simulated CLOCK_MONOTONIC [ns].
-        overshoots: overshoots of the next sleeps [ns]. All sleeps after them overshoot by 10 us.
+        overshoots: times by which the next sleeps are too long [ns]. All later sleeps are too long
+            by 10 us.
         simulator: clock of the simulator.
         controller: clock of the controller.
-        between: function that runs during each sleep, at its end.
+        between: function that is called at the end of each sleep.
     """
 
     def __init__(self, path, monkeypatch: pytest.MonkeyPatch, scale: float = 1.0) -> None:
@@ -93,7 +94,7 @@ def test_the_clock_pauses_for_a_late_controller(clock_pair, late_ms) -> None:
 
 
 def test_ticks_of_a_controller_that_was_stopped_are_missed(clock_pair) -> None:
-    """The clock does not pause if a user stops the controller, because the watchdogs of the drives must trip."""
+    """If a user stops the controller, the clock does not pause, because the watchdogs of the drives must trip."""
     clock = clock_pair.controller
     clock.start()
     clock.wait(0)
@@ -124,7 +125,10 @@ def test_the_clock_waits_for_the_simulator(clock_pair) -> None:
 
 
 def test_a_simulator_that_stopped_is_not_waited_for_again(clock_pair) -> None:
-    """After the first wait the run goes on. The missing frames cause the same faults as on a real bus."""
+    """The controller waits once and then continues.
+
+    The missing frames cause the same faults as on a real bus.
+    """
     clock = clock_pair.controller
     clock.start()
     clock.wait(0)
@@ -147,7 +151,11 @@ def test_a_simulator_that_stopped_is_not_waited_for_again(clock_pair) -> None:
 
 
 def test_a_simulator_behind_its_time_is_waited_for(clock_pair) -> None:
-    """The simulator has replied to all frames, but its sensors would still send frames until the present time."""
+    """The simulator has replied to all frames.
+
+    The controller still waits for the simulator, because the simulated sensors must send frames up
+    to the present time.
+    """
     clock = clock_pair.controller
     clock.start()
     clock.wait(0)
@@ -187,7 +195,10 @@ def test_a_closed_clock_opens_the_gate(clock_pair, tmp_path) -> None:
 
 
 def test_a_time_stamp_before_the_last_pause_is_converted(clock_pair) -> None:
-    """A client stamps its targets with CLOCK_MONOTONIC, which does not pause. The stamp becomes time of the run."""
+    """A client stamps its targets with CLOCK_MONOTONIC, which never pauses.
+
+    The controller converts the stamp to the time of the run.
+    """
     clock = clock_pair.controller
     clock.start()
     clock.wait(0)
@@ -200,7 +211,7 @@ def test_a_time_stamp_before_the_last_pause_is_converted(clock_pair) -> None:
 
 @pytest.mark.parametrize("seed", range(20))
 def test_the_time_of_the_simulator_never_runs_backwards(tmp_path, monkeypatch, seed) -> None:
-    """This holds on simulated machines that stop the controller and the simulator at random times."""
+    """The simulated machine of this test stops the controller and the simulator at random times."""
     rng = random.Random(seed)
     machine = SharedClockPair(
         tmp_path / "t.clock", monkeypatch, scale := rng.choice([0.1, 1.0, 1.0, 4.0])
@@ -242,9 +253,9 @@ def test_only_buses_of_this_machine_share_a_clock() -> None:
 @pytest.mark.realtime
 @pytest.mark.parametrize("victim", ["simulator", "controller"])
 def test_a_short_stop_of_a_process_is_no_fault(hand, calibrated, processes, victim) -> None:
-    """A process is stopped for 20 ms at a time, as it may be on a busy machine.
+    """The test stops a process repeatedly for 20 ms, as a busy machine may do.
 
-    Without the shared clock, each stop would delay ten ticks.
+    Without the shared clock, ten ticks would be late after each stop.
     """
     processes.append(
         start_handctl("run", *calibrated, "--task", "short.toml", "--log", "run.mcap", "--json")

@@ -1,6 +1,6 @@
 """Signals of an operator or a terminal become requests to the control loop.
 
-None is lost, and the signal handlers are restored.
+No signal is lost. Afterwards the old signal handlers are restored.
 """
 
 import os

@@ -1,4 +1,4 @@
-"""Test how another program uses a hand in real time: streams, observations, several clients, and failing clients."""
+"""Test how other programs use a hand in real time: streams, observations, several clients, and failing clients."""
 
 import re
 import select
@@ -77,9 +77,9 @@ def test_a_stream_is_followed_observed_logged_and_repeated(work_folder, hand, ca
 
 @REALTIME
 def test_only_one_of_several_clients_commands_the_hand(live_hand):
-    """Regression: a client that left stopped the hand of the others.
+    """Regression: when one client disconnected, the hand stopped although other clients used it.
 
-    Two threads of one client got no results of their moves.
+    Two threads of one client did not get the results of their moves.
     """
     live_hand.move(index=10.0, duration_s=0.3)
     with library.connect("jamia", LOCAL_BUS) as other:
@@ -119,7 +119,7 @@ def test_only_one_of_several_clients_commands_the_hand(live_hand):
 
 
 def test_every_watcher_gets_its_lines(work_folder):
-    """Each watcher gets status lines. Regression: a fifth watcher took the place of the first."""
+    """Every watcher gets status lines. Regression: a fifth watcher displaced the first one."""
     box = Mailbox("local:many")
     watchers = [StatusWatcher("local:many") for _ in range(MAX_WATCHERS + 3)]
     for watcher in watchers:

@@ -1,4 +1,4 @@
-"""Test with simulated clocks that a run detects when the machine was suspended."""
+"""A run detects that the machine was suspended. The tests use simulated clocks."""
 
 from handctl.runtime.clocks.suspend import SuspendWatch
 

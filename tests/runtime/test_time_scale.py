@@ -1,4 +1,7 @@
-"""Test the time scale of a run. It is the scale of the simulator, unless the operator chooses another."""
+"""Test the time scale of a run.
+
+By default the run takes the time scale of the simulator. The operator can request another one.
+"""
 
 import pytest
 

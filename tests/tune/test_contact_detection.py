@@ -1,6 +1,7 @@
 """Test the detection of contact during the sweeps of a digit.
 
-The fit of the digit shows the contact, and affected parameters are not kept.
+The fit of the digit's parameters reveals the contact. Parameters that depend on the contact are not
+stored.
 """
 
 from pathlib import Path
@@ -28,7 +29,7 @@ THUMB_MOUNT_LINE = "mount_position_m = [0.0, -0.025, 0.0]"
 
 
 def with_near_thumb(hand: str, thumb_mm: int, folder: Path) -> str:
-    """Write the file of a packaged hand whose thumb is nearer to the middle finger, and return its path."""
+    """Write a copy of a packaged hand file with the thumb nearer to the middle finger, and return its path."""
     text = load_hand(hand).to_toml()
     assert THUMB_MOUNT_LINE in text
     path = folder / f"{hand}-{thumb_mm}.toml"
@@ -43,7 +44,7 @@ def with_near_thumb(hand: str, thumb_mm: int, folder: Path) -> str:
 def identify_touching_finger(
     hand: str, thumb_mm: int, seed: int, folder: Path
 ) -> dict[str, TendonResult]:
-    """Return the identification results of a middle finger that touches the thumb in its sweeps."""
+    """Identify a middle finger that touches the thumb in its sweeps, and return the results."""
     path = with_near_thumb(hand, thumb_mm, folder)
     found, row = excite_and_fit(path, "middle", seed, {"spring": SPRING_FACTOR}, Gains(), folder)
     assert "failure" not in row
@@ -64,7 +65,10 @@ UNDISTURBED_SAMPLE = {("jamia", 5)}
 def test_springs_of_fingers_that_touch_each_other_are_not_kept(
     tmp_path: Path, hand: str, thumb_mm: int, seed: int
 ) -> None:
-    """Regression: spring parameters of 1.41 and 1.73 instead of 1.2 were accepted without a message."""
+    """Regression: spring parameters of 1.41 and 1.73 were accepted without a message.
+
+    The true value of this parameter is 1.2.
+    """
     found = identify_touching_finger(hand, thumb_mm, seed, tmp_path)
     for one in found.values():
         assert one.contact_text or one.blocked_event
@@ -72,7 +76,7 @@ def test_springs_of_fingers_that_touch_each_other_are_not_kept(
     real = true_parameters(
         load_hand(hand), next(iter(found)), draw_plant(0) | dict.fromkeys(draw_plant(0), 1.0)
     )
-    for one in found.values():  # others stay correct
+    for one in found.values():  # the other parameters stay correct
         for name in set(one.identified_names) & {
             "torque_gain",
             "motor_inertia",
@@ -90,7 +94,10 @@ def test_springs_of_fingers_that_touch_each_other_are_not_kept(
 def test_parameters_of_a_digit_without_contact_are_kept(
     tmp_path: Path, hand: str, seed: int
 ) -> None:
-    """No contact is reported for simulated hands whose parameters differ by up to 30 % from the file."""
+    """Report no contact for a digit without contact.
+
+    The parameters of the simulated hand differ by up to 30 % from the hand file.
+    """
     found, row = excite_and_fit(
         hand, DIGIT_NAMES[seed % 4], seed, draw_plant(seed), Gains(), tmp_path
     )
@@ -103,9 +110,9 @@ def test_parameters_of_a_digit_without_contact_are_kept(
 
 
 def test_stiffer_springs_are_no_obstacle(tmp_path: Path) -> None:
-    """The controller knows only the springs of the hand file and has detuned gains.
+    """The true springs are stiffer than in the hand file, and the controller has detuned gains.
 
-    The fit reports no contact all the same.
+    Nevertheless the fit reports no contact, and identifies the springs.
     """
     found, row = excite_and_fit(
         "jamia", "index", 8, draw_plant(8), draw_gains(Gains(), 8), tmp_path
@@ -119,9 +126,9 @@ def test_stiffer_springs_are_no_obstacle(tmp_path: Path) -> None:
 
 
 def unexplained_ramp_of_line(seed: int, kink: float, begin: float = 0.3) -> ResidualRamp | None:
-    """Return the ramp that a fitted straight line leaves unexplained.
+    """Fit a straight line to data, and return the steepest ramp in the residuals.
 
-    The data are noise with a kink in two sweeps.
+    The data are noise in two sweeps, plus a rise by ``kink`` per unit of angle beyond ``begin``.
     """
     random = np.random.default_rng(seed)
     angle = np.abs(np.linspace(-1.0, 1.0, ROW_COUNT)) * 0.6

@@ -1,4 +1,7 @@
-"""Test designs of gains. A design keeps its stability margins on all simulated hands of an ensemble."""
+"""Test designs of gains.
+
+Designed gains keep their stability margins on all plants of an ensemble.
+"""
 
 import math
 
@@ -29,12 +32,15 @@ from tests.conftest import NIGHTLY
 MANY_PLANTS = 8
 """Number of plants of the default ensemble of `tune design`."""
 FEW_PLANTS = 2
-"""Number of plants by day for a hand with many different tendons."""
+"""Number of plants for a hand with many different tendons, when the tests run by day."""
 
 
 @pytest.mark.parametrize("name", packaged_hands())
 def test_the_packaged_gains_keep_their_margins(name: str) -> None:
-    """Regression: with the gains of jamia, orca_like oscillated at 140 Hz, and t42 had a gain margin of 2.4 dB."""
+    """Regression: with the gains of the hand jamia, the hand orca_like oscillated at 140 Hz.
+
+    The hand t42 had a gain margin of only 2.4 dB.
+    """
     hand = load_hand(name)
     model = HandModel.from_hand(
         hand, packaged_gains(name), control_rate(None, hand, bus_loads(hand))
@@ -45,7 +51,10 @@ def test_the_packaged_gains_keep_their_margins(name: str) -> None:
 
 
 def test_a_heavy_digit_does_not_make_a_light_one_slow() -> None:
-    """The margins of a tendon limit only the force weight of this tendon, not those of other tendons."""
+    """The margins of a tendon limit the force weight of this tendon.
+
+    The force weights of other tendons are not affected.
+    """
     hand = load_hand("t42")
     left, right = hand.digit
     heavy = left.model_copy(
@@ -63,7 +72,8 @@ def test_a_heavy_digit_does_not_make_a_light_one_slow() -> None:
     assert light.name == "right_flexor"
     assert light.motion_force_N == pytest.approx(both.gains.motion.force_N, rel=0.1)
     assert found.gains.motion.force_N < 0.5 * both.gains.motion.force_N
-    # Without separate force weights, both tendons would have the weight of the heavy digit.
+    # Without separate force weights, the tendons of both digits would have the low weight of the
+    # heavy digit.
     shared = found.gains.model_copy(update={"tendon": ()})
     assert model_with_gains(model, shared).motion.stiffness[1] < 0.6 * found_stiffness(
         model, found.gains
@@ -75,7 +85,7 @@ def test_a_heavy_digit_does_not_make_a_light_one_slow() -> None:
 
 
 def found_stiffness(model: HandModel, gains: Gains) -> float:
-    """Return the stiffness [1/s^2] of the second tendon's motion loop in a model with given gains."""
+    """Return the stiffness of the motion loop of the second tendon, in a model with the given gains [1/s^2]."""
     return float(model_with_gains(model, gains).motion.stiffness[1])
 
 
@@ -110,7 +120,10 @@ def test_a_filter_that_leaves_no_margin_is_refused(jamia: HandModel) -> None:
 
 @pytest.mark.parametrize("hz", [3.0, 6.0])
 def test_the_closed_loop_has_the_requested_poles(jamia: HandModel, hz: float) -> None:
-    """Rotor and digit are one mass with sampled state feedback. The control rate is far above the poles."""
+    """Compare with a single mass (rotor and digit) under sampled state feedback.
+
+    The control rate is far above the poles.
+    """
     gains = gains_with_poles(jamia, LoopKind.MOTION, hz, 1.0)
     fast = HandModel.from_hand(jamia.hand, gains, 4000.0)
     A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]])
@@ -131,7 +144,7 @@ def test_the_closed_loop_has_the_requested_poles(jamia: HandModel, hz: float) ->
 def test_placed_poles_that_no_weights_have_are_refused(
     jamia: HandModel, hz: tuple[float, float], damping: float, right: str
 ) -> None:
-    """The message gives poles or a weight that would be possible."""
+    """The error message proposes poles, or a weight, that would be possible."""
     with pytest.raises(ValueError, match=right):
         design_with_poles(jamia, (PlantFactors(),), *hz, damping)
 
@@ -147,7 +160,7 @@ def test_an_ensemble_is_at_least_as_wide_as_its_minimum_spread() -> None:
 
 
 def identification_of_tendon(stiffness: float, half: float) -> IdentifiedParameters:
-    """Return the identified stiffness of one tendon with the half width of its interval, and a delay."""
+    """Return identified parameters of one tendon: its stiffness with the half width of the interval, and a delay."""
     return IdentifiedParameters(
         names=("tendon_stiffness", "delay"),
         values=(stiffness, 1e-3),

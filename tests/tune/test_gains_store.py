@@ -1,4 +1,7 @@
-"""Test gains on disk. Every change can be undone, and a reader never finds a partly written file."""
+"""Test gain files on disk.
+
+Every change can be undone, and a reader never sees a partly written file.
+"""
 
 import os
 from pathlib import Path

@@ -34,7 +34,7 @@ from handctl.tune.identify.fit_motor import (
 from handctl.tune.identify.identifiability import _reason_not_identified
 
 SPRUNG_PARAMETERS = PARAMETER_TOLERANCES.keys() - {"moment_arm", "pretension"}
-"""Parameters that are identified for digits with return springs."""
+"""Parameters that the identification estimates for digits with return springs."""
 SEED_COUNT = 100
 MIN_COVERED = 90
 
@@ -55,9 +55,9 @@ WEAK_MOTOR, STIFF_MOTOR = (23, "thumb"), (39, "thumb")
 def test_parameters_wrong_by_thirty_percent_are_identified_with_detuned_gains(
     tmp_path: Path, seed: int, digit: str
 ) -> None:
-    """A motor that makes 29 % less torque is not taken for a wrong load cell.
+    """A motor with 29 % less torque is not mistaken for a wrong load cell.
 
-    A motor with high friction still moves its tendon.
+    Even a motor with high friction moves its tendon.
     """
     row = measure_digit(seed, digit, tmp_path)
     assert "failure" not in row
@@ -71,9 +71,11 @@ def test_parameters_wrong_by_thirty_percent_are_identified_with_detuned_gains(
 
 
 def test_springs_behind_several_tendons_are_found_by_the_joint_encoders(tmp_path: Path) -> None:
-    """At 200 Hz a motor's inertia and friction are identified less accurately.
+    """Joint encoders make the spring stiffness of such a digit identifiable.
 
-    The intervals of these parameters show this.
+    At 200 Hz a motor's inertia and friction are less accurate.
+
+    The intervals of these two parameters are therefore wider.
     """
     row = measure_digit(3, "thumb", tmp_path, "jamia11")
     assert {parameter["name"] for parameter in row["parameters"]} == SPRUNG_PARAMETERS
@@ -120,7 +122,7 @@ def test_the_window_is_smooth_and_its_derivatives_are_its_derivatives() -> None:
 
 
 def test_the_load_model_balances_every_joint() -> None:
-    """With the tension that the load model computes, the torques of every joint are in balance."""
+    """With the tension from the load model, the torques at every joint are in balance."""
     digit = DigitModel.from_hand(load_hand("jamia"), "index")
     load = DigitLoad.from_digit(digit)
     p = LoadParameters(1e5, 1.1, 0.9, 0.1, 1.0, 1.0, 2e-4)
@@ -213,9 +215,9 @@ def test_a_calibration_keeps_what_was_identified(tmp_path: Path) -> None:
 
 
 def test_tuning_uses_the_identified_hand(tmp_path: Path) -> None:
-    """The model and the middle of the ensemble have the identified parameters.
+    """The model and the centre of the ensemble use the identified parameters.
 
-    The gains belong to the hand of the file.
+    The gains still belong to the hand of the hand file.
     """
     hand, path = load_hand("jamia"), tmp_path / "c.toml"
     rows = dict.fromkeys(
@@ -246,7 +248,7 @@ def test_tuning_uses_the_identified_hand(tmp_path: Path) -> None:
 def test_delay_is_judged_by_an_absolute_limit() -> None:
     """The interval of a delay is compared with an absolute limit, because a delay may be zero.
 
-    A fraction of zero is no limit.
+    Other intervals are compared with a fraction of the value, but a fraction of zero is no limit.
     """
     rows = np.ones((3, len(PARAMETER_NAMES)))
     assert (

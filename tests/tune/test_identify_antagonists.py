@@ -29,14 +29,17 @@ from handctl.tune.identify.identifiability import unobservable_parameters
 SEED_RANGE = range(20)
 TESTED_HANDS = ("n_plus_1", "orca_like")
 MIN_COVERED = 0.9
-"""Smallest fraction of all true parameter values that lie inside their intervals. The expected fraction is 0.95."""
-MIN_COVERED_OF_EACH = 0.8
-"""Smallest fraction of the true values of a single parameter that lie inside their intervals.
+"""At least this fraction of all true parameter values must lie inside their intervals.
 
-A parameter has only 40 to 70 values in this test.
+The expected fraction is 0.95.
+"""
+MIN_COVERED_OF_EACH = 0.8
+"""For each single parameter, at least this fraction of its true values must lie inside their intervals.
+
+The limit is lower, because a parameter has only 40 to 70 values in this test.
 """
 PARAMETERS_OF_EVERY_PAIR = {"motor_coulomb", "tendon_stiffness", "moment_arm"}
-"""Parameters that can be identified for every spool pair of the packaged hand."""
+"""Parameters that the data identify for every spool pair of the packaged hand."""
 
 
 @pytest.mark.parametrize(
@@ -105,7 +108,7 @@ def test_the_excitation_of_antagonists_keeps_within_the_limits(name: str) -> Non
 
 
 def test_a_stretched_tendon_does_not_lift_its_digit_off_the_stops() -> None:
-    """While a tendon is stretched, the opening torque is larger at every joint of its digit than the closing torque."""
+    """While a tendon is stretched, the opening torque at every joint of its digit exceeds the closing torque."""
     hand = load_hand("n_plus_1")
     for step in excitation_steps(hand, hand.digit_names):
         if step.name == "stretch":
@@ -115,7 +118,7 @@ def test_a_stretched_tendon_does_not_lift_its_digit_off_the_stops() -> None:
 
 @pytest.mark.parametrize("passed", [0.8, 1.0, 1.25])
 def test_both_tendons_of_a_pair_balance_its_joint(passed: float) -> None:
-    """Friction lowers the tension of one tendon of the pair at the joint, and raises that of the other.
+    """At the joint, friction lowers the tension of one tendon of the pair and raises the tension of the other one.
 
     The difference of these tensions acts on the joint.
     """
@@ -128,9 +131,9 @@ def test_both_tendons_of_a_pair_balance_its_joint(passed: float) -> None:
 
 
 def test_the_stretch_of_a_pair_makes_its_net_tension() -> None:
-    """Each tendon of a pair has the tension p + k d, and never less than 0.
+    """At a stretch d, the tendons of a pair have the tensions p + k d and p - k d, but never less than 0.
 
-    The net tension is the difference of both.
+    The net tension is the difference of these two tensions.
     """
     stretch = stretch_of_pair(np.linspace(-50.0, 50.0, 101), 5e4, 10.0)
     single = [np.maximum(10.0 + 5e4 * side * stretch, 0.0) for side in (1.0, -1.0)]
@@ -138,7 +141,7 @@ def test_the_stretch_of_a_pair_makes_its_net_tension() -> None:
 
 
 def test_a_fault_that_holds_the_hand_ends_the_run() -> None:
-    """Regression: the time of the program stops while a fault holds the hand, so such a run had no end."""
+    """Regression: such a run never ended, because the program makes no progress while a fault holds the hand."""
     limit = HoldLimit()
 
     def ticks(action: SafetyAction, begin_s: float, end_s: float) -> list[str]:

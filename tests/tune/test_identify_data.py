@@ -1,4 +1,4 @@
-"""Test which parts of an ordinary log count as free motion."""
+"""Test the selection of free motion in a log of ordinary use."""
 
 from pathlib import Path
 
@@ -13,7 +13,10 @@ GRASP_LOG = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 
 
 def test_a_digit_that_is_held_or_rests_on_a_stop_is_not_free() -> None:
-    """Regression: data of digits on their stops made the identified springs and friction a third too large."""
+    """Regression: data of digits on their stops were used.
+
+    The identified springs and friction were then a third too large.
+    """
     hand = load_hand("jamia")
     with RunLog(GRASP_LOG) as log:
         held = np.isnan(log.field("q_goal"))

@@ -1,6 +1,6 @@
-"""The linear models of the control loops predict the running code.
+"""The linear models of the control loops predict the behaviour of the running controller.
 
-They have the margins that the package `control` computes.
+The margins of these models equal those that the package `control` computes.
 """
 
 import math
@@ -28,7 +28,7 @@ LOOP_KINDS = list(LoopKind)
 def test_the_linear_controller_predicts_the_running_one(
     hand: str, kind: LoopKind, request: pytest.FixtureRequest
 ) -> None:
-    """The linear model predicts one tick of the controller, from slightly different states and readings."""
+    """Compare one tick of the controller, near the operating point, with the prediction of the linear model."""
     model: HandModel = request.getfixturevalue(hand)
     K = controller_system(model, 0, kind)
     tick, state, reading, steps = linear._operating_point(model, 0, kind)
@@ -46,7 +46,10 @@ def test_the_linear_controller_predicts_the_running_one(
 
 @pytest.mark.parametrize("kind", LOOP_KINDS)
 def test_a_tick_acts_on_the_samples_of_the_tick_before(jamia: HandModel, kind: LoopKind) -> None:
-    """The impulse response of the loop equals that of plant and controller, stepped in the order of the bus."""
+    """Compare the impulse responses of the open loop and of a simulation.
+
+    The simulation steps plant and controller in the order of the bus.
+    """
     P, K, L = (
         plant_system(jamia, 0, kind),
         controller_system(jamia, 0, kind),
@@ -81,9 +84,9 @@ def test_margins_are_those_of_control(
 def test_the_gain_margin_is_where_the_loop_becomes_unstable(
     jamia: HandModel, kind: LoopKind
 ) -> None:
-    """A torque slightly above the gain margin makes the loop unstable.
+    """With a torque slightly above the gain margin, the loop is unstable.
 
-    A torque slightly below the margin does not.
+    With a torque slightly below the gain margin, the loop is stable.
     """
     margin = 10.0 ** (margins_of_loop(open_loop(jamia, 0, kind)).gain_db / 20.0)
     assert margins_of_loop(
@@ -97,7 +100,7 @@ def test_the_gain_margin_is_where_the_loop_becomes_unstable(
 def test_closed_loop_responds_to_a_force_step(jamia: HandModel) -> None:
     """A held tension returns to its goal after a force step of 1 N.
 
-    Without a controller, a blocked rotor would keep the whole step.
+    Without a controller, the tension at a blocked rotor would stay 1 N away from the goal.
     """
     _, tension = step_response(jamia, 0, LoopKind.TENSION, 1.0)
     assert abs(tension[-1]) < 0.3 < np.abs(tension).max() < 2.0

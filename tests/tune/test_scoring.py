@@ -1,6 +1,6 @@
-"""Test how gains are scored on a simulated hand that differs from its hand file.
+"""Test the scores of gains on a simulated hand that differs from its hand file.
 
-The exercise completes, however bad the gains are.
+The simulated exercise completes even with very bad gains.
 """
 
 import json
@@ -19,7 +19,8 @@ from handctl.tune.search.ensemble import draw_ensemble
 def test_motor_short_of_its_goal_is_no_stuck_encoder(seed: int) -> None:
     """Regression: a motor had stopped 0.4 mm short of its goal.
 
-    The lagging goal then moved on, and at 2.5 s this was the fault N04.
+    The lagging goal then continued to move, and after 2.5 s the controller reported a stuck encoder
+    (N04).
     """
     hand = load_hand("jamia")
     score = score_exercise(
@@ -31,7 +32,7 @@ def test_motor_short_of_its_goal_is_no_stuck_encoder(seed: int) -> None:
 
 @pytest.mark.parametrize("hand", ["jamia", "t42"])
 def test_a_trial_may_cross_a_process_boundary(hand: str) -> None:
-    """Regression: JSON has lists in place of tuples, and every trial of `tune search --jobs 2` failed."""
+    """Regression: every trial of `tune search --jobs 2` failed, because JSON converts tuples to lists."""
     job = {
         "hand": load_hand(hand).to_toml(),
         "rate_hz": 500.0,

@@ -1,4 +1,7 @@
-"""Test the search for gains. All workers give the same result, no trial is lost, and a study can be resumed."""
+"""Test the search for gains.
+
+All kinds of workers give the same result, no trial is lost, and a stopped search can be resumed.
+"""
 
 import os
 import signal
@@ -51,7 +54,7 @@ def _ignore_result(search_result: SearchResult) -> None:
 def search_result(
     search_plan: SearchPlan, tmp_path_factory: pytest.TempPathFactory
 ) -> SearchResult:
-    """Return the result of a search that runs in this process."""
+    """Run a search in this process, and return its result."""
     return run_search(
         search_plan, tmp_path_factory.mktemp("study") / "one", InProcessWorkers(), _ignore_result
     )
@@ -72,7 +75,10 @@ def test_search_result_does_not_depend_on_the_processes(
 def test_the_sampler_knows_which_trials_keep_their_margins(
     search_plan: SearchPlan, search_result: SearchResult, tmp_path: Path
 ) -> None:
-    """The sampler gets the margins of random trials too as constraints. Optuna warns of nothing."""
+    """The sampler also gets the margins of random trials as constraints.
+
+    Optuna prints no warnings.
+    """
     run_search(search_plan, tmp_path / "study", RecordedWorkers(search_result), _ignore_result)
     finished = [
         one
@@ -146,7 +152,7 @@ def test_interrupted_search_gives_the_same_result(
 
 
 class FakeWorkers:
-    """Workers whose scores follow from the gains without a simulation."""
+    """Workers that compute a score from the gains with a formula, without a simulation."""
 
     def compute_scores(
         self, jobs: Sequence[dict[str, Any]]
@@ -168,7 +174,10 @@ class FakeWorkers:
 def long_search(
     search_plan: SearchPlan, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[SearchPlan, SearchResult, bytes]:
-    """Return the plan of a search with more than random batches, its result, and the bytes of its journal."""
+    """Run a search that is longer than its random batches.
+
+    Return its plan, its result, and the bytes of its journal.
+    """
     longer = replace(
         search_plan,
         trials=8 * RANDOM_BATCH_COUNT + 2,
@@ -182,7 +191,10 @@ def long_search(
 def test_search_resumes_from_a_truncated_journal(
     long_search: tuple[SearchPlan, SearchResult, bytes], tmp_path: Path, fraction: float
 ) -> None:
-    """The journal is cut in the middle of a line. Some cuts are at a time at which the sampler chooses a batch."""
+    """The journal is cut in the middle of a line.
+
+    Some cuts are in the time when the sampler already chooses the batches.
+    """
     longer, found, journal = long_search
     path, lines = tmp_path / "study", journal.splitlines(keepends=True)
     line_count = int(fraction * len(lines))
@@ -266,7 +278,7 @@ def test_a_dask_cluster_finds_what_one_process_finds(
 
 def test_two_searches_do_not_share_a_journal(search_plan: SearchPlan, tmp_path: Path) -> None:
     class Meanwhile(InProcessWorkers):
-        """Workers during whose jobs another search with the same journal begins."""
+        """Workers that start another search with the same journal before they compute their jobs."""
 
         def compute_scores(
             self, jobs: Sequence[dict[str, Any]]

@@ -1,4 +1,4 @@
-"""Test the jackknife over blocks of time, also for a damaged log whose rows are all in one block."""
+"""Test the jackknife over blocks of time. A damaged log may have all its rows in one block."""
 
 import time
 
@@ -39,7 +39,7 @@ def test_equal_times_take_a_few_seconds_at_most(span: float) -> None:
 def test_a_block_with_large_residuals_leaves_the_degrees_of_freedom(seed: int) -> None:
     """A block with large residuals does not reduce the degrees of freedom.
 
-    Regression: it left three of them, and intervals 1.5 times as wide.
+    Regression: only three degrees of freedom were left, and the intervals were 1.5 times as wide.
     """
     random = np.random.default_rng(seed)
     jacobian, times = (
@@ -56,7 +56,7 @@ def test_a_block_with_large_residuals_leaves_the_degrees_of_freedom(seed: int) -
 
 
 def test_a_parameter_without_data_has_a_spread_of_its_prior() -> None:
-    """A parameter without data keeps the spread of its prior.
+    """If the data do not depend on a parameter, its spread is that of its prior.
 
     Regression: a digit that hardly moved caused an overflow warning.
     """

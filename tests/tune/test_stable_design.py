@@ -1,4 +1,7 @@
-"""Test that designed gains are stable: by eigenvalues, by margins that are found by trial, and in lockstep."""
+"""Test that designed gains are stable.
+
+The evidence is eigenvalues, margins found by trial, and runs in lockstep.
+"""
 
 import math
 from functools import cache
@@ -31,17 +34,24 @@ from tests.conftest import NIGHTLY
 TESTED_HANDS = packaged_hands()
 SEED_RANGE = range(20) if NIGHTLY else range(2)
 QUICK_HANDS = tuple(name for name in TESTED_HANDS if NIGHTLY or name != "orca_like")
-"""Packaged hands whose rest test is quick enough for the day. That of 17 joints takes more than five minutes."""
+"""Packaged hands with a quick rest test, which runs by day.
+
+For a hand of 17 joints, the rest test takes more than five minutes.
+"""
 RATE_BY_HAND_HZ = {"jamia": 500.0, "n_plus_1": 250.0, "orca_like": 400.0, "t42": 500.0}
 SATURATED_GAINS = {"tension": {"tension_error_N": 0.5, "speed_error_m_s": 0.1}}
 """Tension weights.
 
-With a force weight of 390 N they command more torque than the motor has at the operating point.
+With these weights and a force weight of 390 N, the law commands more torque than the motor has,
+even at the operating point.
 """
 
 
 def random_gains(seed: int, wide: float = 10.0) -> Gains:
-    """Return gains whose weights, integral and filter are larger or smaller than usual by up to the factor ``wide``."""
+    """Return random gains.
+
+    Weights, integral and filter differ from usual gains by up to the factor ``wide``.
+    """
     random = np.random.default_rng(seed)
 
     def random_factor(value: float) -> float:
@@ -85,7 +95,7 @@ def with_force(force: float) -> HandModel:
 def test_a_law_at_its_limit_is_judged_as_the_linear_law(force: float) -> None:
     """At its limit, the control law has no slope with respect to its inputs.
 
-    The matrices of the linear model are therefore computed from the gains, even if these are large.
+    The matrices of the linear model are therefore computed from the gains, even for large gains.
     """
     model = with_force(force)
     K = controller_system(model, 0, LoopKind.TENSION)
@@ -93,7 +103,7 @@ def test_a_law_at_its_limit_is_judged_as_the_linear_law(force: float) -> None:
     assert per_newton > 0.5
     states = K.C[0]
     integral = states[np.isclose(states, 1.0)]
-    assert len(integral) >= 1  # the gain of the integral if nothing saturates
+    assert len(integral) >= 1  # the gain of the integral below the torque limit
     assert not margins_of_loop(open_loop(model, 0, LoopKind.TENSION)).are_sufficient
 
 
@@ -132,7 +142,7 @@ def test_an_unstable_loop_has_no_margin(jamia: HandModel) -> None:
 
 
 def brute_force(system: LinearSystem) -> tuple[float, float]:
-    """Find the gain margin [dB] and the phase margin [deg] of a loop by trial.
+    """Find the gain margin [dB] and the phase margin [deg] of a loop by trial of many values.
 
     At a margin, an eigenvalue of the closed loop first leaves the unit circle.
     """
@@ -157,7 +167,8 @@ def brute_force(system: LinearSystem) -> tuple[float, float]:
 def test_margins_are_those_of_brute_force(hand: str, seed: int) -> None:
     """The computed margins are never too large.
 
-    They are smaller only if frequency response and eigenvalues disagree.
+    A computed margin is smaller than the true one only if frequency response and eigenvalues
+    disagree.
     """
     model = model_of(hand, seed)
     for kind in LoopKind:
@@ -173,7 +184,10 @@ def test_margins_are_those_of_brute_force(hand: str, seed: int) -> None:
 
 
 def judged_stable(model: HandModel, found: GainDesign, seed: int) -> HandModel:
-    """Check that all loops of a design are stable on both plants, and return the designed model."""
+    """Check that all loops of a design are stable on both plants of an ensemble.
+
+    Return the model with the designed gains.
+    """
     after = HandModel.from_hand(model.hand, found.gains, 1.0 / model.period)
     for factors in draw_ensemble(2, seed):
         for i in distinct_tendons(after):
@@ -185,7 +199,7 @@ def judged_stable(model: HandModel, found: GainDesign, seed: int) -> HandModel:
 
 @pytest.mark.parametrize("seed", SEED_RANGE if NIGHTLY else SEED_RANGE[:1])
 def test_design_is_stable_by_its_eigenvalues(seed: int) -> None:
-    """The design is stable by its eigenvalues alone. The rest test in simulation is left out here."""
+    """All eigenvalues of the design are stable, although the design did without the rest test in simulation."""
     model = model_of("jamia", seed, 3.0)
     found = design_gains(model, tuple(linear_factors(one) for one in draw_ensemble(2, seed)))
     judged_stable(model, found, seed)
@@ -195,7 +209,10 @@ def test_design_is_stable_by_its_eigenvalues(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("hand", TESTED_HANDS)
 def test_written_design_is_stable(hand: str, seed: int) -> None:
-    """Eigenvalues and the rest test in simulation show stability, also with another seed than that of the design."""
+    """The eigenvalues are stable.
+
+    The rest test in simulation passes, even with a seed that the design has not used.
+    """
     model, factors = model_of(hand, seed, 3.0), draw_ensemble(2, seed)
     plants = tuple(linear_factors(one) for one in factors)
     try:
@@ -212,20 +229,23 @@ def test_a_failed_rest_test_gives_no_design(jamia: HandModel) -> None:
 
 
 def test_gains_that_are_not_stable_do_not_come_to_rest() -> None:
-    """The rest test finds unstable gains. An earlier version wrote such gains and claimed infinite margins."""
+    """The rest test detects unstable gains.
+
+    Regression: such gains were written as a design with infinite margins.
+    """
     model = with_force(393.0)
     assert not margins_of_loop(open_loop(model, 0, LoopKind.TENSION)).stable
     assert not simulate_swing(model.hand, model, {}, 0).is_at_rest
 
 
 def rest_test_of(model: HandModel) -> RestTest:
-    """Return a rest test on the nominal plant and its ensemble."""
+    """Return a rest test on the nominal plant and an ensemble around it."""
     factors = draw_ensemble(2, 0)
     return RestTest(model.hand, factors, tuple(linear_factors(one) for one in factors), 0)
 
 
 def test_closing_spool_pairs_are_not_reported_as_torn_tendons() -> None:
-    """Regression: a digit without load cells that closed with 30 N ended every step test with the fault T01."""
+    """Regression: every step test ended with a torn tendon (T01), when a digit without load cells closed with 30 N."""
     model = HandModel.from_hand(load_hand("orca_like"), Gains(), RATE_BY_HAND_HZ["orca_like"])
     swing = simulate_swing(model.hand, model, {}, 0)
     assert swing.failure == ""
@@ -234,7 +254,7 @@ def test_closing_spool_pairs_are_not_reported_as_torn_tendons() -> None:
 
 @pytest.mark.parametrize("hand", QUICK_HANDS)
 def test_packaged_gains_come_to_rest_on_the_plant_with_the_least_friction(hand: str) -> None:
-    """An oscillation that the plant has without feedback does not count as one of the control loop."""
+    """An oscillation that also occurs without feedback does not count as an oscillation of the control loop."""
     model = HandModel.from_hand(load_hand(hand), Gains(), RATE_BY_HAND_HZ.get(hand, 200.0))
     proof = rest_test_of(model)
     assert proof(model), proof.reason
@@ -248,7 +268,7 @@ def test_packaged_gains_come_to_rest_on_the_plant_with_the_least_friction(hand: 
 def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
     monkeypatch: pytest.MonkeyPatch, hand: str, swing_N: float, chatter_N: float, accepted: bool
 ) -> None:
-    """The gains are refused although all other plants come to rest."""
+    """Refuse gains with such a swing, although all other plants come to rest."""
     model = HandModel.from_hand(load_hand(hand), Gains(), RATE_BY_HAND_HZ.get(hand, 200.0))
 
     def fake(
@@ -272,7 +292,7 @@ def rest_test_with(
 ) -> RestTest:
     """Return a rest test with invented oscillations of each tendon [N].
 
-    ``chatter`` is that of the plant without feedback, ``found`` that with the gains.
+    ``chatter`` is the oscillation without feedback, ``found`` the oscillation with the gains.
     """
 
     def fake(
@@ -291,7 +311,8 @@ def test_chatter_of_a_tendon_does_not_hide_swings_of_others(
 ) -> None:
     """With little friction and no feedback, two digits of jamia oscillate.
 
-    Index and ring oscillate by 2 to 5 N, middle and thumb by less than 0.1 N.
+    The tensions of index and ring oscillate by 2 to 5 N, those of middle and thumb by less than 0.1
+    N.
     """
     chatter = (4.1, 0.0, 3.9, 0.0)
     assert rest_test_with(monkeypatch, jamia, chatter, (5.0, 0.1, 4.4, 0.1))(jamia)
@@ -303,9 +324,9 @@ def test_chatter_of_a_tendon_does_not_hide_swings_of_others(
 def test_an_oscillating_loop_is_not_hidden_by_chatter(
     monkeypatch: pytest.MonkeyPatch, jamia: HandModel
 ) -> None:
-    """The oscillation is no larger than that of the plant without feedback.
+    """The oscillation is not larger than without feedback.
 
-    The eigenvalues show that the loop oscillates.
+    Nevertheless the gains are refused, because the eigenvalues show that the loop oscillates.
     """
     chatter = (4.0, 4.0, 4.0, 4.0)
     slow = {"tension": {"integral_per_s": 30.0, "force_N": 1.0}}
@@ -325,7 +346,7 @@ def test_an_oscillating_loop_is_not_hidden_by_chatter(
 def test_gains_that_fail_at_the_least_friction_are_refused(
     monkeypatch: pytest.MonkeyPatch, jamia: HandModel
 ) -> None:
-    """If the run without feedback fails too, the oscillation of the plant is unknown, and the gains are refused."""
+    """If the run without feedback also fails, the plant's own oscillation is unknown, and the gains are refused."""
     lost = StepOscillation(math.inf, math.inf, (math.inf,) * 4, "N14b")
     still = StepOscillation(0.0, 0.0, (0.0,) * 4)
     monkeypatch.setattr(

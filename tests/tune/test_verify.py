@@ -1,4 +1,8 @@
-"""Test the verification of gains. Gains that oscillate are reverted during the run, and the log shows this."""
+"""Test the verification of gains.
+
+If the loops oscillate with new gains, the run returns to the old gains, and the log shows the
+change.
+"""
 
 from pathlib import Path
 

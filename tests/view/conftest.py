@@ -1,4 +1,4 @@
-"""Fixtures with logs for the viewer, and with a check that this machine can draw."""
+"""Fixtures with logs for the viewer, and a check whether this machine can draw pictures."""
 
 import os
 import sys
@@ -21,7 +21,7 @@ LOG_DURATION_S = 3.0
 def log_path(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Write the log of a synthetic run with a start date, and return its path.
 
-    A test with it runs once per packaged hand.
+    A test with this fixture runs once for each packaged hand.
     """
     import synthetic_run
 
@@ -48,7 +48,7 @@ def jamia_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def rrd(log_path: Path) -> Path:
-    """Return the path of the Rerun recording of `log_path`."""
+    """Convert the log `log_path` to a Rerun recording, and return the path of the recording."""
     from rrd_entities import run_info_of
 
     out = log_path.with_suffix(".rrd")
@@ -60,7 +60,8 @@ def rrd(log_path: Path) -> Path:
 def vulkan() -> dict[str, str]:
     """Return the environment variables of a process that draws pictures.
 
-    Without a driver the test is skipped, or fails where a driver is required.
+    If this machine has no Vulkan driver, skip the test. Where a driver is required, let the test
+    fail.
     """
     try:
         return software_vulkan()

@@ -1,8 +1,8 @@
-"""Measure the time of `handctl view LOG` to its first picture: `python tests/view/first_picture.py LOG`.
+"""Measure the time that `handctl view LOG` needs for its first picture: `python tests/view/first_picture.py LOG`.
 
-The time runs from the start of the process to a drawn picture with data, in a viewer without a
-screen. The program prints JSON with this time and with the processor times of handctl and of the
-viewer until then.
+The measured time lasts from the start of the process until a viewer without a screen has drawn a
+picture with data. The program prints JSON with this time, and with the CPU times of handctl and of
+the viewer until then.
 """
 
 import json
@@ -19,8 +19,8 @@ WINDOW_SIZE = "1600x900"
 
 
 def main() -> None:
-    """Open a log as the command does, and end after the first picture."""
-    os.environ.setdefault("RUST_LOG", "error")  # as handctl view does
+    """Open a log as `handctl view` does, and end after the first picture."""
+    os.environ.setdefault("RUST_LOG", "error")  # handctl view sets this too
     from handctl.cli.logs import view  # noqa: F401 (what the verb imports counts)
     from handctl.log.read.reader import RunLog
     from handctl.view.browse import browse_log

@@ -14,12 +14,12 @@ from handctl.view.scene.run_info import RunInfo
 
 
 class RecordingEntity(NamedTuple):
-    """Rows of one entity of a Rerun recording.
+    """Data of one entity of a Rerun recording.
 
     Attributes:
-        times: run time of each row [ns], empty for a static entity.
-        rows: value in each row, by the name of the component.
-        static: value that holds at all times, by the name of the component.
+        times: run time of each row [ns]. For a static entity, the array is empty.
+        rows: for the name of each component, its values in all rows.
+        static: for the name of each static component, the value that it always has.
     """
 
     times: NDArray[np.int64]
@@ -27,7 +27,7 @@ class RecordingEntity(NamedTuple):
     static: dict[str, Any]
 
     def table(self, component: str) -> NDArray[np.float64]:
-        """Return the values of a component (rows, instances)."""
+        """Return the values of a component in all rows, (rows, instances)."""
         return np.array(self.rows[component], float)
 
 
@@ -70,6 +70,6 @@ def entities_of_file(path: Path) -> dict[str, RecordingEntity]:
 
 
 def run_info_of(path: Path) -> RunInfo:
-    """Return the description of the run and the hand of a log, as the viewer takes it."""
+    """Return the description of run and hand that the viewer takes from a log."""
     with RunLog(path) as log:
         return RunInfo.from_header(log.header, path.stem)

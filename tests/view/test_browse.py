@@ -1,4 +1,7 @@
-"""Test a log in a separate viewer. The beginning of the log arrives first, and in the end the whole log."""
+"""Test a log in a separate viewer.
+
+The viewer shows the beginning of the log first, and finally the whole log.
+"""
 
 import itertools
 import json
@@ -64,7 +67,7 @@ def test_a_viewer_gets_all_of_a_log(
 
 
 def write_ten_minute_log(path: Path) -> None:
-    """Write a log of ten minutes at 500 Hz, in which the same five seconds repeat."""
+    """Write a log of ten minutes at 500 Hz, which repeats the same five seconds."""
     import synthetic_run
 
     run = synthetic_run.synthetic_header(rate_hz=500)
@@ -90,7 +93,7 @@ def test_ten_minutes_have_a_picture_after_five_seconds_of_one_core(tmp_path: Pat
         str(tmp_path / "ten.mcap"),
     ]
     looks = []
-    for _ in range(3):  # the first run is slow
+    for _ in range(3):  # the first of these runs is slow
         ran = subprocess.run(command, capture_output=True, text=True, check=True, timeout=300)
         looks.append(json.loads(ran.stdout))
     assert all(one["png_bytes"] > 50_000 for one in looks)
@@ -127,7 +130,7 @@ def test_a_viewer_that_is_closed_leaves_no_files_behind(
 def command(child: psutil.Process) -> list[str]:
     """Return the command line of a child process.
 
-    It is empty for a child that has ended, which other tests may leave.
+    The result is empty for a child process that has ended. Other tests may leave such processes.
     """
     try:
         return child.cmdline()

@@ -1,4 +1,4 @@
-"""Test `handctl view` with the command lines of a user: its files, and its messages when it refuses its input."""
+"""Test `handctl view` with the command lines of a user: the written files, and the messages about refused input."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Test the live view. A process beside the controller shows the growing log."""
+"""Test the live view: a process beside the controller shows the log while it grows."""
 
 import subprocess
 import sys

@@ -1,4 +1,7 @@
-"""Test meshes in a recording. They replace capsules and are at their links, with pose, scale and colour."""
+"""Test the meshes in a Rerun recording.
+
+A mesh replaces the capsule of its link, with the right pose, scale and colour.
+"""
 
 from pathlib import Path
 
@@ -22,7 +25,7 @@ from tests.hand.mesh_files import hand_with_meshes, write_meshes
 def mesh_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Write the log of a hand with meshes on some links, and return its path.
 
-    The mesh files are deleted afterwards, as if the log were on another machine.
+    Then delete the mesh files, so that only the log contains the meshes, as on another machine.
     """
     folder = tmp_path_factory.mktemp("meshes")
     files = folder / "files"
@@ -93,7 +96,7 @@ def test_the_live_view_sends_the_same_meshes(
         "send_chunks",
         lambda chunks, recording: sent.extend(chunk.entity_path for chunk in chunks),
     )
-    monkeypatch.setattr(follow, "FLUSH_TIMEOUT_S", 0.05)  # short, as there is no viewer
+    monkeypatch.setattr(follow, "FLUSH_TIMEOUT_S", 0.05)  # short: no viewer listens
     run = run_info_of(mesh_log)
     follower = follow.LogFollower(mesh_log, run, "rerun+http://127.0.0.1:1/proxy")
     follower.close()

@@ -1,4 +1,4 @@
-"""Test pictures that the real viewer draws without a screen."""
+"""Test pictures that the viewer Rerun draws without a screen."""
 
 import io
 import json
@@ -30,7 +30,7 @@ def pixels_of_png(png: bytes) -> NDArray[np.int16]:
 
 
 def fraction_near(image: NDArray[np.int16], colour: palette.Colour) -> float:
-    """Return the fraction of pixels that have about the hue of a colour, at any brightness."""
+    """Return the fraction of pixels whose hue is near that of a colour, at any brightness."""
     light = np.linalg.norm(image, axis=2)
     cosine = image @ np.array(colour) / np.maximum(light * np.linalg.norm(colour), 1e-9)
     return float(((cosine > 0.995) & (light > 80)).mean())
@@ -60,7 +60,7 @@ def test_the_dashboard_shows_the_hand_its_forces_and_its_lines(
 def bare_viewer(
     jamia_path: Path, vulkan: dict[str, str]
 ) -> Iterator["tuple[Viewer, ViewerClient]"]:
-    """Open a viewer on the log itself, as `rerun LOG` does, without the layout of handctl."""
+    """Open the log file directly in a viewer, as `rerun LOG` does, without the layout of handctl."""
     with running_viewer(
         ["--headless", "--window-size", "1200x800", str(jamia_path)], vulkan
     ) as running:
@@ -99,7 +99,7 @@ def test_the_viewer_listens_on_this_machine_only(
 def test_viewer_ignores_streams_of_other_programs(
     bare_viewer: "tuple[Viewer, ViewerClient]",
 ) -> None:
-    """A viewer does not show data that a program still sends to an earlier viewer.
+    """A viewer does not show data that another program still sends to an earlier viewer.
 
     Regression: data of such a program replaced the views of the next viewer.
     """
@@ -112,7 +112,7 @@ def test_viewer_ignores_streams_of_other_programs(
 
 
 def test_a_recording_without_its_times_is_not_loaded_yet(monkeypatch: pytest.MonkeyPatch) -> None:
-    """On a busy machine, a viewer names a recording and its views before it has any data."""
+    """On a busy machine, a viewer reports a recording and its views before their data arrive."""
     from rerun.experimental import Recording, StoreId, Timeline, View, ViewerState
 
     def state(*timelines: Timeline) -> ViewerState:

@@ -1,4 +1,4 @@
-"""A growing log is read to its end without lost or duplicate messages, in whatever steps it grows."""
+"""A growing log is read to its end without lost or duplicate messages, for any sizes of its growth steps."""
 
 import random
 from pathlib import Path
@@ -15,7 +15,7 @@ from handctl.view.scene.topic_converters import TopicConverters
 
 
 def grow_file(whole: bytes, seed: int) -> list[int]:
-    """Return the sizes at which a growing log is read: first its header, then random sizes, and at last the whole."""
+    """Return the sizes at which a growing log is read: the header, then random sizes, and finally the whole log."""
     source = random.Random(seed)
     first = 64 << 10
     return [first, *sorted(source.randrange(first, len(whole)) for _ in range(12)), len(whole)]
@@ -44,7 +44,7 @@ def test_the_parts_of_a_growing_log_add_up_to_the_whole_log(
     )
     assert shown.keys() == expected.keys()
     for name in shown.keys() - {"/tension/limit"}:
-        if name == "/tf_static":  # may be sent twice
+        if name == "/tf_static":  # these messages may be sent twice
             assert set(map(repr, shown[name].rows)) == set(map(repr, expected[name].rows))
             continue
         np.testing.assert_array_equal(shown[name].times, expected[name].times, err_msg=name)

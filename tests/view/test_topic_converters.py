@@ -1,4 +1,4 @@
-"""A Rerun recording has the same content as the log that it is made from."""
+"""The content of a Rerun recording equals the content of the log from which it was made."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -174,7 +174,7 @@ def test_frames_put_the_fingertips_where_kinematics_does(
 
 
 def _frame_position(edges: dict[str, tuple[str, np.ndarray, np.ndarray]], frame: str) -> np.ndarray:
-    """Return the origin of a frame in the frame of the palm, by the transforms between frames."""
+    """Return the origin of a frame in the coordinates of the palm, from the chain of transforms."""
     point = np.zeros(3)
     while frame != "palm":
         frame, translation, (x, y, z, w) = edges[frame]

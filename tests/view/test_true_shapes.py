@@ -1,6 +1,6 @@
 """Test the object and the table of a simulated run in the view.
 
-They have the poses that the truth of the simulator gives.
+The poses of object and table in the view equal those in the truth file of the simulator.
 """
 
 import json
@@ -26,7 +26,7 @@ TRUTH_COLUMNS = (*(f"object/{part}" for part in ("x", "y", "z", "qw", "qx", "qy"
 
 
 def truth_of(shapes: dict[str, Any], seconds: float = 1.0) -> TruthRecord:
-    """Return a truth in which the object rises by 10 mm per second and the table sinks by 50 mm per second."""
+    """Return a truth record in which the object rises by 10 mm/s and the table sinks by 50 mm/s."""
     t_ns = np.arange(0, int(seconds * 1e9) + 1, 1_000_000)
     values = np.zeros((len(t_ns), len(TRUTH_COLUMNS)))
     values[:, 2] = 0.01e-9 * t_ns
@@ -36,7 +36,7 @@ def truth_of(shapes: dict[str, Any], seconds: float = 1.0) -> TruthRecord:
 
 
 def drawn_entities(path: Path, truth: TruthRecord | None, offset_ns: int = 0) -> dict[str, Any]:
-    """Return the entities that show the object and the table of a run with a truth."""
+    """Return the viewer entities of the object and the table, for a run with this truth record."""
     run = run_info_of(path)
     header = replace(
         run.header, metadata={**run.header.metadata, "truth_offset_ns": str(offset_ns)}
@@ -69,7 +69,7 @@ def test_an_unknown_shape_is_one_line(jamia_path: Path) -> None:
 
 
 def write_truth(path: Path, truth: TruthRecord) -> None:
-    """Write a truth to a file, and check that it can be read."""
+    """Write a truth record to a file, and check that the file can be read."""
     head = json.dumps({"columns": truth.columns, **truth.header}) + "\n"
     rows = np.zeros(len(truth.t_ns), [("t_ns", "<i8"), ("v", "<f8", (len(truth.columns),))])
     rows["t_ns"] = truth.t_ns

@@ -1,4 +1,4 @@
-"""The figures of the README and the site.
+"""Program that draws the figures of the README and the site.
 
-``make figures`` draws them in one style, from runs of the simulated hand.
+``make figures`` draws all figures in one style, from runs of the simulated hand.
 """

@@ -1,6 +1,6 @@
 """Draw the figures: ``python -m tools.figures [NAME ...]``.
 
-It stores runs in build/figures, and pictures in docs/figures.
+The program stores the runs in build/figures and the pictures in docs/figures.
 """
 
 import argparse
@@ -42,7 +42,10 @@ PICTURES: dict[str, Callable[[Path], Path]] = {
 
 
 def draw_paper() -> None:
-    """Draw the figures that repeat those of the source paper, from the experiments in docs/evidence."""
+    """Draw the figures that correspond to figures of the source paper.
+
+    The data are the experiments in docs/evidence.
+    """
     results = REPOSITORY_ROOT / "docs" / "evidence" / "paper-results.json"
     with contextlib.redirect_stdout(io.StringIO()):
         handctl(["paper", "--json", "--figures", str(FIGURES_FOLDER), "--results", str(results)])
@@ -56,12 +59,12 @@ OTHER_WRITERS: dict[str, Callable[[], None]] = {
     "paper": draw_paper,
 }  # fmt: skip
 SLOW_PICTURES = ("tune-search", "tune-verify")
-"""Pictures that take minutes each. They are drawn only if their names are given."""
+"""Pictures of which each takes minutes. The program draws them only if the command names them."""
 FIGURE_NAMES = (*DIAGRAMS, *PLOTS, *PICTURES, *OTHER_WRITERS)
 
 
 def main() -> int:
-    """Draw all figures, or those whose names are given. Return the exit code."""
+    """Draw the figures that the command names, or all figures. Return the exit code."""
     parser = argparse.ArgumentParser(
         description="Draw the figures of README and site, and write the demo's numbers."
     )

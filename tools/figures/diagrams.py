@@ -1,4 +1,4 @@
-"""The diagrams: architecture, control law, wiring, tendon, and modes of the hand."""
+"""The diagrams of the documentation: architecture, control law, wiring, tendon, and modes of the hand."""
 
 from typing import Any
 
@@ -130,7 +130,7 @@ def control_law_diagram() -> Any:
 
 
 def wiring_diagram() -> Any:
-    """Draw power, CAN and the emergency stop of a hand on a bench."""
+    """Draw the wiring of a hand on a bench: power, CAN, and the emergency stop."""
     figure, axes = new_plane(8.6, 4.4, (17.2, 8.8))
     draw_block(axes, (0.3, 6.6), (2.6, 1.3), "supply\ncurrent limit set", "wire")
     draw_block(axes, (4.0, 6.6), (2.8, 1.3), "emergency stop\nmushroom button", "safety")

@@ -1,4 +1,7 @@
-"""The animated picture of a grasp. MuJoCo renders the true poses of the demo without a screen."""
+"""The animated picture of a grasp.
+
+MuJoCo renders the true poses of a run of `handctl demo`, without a screen.
+"""
 
 import os
 from pathlib import Path
@@ -18,13 +21,13 @@ RATE_HZ = 12.5
 """Pictures per second of simulated time."""
 COLOUR_COUNT = 160
 SAMPLED_PICTURES = 8
-"""Number of colours in the file, and number of pictures from which the colours are chosen."""
+"""Number of colours in the file, and number of pictures that determine these colours."""
 MAX_FILE_BYTES = 3_000_000
 """Largest allowed size of the file [bytes]."""
 SKYBOX_XML = """<asset><texture type="skybox" builtin="gradient" rgb1="0.95 0.97 0.99" rgb2="0.78 0.83 0.88"
   width="32" height="192"/></asset>"""
 ARROW_M_PER_N = 0.006
-"""Length of the arrow of a contact force, for each newton [m/N]."""
+"""Length of the arrow for a contact force, per newton of the force [m/N]."""
 
 
 def rgba(colour: str, alpha: float = 1.0) -> tuple[float, float, float, float]:
@@ -34,7 +37,7 @@ def rgba(colour: str, alpha: float = 1.0) -> tuple[float, float, float, float]:
 
 
 def write_gif(folder: Path, path: Path) -> None:
-    """Render the grasp of the demo as an animated GIF.
+    """Render the grasp of `handctl demo` as an animated GIF.
 
     Raises:
         RuntimeError: the file has more than ``MAX_FILE_BYTES``.
@@ -57,7 +60,7 @@ def write_gif(folder: Path, path: Path) -> None:
 
 
 def picture_sheet(pictures: list[Any]) -> Any:
-    """Join pictures one below the other, so that one palette can have the colours of all."""
+    """Join all pictures, one below the other, to compute one palette for the colours of all."""
     from PIL import Image
 
     made = Image.new("RGB", (PICTURE_SIZE_PX[0], PICTURE_SIZE_PX[1] * len(pictures)))
@@ -67,7 +70,7 @@ def picture_sheet(pictures: list[Any]) -> Any:
 
 
 def grasp_frames(folder: Path) -> list[Any]:
-    """Return the pictures of the grasp, each an array (height, width, 3)."""
+    """Render the grasp, and return its pictures with their labels."""
     import mujoco  # type: ignore[import-untyped,unused-ignore]
 
     log, truth, _ = runs.grasp_run(folder)
@@ -150,7 +153,7 @@ def add_arrow(
 
 
 def labelled_picture(picture: Any, log: Any, t_ns: int, force: dict[str, Any], i: int) -> Any:
-    """Write time, phase and true contact forces into a picture."""
+    """Return a picture with a label: time, phase and true contact forces."""
     from matplotlib import font_manager
     from PIL import Image, ImageDraw, ImageFont
 

@@ -1,6 +1,6 @@
-"""The table with the numbers of the demo, in README and site.
+"""Writer of the table with the results of `handctl demo`, in the README and on the site.
 
-It lies between marks that name the demo's command.
+The table lies between marks that name the command.
 """
 
 import math
@@ -13,17 +13,17 @@ from tools.figures import runs
 TABLE_PATTERN = re.compile(
     r"(<!-- measured: handctl demo --lockstep -->\n)(.*?)(<!-- end of measured -->)", re.DOTALL
 )
-"""Pattern of the marks in a page, and of the table between them."""
+"""Pattern of the marks in a page and the table between these marks."""
 
 
 def numbers_table(result: dict[str, Any]) -> str:
-    """Return the table for a result that ``handctl demo --lockstep --json`` has printed."""
+    """Return the Markdown table for a result that ``handctl demo --lockstep --json`` has printed."""
     rows = "\n".join(f"| {name} | {value} |" for name, value in rows_of(result))
     return f"| `handctl demo --lockstep` prints, among others | |\n|---|---|\n{rows}\n"
 
 
 def rows_of(result: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return the name and the value of each number in the table."""
+    """Return the rows of the table: the name and the value of each result."""
     assumed = result["joint_angles"]["index"]["error_deg"]
     tracking = math.degrees(result["tracking_rmse_rad"])
     return [
@@ -39,7 +39,7 @@ def rows_of(result: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def write_numbers(root: Path, folder: Path) -> None:
-    """Write the table into every page that has its marks."""
+    """Write the table into every page that contains the marks of the table."""
     _, _, result = runs.grasp_run(folder)
     for path in (root / "README.md", *sorted((root / "docs").rglob("*.md"))):
         text = path.read_text(encoding="utf-8")

@@ -26,13 +26,13 @@ POINTS_LIMIT = 1500
 
 
 def thinned_curves(t: Any, *curves: Any) -> tuple[Any, ...]:
-    """Return every n-th point of curves, so that no curve has more than POINTS_LIMIT points."""
+    """Return every n-th point of curves, with n so large that a curve has at most POINTS_LIMIT points."""
     step = max(1, len(t) // POINTS_LIMIT)
     return tuple(values[::step] for values in (t, *curves))
 
 
 def estimate_plot(folder: Path) -> Any:
-    """Plot the raw load cell, the estimate with its band, and the true tension, in motion and at contact."""
+    """Plot the raw load cell, the estimated tension with its band, and the true tension, in motion and at contact."""
     log, truth, _ = runs.grasp_run(folder)
     offset = int(log.header.metadata.get("truth_offset_ns", "0"))
     true = truth.column_at("tension/index_tendon", log.t_ns + offset)
@@ -119,7 +119,7 @@ def snapped_tendon(folder: Path) -> Any:
 
 
 def tip_force(folder: Path) -> Any:
-    """Plot commanded, estimated and true tip force of each digit, on a wall and in a held grasp."""
+    """Plot the commanded, the estimated and the true tip force of each digit, on a wall and in a grasp."""
     del folder
     figure = new_figure(8.6, 5.8)
     grid = figure.subplots(2, 4, sharey="row")
@@ -140,11 +140,11 @@ def tip_force(folder: Path) -> Any:
 
 
 def _draw_tip_forces(row: Any, run: runs.RunRecording, commanded: Any) -> None:
-    """Draw the tip forces of each digit in a panel.
+    """Draw the tip forces of each digit in a separate panel.
 
     Args:
         row: axes of the digits.
-        run: recording in which the phases that hold a force are named 0, 1 and so on.
+        run: recording whose phases with a held force are named 0, 1 and so on.
         commanded: commanded tip force of each hold and digit [N].
     """
     phases = np.array(run.phase)
@@ -172,7 +172,7 @@ def _draw_tip_forces(row: Any, run: runs.RunRecording, commanded: Any) -> None:
 
 
 def replay_plot(folder: Path) -> Any:
-    """Plot the angles and tensions of a grasp, and of a replay of the grasp on a hand with other noise."""
+    """Plot the angles and tensions of a grasp, and of its replay on a simulated hand with other noise."""
     log, _, _ = runs.grasp_run(folder)
     again = runs.replay_run(folder)
     start, end = runs.recording_interval(log)
@@ -213,15 +213,18 @@ def replay_plot(folder: Path) -> Any:
 
 
 def bus_tick(folder: Path) -> Any:
-    """Plot the frames of one tick on the bus, each with the longest time that it can take."""
+    """Plot the frames of one tick on the bus.
+
+    A bar is as long as the longest time that its frame can take.
+    """
     del folder
     (load,) = bus_loads(load_hand("jamia"))
     rows = [row for row in load.rows if row.per_tick >= 1.0]
     figure = new_figure(8.6, 2.9)
     axes = figure.add_subplot()
     lanes = {"host": 2, "drives": 1, "sensor node": 0}
-    # The frames of the host are sent in the order of queueing. Of the waiting answers, the one with
-    # the lowest identifier is sent first.
+    # The host sends its frames in the order of its queue. Among waiting replies, the frame with the
+    # lowest identifier is sent first.
     commands = [
         ("host", "SYNC", "SYNC", INK_COLOUR),
         *(("host", f"{name}_motor", name, DIGIT_COLOURS[name]) for name in DIGIT_COLOURS),
@@ -234,7 +237,7 @@ def bus_tick(folder: Path) -> Any:
     for lane, what, label, colour in [*commands, *answers]:
         us = 1e6 * next(row.frame_s for row in rows if row.what == what)
         axes.barh(lanes[lane], us - 6.0, left=at, color=colour, height=0.55)
-        # The label of a short frame is written vertically.
+        # Write the label of a short frame vertically.
         turned = 90.0 if us < 100.0 else 0.0
         axes.text(at + us / 2.0 - 3.0, lanes[lane], label, ha="center", va="center", color="white", fontsize=7,
                   rotation=turned)  # fmt: skip

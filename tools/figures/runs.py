@@ -1,4 +1,4 @@
-"""Runs of the simulated hand that the figures show.
+"""Runs of the simulated hand, as data for the figures.
 
 All runs are in lockstep and therefore reproducible.
 """
@@ -32,10 +32,10 @@ from tools.figures.style import PLOT_SETTINGS
 
 Array = NDArray[np.float64]
 DEMO_COMMAND = ("demo", "--lockstep", "--json")
-"""Arguments of the run whose numbers are in the README."""
+"""Arguments of the command whose results are in the README."""
 RATE_HZ = 500.0
 SNAP_S = 0.25
-"""Time after the snap that the figure shows [s]."""
+"""Length of the shown time after the tendon snaps [s]."""
 TIP_HAND, TIP_RATE_HZ = "jamia11", 200.0
 TIP_COMMANDS_N = (2.0, 4.0, 6.0)
 GRIP_COMMANDS_N = (1.0, 1.5, 2.0)
@@ -50,12 +50,12 @@ position_m = [0.045, -0.001, 0.0]
 [support]
 drop_when = "never"
 """
-"""A heavy block that only the last link of each digit reaches."""
+"""Scene with a heavy block at a place that only the last link of each digit reaches."""
 
 
 @dataclass
 class RunRecording:
-    """Recorded numbers of a run, one for each tick.
+    """Recorded values of a run, one row for each tick.
 
     Attributes:
         t: (ticks,) time of each tick [s].
@@ -73,16 +73,18 @@ class RunRecording:
 
 
 RECORDED_FIELDS = ("q", "tension", "motor_torque_goal", "tip_force")
-"""Telemetry fields in a recording."""
+"""Telemetry fields that a recording contains."""
 
 
 def record_run(run: SimulatedRun, seconds: float, until: str = "") -> RunRecording:
-    """Continue a run and record it, until a phase begins, the hand is done, or the time is over.
+    """Continue a run and record it.
+
+    Stop when a phase begins, the hand is done, or the time is over.
 
     Args:
         run: simulation to continue, in any phase.
         seconds: longest duration of the recording [s].
-        until: phase at whose begin the recording ends.
+        until: name of the phase whose start ends the recording.
     """
     rows: dict[str, list[Array]] = {
         name: [] for name in (*RECORDED_FIELDS, "true_tension", "true_torque", "true_contact")
@@ -114,7 +116,10 @@ def record_run(run: SimulatedRun, seconds: float, until: str = "") -> RunRecordi
 
 
 def grasp_run(folder: Path) -> tuple[RunLog, TruthRecord, dict[str, Any]]:
-    """Run the demo. Return its log, the true state of the plant, and the printed result."""
+    """Run `handctl demo` unless its files exist.
+
+    Return its log, the true values of the plant, and its printed result.
+    """
     log = folder / "grasp.mcap"
     printed = folder / "grasp.json"
     if not printed.exists():
@@ -132,13 +137,13 @@ def grasp_run(folder: Path) -> tuple[RunLog, TruthRecord, dict[str, Any]]:
 
 
 def run_picture(folder: Path) -> Path:
-    """Return the path of the picture that the demo itself has drawn."""
+    """Return the path of the picture that `handctl demo` has drawn."""
     grasp_run(folder)
     return folder / "grasp.png"
 
 
 def view_picture(folder: Path) -> Path:
-    """Draw the demo's log in the viewer Rerun, at a time when the hand holds the object.
+    """Draw the log of `handctl demo` in the viewer Rerun, at a time when the hand holds the object.
 
     This needs a Vulkan driver.
     """
@@ -153,7 +158,7 @@ def view_picture(folder: Path) -> Path:
 
 
 def replay_run(folder: Path) -> RunRecording:
-    """Replay the demo's log on a simulated hand with other noise, and record the run."""
+    """Replay the log of `handctl demo` on a simulated hand with other noise, and record the replay."""
     log, _, _ = grasp_run(folder)
     program: Program = playback_program(log, 1.0 / RATE_HZ, False)
     hand = load_hand("jamia")
@@ -163,7 +168,7 @@ def replay_run(folder: Path) -> RunRecording:
 
 
 def recording_interval(log: RunLog) -> tuple[float, float]:
-    """Return the begin and the end [s] of the part of a log that a replay repeats."""
+    """Return the start and the end of that part of a log that a replay repeats [s]."""
     return active_interval(log)
 
 
@@ -184,7 +189,10 @@ def snap_run() -> RunRecording:
 
 
 def tip_on_wall() -> RunRecording:
-    """Record a hand with a tendon at every joint that presses on a wall with three commanded tip forces."""
+    """Record a hand that presses on a wall with three commanded tip forces.
+
+    Each joint of the hand has a tendon.
+    """
     opened = {"index": 6.0, "middle": 6.0, "ring": 6.0, "thumb": 0.0}
     return _record_press(
         WALL_SCENE, opened, 60.0, [{"tip_force_N": force} for force in TIP_COMMANDS_N]
@@ -192,9 +200,11 @@ def tip_on_wall() -> RunRecording:
 
 
 def tip_in_grasp() -> RunRecording:
-    """Record a hand that holds a cylinder with three commanded tip forces of each finger.
+    """Record a hand that holds a cylinder.
 
-    The commanded force of the thumb is the sum of those of the fingers.
+    Each finger gets three commanded tip forces, one after another.
+
+    The commanded force of the thumb is the sum of the forces of the fingers.
     """
     opened = {**dict.fromkeys(FINGER_NAMES, 15.0), "thumb": 8.0}
     closed = {**dict.fromkeys(FINGER_NAMES, 60.0), "thumb": 45.0}
@@ -210,9 +220,9 @@ def tip_in_grasp() -> RunRecording:
 def _record_press(
     scene: str, opened: Any, closed: Any, holds: list[dict[str, Any]]
 ) -> RunRecording:
-    """Close a hand with a tendon at every joint on an object.
+    """Close the hand ``TIP_HAND`` on the object of a scene, then hold, and record the run.
 
-    Then record holds, named 0, 1 and so on.
+    The phases of the holds are named 0, 1 and so on.
     """
     hand = load_hand(TIP_HAND)
     phases: list[dict[str, Any]] = [
@@ -234,7 +244,7 @@ def _record_press(
 def training_picture(folder: Path) -> Path:
     """Run ``examples/train_policy.py``, and return the path of its picture."""
     program = Path(__file__).parents[2] / "examples" / "train_policy.py"
-    # matplotlib reads its settings from a file of this name in the folder of the process.
+    # matplotlib reads its settings from the file matplotlibrc in the working folder of the process.
     style = "".join(f"{key}: {value}\n" for key, value in PLOT_SETTINGS.items())
     (folder / "matplotlibrc").write_text(style, encoding="utf-8")
     subprocess.run(

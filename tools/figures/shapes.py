@@ -1,6 +1,6 @@
-"""Blocks, arrows and labels of the diagrams, in a plane.
+"""Functions that draw the blocks, arrows and labels of diagrams in a plane.
 
-Each diagram chooses the units of its plane.
+Each diagram has its own units of length.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ PlanePoint = tuple[float, float]
 
 
 def new_plane(width: float, height: float, size: PlanePoint) -> tuple[Any, Any]:
-    """Return a figure of a width and height [inch], and axes without a frame that span ``size`` units."""
+    """Return a figure of ``width`` x ``height`` [inch], and axes over ``size`` units without a frame."""
     figure = new_figure(width, height)
     axes = figure.add_subplot()
     axes.set(xlim=(0.0, size[0]), ylim=(0.0, size[1]), aspect="equal")
@@ -56,7 +56,10 @@ def draw_block(
 
 
 def draw_area(axes: Any, corner: PlanePoint, size: PlanePoint, text: str) -> None:
-    """Draw a dashed frame around an area with blocks. The title is at the upper left corner."""
+    """Draw a dashed frame around an area for blocks.
+
+    The text is its title at the upper left corner.
+    """
     from matplotlib.patches import Rectangle
 
     axes.add_patch(
@@ -92,7 +95,7 @@ def draw_arrow(
         at: middle of the label. The default is just above the middle of the longest part of the
             line.
         colour: colour of line and label.
-        both: True for a tip at both ends.
+        both: True for an arrow with a tip at each end.
     """
     xs, ys = zip(*points[:-1], strict=True) if len(points) > 2 else ((), ())
     if xs:

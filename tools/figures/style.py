@@ -14,7 +14,10 @@ COMMAND_COLOUR = "#7a7a7a"
 ESTIMATE_COLOUR = "#3b6fb6"
 RAW_COLOUR = "#c9c9c9"
 FAULT_COLOUR = "#d01c1c"
-"""Colours of true values, commands, estimates, raw readings and faults."""
+"""Colour of faults.
+
+The colours above belong to true values, commands, estimates and raw readings.
+"""
 INK_COLOUR = "#22303c"
 BLOCK_COLOURS = {
     "host": "#dbe7f5",
@@ -23,7 +26,7 @@ BLOCK_COLOURS = {
     "log": "#ece2f4",
     "safety": "#f8d9d9",
 }
-"""Colours of the lines and texts in diagrams, and of the blocks by subject."""
+"""Colour of the blocks of each subject in diagrams. The colours above belong to lines and texts."""
 PLOT_SETTINGS: dict[str, Any] = {
     "font.family": "DejaVu Sans", "font.size": 9, "axes.titlesize": 10, "axes.labelsize": 9, "axes.grid": True,
     "grid.alpha": 0.3, "axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False,
@@ -35,7 +38,7 @@ CREATOR_TEXT = f"handctl {version('handctl')}"
 
 
 def apply_style() -> None:
-    """Apply the style to all figures of this process, also to those that handctl draws itself."""
+    """Apply the style to all figures of this process, including the figures that handctl draws."""
     import matplotlib
 
     for key, value in PLOT_SETTINGS.items():
@@ -43,7 +46,7 @@ def apply_style() -> None:
 
 
 def new_figure(width: float, height: float) -> Any:
-    """Return an empty figure of a width and height [inch] in the common style."""
+    """Return an empty figure of ``width`` x ``height`` [inch] in the common style."""
     apply_style()
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -70,12 +73,12 @@ def save_figure(figure: Any, name: str, folder: Path = FIGURES_FOLDER) -> list[P
 
 
 def without_blanks(content: bytes) -> bytes:
-    """Remove blanks at line ends from an SVG that matplotlib has written. git would report such blanks."""
+    """Remove the blanks at the line ends of an SVG file by matplotlib. git would report these blanks."""
     return b"\n".join(map(bytes.rstrip, content.split(b"\n")))
 
 
 def stamp_picture(source: Path, path: Path) -> None:
-    """Copy a PNG that handctl has drawn, and add the version to the metadata of the copy."""
+    """Copy a PNG file that handctl has drawn, and add the version of handctl to the metadata of the copy."""
     from PIL import Image, PngImagePlugin
 
     info = PngImagePlugin.PngInfo()
@@ -85,7 +88,7 @@ def stamp_picture(source: Path, path: Path) -> None:
 
 
 def drawn_by(path: Path) -> str:
-    """Return the name and version of the program in the metadata of a figure, or an empty text."""
+    """Return the program name and version in the metadata of a figure, or an empty text."""
     if path.suffix == ".svg":
         text = path.read_text(encoding="utf-8")
         match = re.search(r"<dc:title>(.*?)</dc:title>", text)

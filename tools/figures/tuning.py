@@ -1,4 +1,7 @@
-"""Pictures of tuning and of a report. handctl draws them itself, with the commands that the pages of the site show."""
+"""Pictures of tuning and of a report.
+
+Commands of handctl draw these pictures. The pages of the site show the same commands.
+"""
 
 import contextlib
 import io
@@ -38,7 +41,7 @@ PAGE_SIZE = (1100, 2080)
 
 
 HAND_VIEW = (2, 66, 638, 500)
-"""Left, upper, right and lower edge of the hand's view within a picture of the dashboard [pixels]."""
+"""Left, upper, right and lower edge of the view of the hand within the picture of the viewer [pixels]."""
 
 
 def call_handctl(folder: Path, *words: str, codes: tuple[int, ...] = (0,)) -> None:
@@ -55,7 +58,10 @@ def call_handctl(folder: Path, *words: str, codes: tuple[int, ...] = (0,)) -> No
 
 @contextlib.contextmanager
 def empty_folder(folder: Path, name: str) -> Iterator[Path]:
-    """Yield an empty folder for a run, so that files of an earlier run cannot be used."""
+    """Yield a folder for a run, emptied of the files of earlier runs.
+
+    Write two gains files into the folder.
+    """
     path = folder / name
     shutil.rmtree(path, ignore_errors=True)
     path.mkdir(parents=True)
@@ -65,7 +71,10 @@ def empty_folder(folder: Path, name: str) -> Iterator[Path]:
 
 
 def identify_picture(folder: Path) -> Path:
-    """Identify a simulated index finger whose parameters differ from the hand file."""
+    """Identify a simulated index finger whose parameters differ from the hand file.
+
+    Return the picture of the result.
+    """
     with empty_folder(folder, "identify") as path:
         call_handctl(path, "identify", "--hand", "jamia", "--lockstep", "--seed", "7", "--digits", "index", "--perturb",
              *PERTURBATION_FACTORS, "--log", "identify.mcap")  # fmt: skip
@@ -73,7 +82,10 @@ def identify_picture(folder: Path) -> Path:
 
 
 def design_picture(folder: Path) -> Path:
-    """Design gains with margins, starting from gains without margins."""
+    """Design gains with margins, starting from gains without margins.
+
+    Return the picture of the design.
+    """
     with empty_folder(folder, "design") as path:
         call_handctl(
             path,
@@ -90,7 +102,10 @@ def design_picture(folder: Path) -> Path:
 
 
 def return_picture(folder: Path) -> Path:
-    """Verify gains with which the loops oscillate, so that the run returns to the old gains."""
+    """Verify gains that make the control loops oscillate, and return the picture.
+
+    The run goes back to the old gains.
+    """
     with empty_folder(folder, "return") as path:
         call_handctl(
             path,
@@ -108,7 +123,7 @@ def return_picture(folder: Path) -> Path:
 
 
 def search_picture(folder: Path) -> Path:
-    """Search for gains in 24 trials."""
+    """Search for gains in 24 trials, and return the picture of the search."""
     with empty_folder(folder, "search") as path:
         call_handctl(path, "tune", "search", "--hand", "jamia", "--gains", "detuned.toml", "--plants", "2",
             "--trials", "24",
@@ -117,9 +132,9 @@ def search_picture(folder: Path) -> Path:
 
 
 def verify_picture(folder: Path) -> Path:
-    """Verify the gains that the search has found on another hand.
+    """Verify the result of the search for gains on a simulated hand with other parameters.
 
-    If there is no search yet, run it first.
+    If the search has no result yet, run the search first.
     """
     gains_file = folder / "search" / "search.toml"
     if not gains_file.exists():
@@ -131,7 +146,7 @@ def verify_picture(folder: Path) -> Path:
 
 
 def pair_picture(folder: Path) -> Path:
-    """Return the picture that the demo draws of a hand with spool pairs."""
+    """Return the picture that `handctl demo` draws for a hand with spool pairs."""
     with empty_folder(folder, "orca_like") as path:
         call_handctl(
             path,
@@ -148,7 +163,10 @@ def pair_picture(folder: Path) -> Path:
 
 
 def mesh_picture(folder: Path) -> Path:
-    """Draw the view of a hand with meshes that holds an object. This needs a Vulkan driver."""
+    """Draw the view of a hand with meshes while it holds an object.
+
+    Drawing needs a Vulkan driver.
+    """
     from PIL import Image
 
     with empty_folder(folder, "meshes") as path:
@@ -169,7 +187,7 @@ def find_browser() -> str | None:
 
 
 def report_picture(folder: Path) -> Path:
-    """Draw the upper part of the demo's report in a browser.
+    """Draw the upper part of a report on `handctl demo` in a browser.
 
     Raises:
         RuntimeError: this machine has no Chromium.

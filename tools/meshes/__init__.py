@@ -1,1 +1,1 @@
-"""Meshes of packaged hands, which are computed from a few numbers."""
+"""Program that computes the meshes of packaged hands from a few dimensions."""

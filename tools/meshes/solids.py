@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 STL_HEADER = b"made by python -m tools.meshes"
-"""Start of the header of 80 bytes in each STL file."""
+"""Text at the start of the 80-byte header of each STL file."""
 
 
 def disc_outline(centre: tuple[float, float], radius: float, sides: int = 24) -> Array:
@@ -21,7 +21,7 @@ def disc_outline(centre: tuple[float, float], radius: float, sides: int = 24) ->
 def prism_triangles(
     outline: Sequence[Sequence[float]] | Array, low: float, high: float, chamfer: float
 ) -> Array:
-    """Return the triangles of a prism along z whose ends are chamfered, (n, 3, 3).
+    """Return the triangles of a prism along z with chamfered ends, (n, 3, 3).
 
     Args:
         outline: corners of a convex polygon in x and y, (m, 2), counter-clockwise.
@@ -50,7 +50,7 @@ def prism_triangles(
 
 
 def along_x(triangles: Array) -> Array:
-    """Turn triangles so that their z axis becomes x, their x axis y, and their y axis z."""
+    """Rotate triangles: the z axis becomes the x axis, the x axis the y axis, and the y axis the z axis."""
     return triangles[..., [2, 0, 1]]
 
 

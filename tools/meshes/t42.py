@@ -1,7 +1,7 @@
 """Meshes of the hand t42 in millimetres: palm, inner link and outer link.
 
-The lengths of the links, the distance of the fingers and the section of 16 x 18 mm are taken from
-t42.toml. All other dimensions are chosen freely.
+The lengths of the links, the distance of the fingers and the cross-section of 16 x 18 mm come from
+t42.toml. The other dimensions have no source.
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ MOUNT_DISTANCE_MM = 26.0
 
 
 def inner_link_triangles() -> Array:
-    """Return the inner link: a knuckle, a bar, a pad on the closing side, and two cheeks at the outer joint."""
+    """Return the mesh of the inner link: knuckle, bar, pad on the closing side, and two cheeks at the outer joint."""
     bar = [(2.0, -7.0), (INNER_LENGTH_MM - 14.0, -6.0), (INNER_LENGTH_MM - 10.0, -4.0), (INNER_LENGTH_MM - 10.0, 3.5),
         (INNER_LENGTH_MM - 13.0, 5.0),
            (2.0, 6.5)]  # fmt: skip
@@ -38,7 +38,7 @@ def inner_link_triangles() -> Array:
 
 
 def outer_link_triangles() -> Array:
-    """Return the outer link: a knuckle, a bar that narrows to the tip, and a pad on the closing side."""
+    """Return the mesh of the outer link: a knuckle, a bar that narrows to the tip, and a pad on the closing side."""
     bar = [(3.0, -5.5), (26.0, -5.0), (OUTER_LENGTH_MM - 8.0, -3.0), (OUTER_LENGTH_MM - 2.0, 0.5),
         (OUTER_LENGTH_MM, 3.5), (OUTER_LENGTH_MM - 1.5, 5.5),
            (OUTER_LENGTH_MM - 6.0, 6.5), (8.0, 6.0), (3.0, 4.5)]  # fmt: skip
@@ -57,7 +57,7 @@ def outer_link_triangles() -> Array:
 
 
 def palm_triangles() -> Array:
-    """Return the palm: a block between the fingers, a foot, and two cheeks at each first joint."""
+    """Return the mesh of the palm: a block between the fingers, a foot, and two cheeks at each first joint."""
     block = [(-30.0, -15.0), (-2.0, -15.0), (0.0, -13.0), (0.0, 13.0), (-2.0, 15.0), (-30.0, 15.0)]
     foot = [(-38.0, -33.0), (-36.0, -37.0), (-14.0, -37.0), (-11.0, -33.0), (-11.0, 33.0), (-14.0, 37.0), (-36.0, 37.0),
             (-38.0, 33.0)]  # fmt: skip

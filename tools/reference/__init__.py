@@ -1,4 +1,4 @@
-"""Generated blocks of the reference pages.
+"""Generator of text blocks in the reference pages.
 
-``python -m tools.reference`` writes them from the code into docs/.
+``python -m tools.reference`` generates these blocks from the code and writes them into docs/.
 """

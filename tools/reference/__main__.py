@@ -9,7 +9,7 @@ from tools.reference.blocks import stale_pages, written_pages
 
 REPOSITORY_ROOT = Path(__file__).parents[2]
 SCHEMA_FILE = REPOSITORY_ROOT / "src" / "handctl" / "hand" / "hand.schema.json"
-"""Path of the JSON Schema of hand files, which editors use."""
+"""Path of the JSON Schema of hand files. Editors use this schema."""
 
 
 def main() -> int:

@@ -26,7 +26,7 @@ BLOCK_FUNCTIONS: dict[str, Callable[[], str]] = {
     "fault-times": faults.late_rows,
     "hardware-tests": faults.hardware_checklist,
 }
-"""Function that returns the text of a block, by the name of the block."""
+"""For the name of each block, the function that generates its text."""
 BLOCK_PATTERN = re.compile(
     r"(<!-- generated: ([\w-]+) -->\n)(.*?)(<!-- end of generated -->)", re.DOTALL
 )
@@ -34,7 +34,7 @@ BLOCK_PATTERN = re.compile(
 
 
 def pages_with_blocks(root: Path) -> Iterator[tuple[Path, str, str]]:
-    """Yield the path, the present text and the right text of each page that contains a block."""
+    """Yield the path, the present text and the newly generated text of each page that contains a block."""
     for path in sorted([root / "README.md", *root.glob("docs/**/*.md")]):
         text = path.read_text(encoding="utf-8")
         if BLOCK_PATTERN.search(text):

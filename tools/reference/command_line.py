@@ -14,7 +14,7 @@ from tools.reference.markdown import (
 )
 
 COMMON_OPTIONS = {"-h", "-v", "-q"}
-"""Options that every command has. The page explains them only once."""
+"""Options that every command has. The page explains these options only once."""
 
 
 def verb_table() -> str:
@@ -25,7 +25,7 @@ def verb_table() -> str:
 
 
 def verb_sections() -> str:
-    """Return a section for each command with purpose, arguments and example.
+    """Return a section for each command, with its purpose, arguments and example.
 
     Sub-commands also have sections.
     """
@@ -38,7 +38,7 @@ def verb_sections() -> str:
 
 
 def _command_sections(parser: argparse.ArgumentParser, command: str, level: str) -> Iterator[str]:
-    """Yield the section of a command, and the sections of its sub-commands."""
+    """Yield the section of a command, and a section for each of its sub-commands."""
     yield f"{level} {command}"
     yield prose_markdown(parser.description)
     rows = [_argument_row(action) for action in parser._actions if _is_listed(action)]
@@ -54,7 +54,7 @@ def _command_sections(parser: argparse.ArgumentParser, command: str, level: str)
 
 
 def _is_listed(action: argparse.Action) -> bool:
-    """Return True for an argument that the section of its command lists."""
+    """Return True if the section of a command must list this argument."""
     if isinstance(action, argparse._SubParsersAction) or action.help == argparse.SUPPRESS:
         return False
     return not COMMON_OPTIONS.intersection(action.option_strings)
@@ -73,7 +73,7 @@ def _argument_row(action: argparse.Action) -> tuple[str, str]:
 
 
 def _value_placeholder(action: argparse.Action) -> str:
-    """Return the placeholder for the value of an argument, empty for a switch."""
+    """Return the placeholder for the value of an argument. For a switch, the text is empty."""
     if action.nargs == 0:
         return ""
     if action.metavar is not None:

@@ -1,4 +1,4 @@
-"""Blocks about files and requests, generated from the pydantic models of both."""
+"""Blocks about files and requests, generated from the pydantic models of files and requests."""
 
 from collections.abc import Iterable, Iterator
 from types import NoneType, UnionType
@@ -25,19 +25,19 @@ KEY_MEANINGS = {
     "hold.tension_N": "Tension of each digit [N].",
     "hold.rate_N_per_s": "Rate of the tension [N/s].",
 }
-"""Meaning of each key that has no description in its pydantic model."""
+"""Meanings of those keys that have no description in their pydantic models."""
 KEY_VALUES = {"hand.schema": "1 or 2"}
-"""Valid values of keys that may have more values in a file than in the model.
+"""Valid values of those keys that permit more values in a file than in the model.
 
-The model describes a file after defaults and templates were applied.
+The model describes the content of a file after all defaults and templates were applied.
 """
 OPTIONAL_KEYS = ("hand.sensor_node",)
-"""Keys that a file may leave out although the pydantic model requires them."""
+"""Keys that are optional in a file although the pydantic model requires these keys."""
 SHORT_MESSAGES = {
     "a name of letters, digits and _ that begins with a letter": "a name",
     "a whole number from 1 to 1": "1",
 }
-"""Shorter forms of messages of pydantic validators.
+"""Shorter forms of messages that pydantic validators print.
 
 The page itself explains what a valid name is.
 """
@@ -66,7 +66,7 @@ def _keys_table(model: type[BaseModel], section: str) -> str:
 
 
 def _key_row(model: type[BaseModel], name: str, key: str) -> tuple[str, str, str]:
-    """Return the valid values, the necessity and the meaning of a key.
+    """Return three cells about a key: its valid values, whether the file needs it, and its meaning.
 
     Raises:
         KeyError: the key has neither a description in its model nor an entry in KEY_MEANINGS.
@@ -84,7 +84,7 @@ def _key_row(model: type[BaseModel], name: str, key: str) -> tuple[str, str, str
 
 
 def _inner_types(annotation: Any) -> Iterator[Any]:
-    """Yield the types within an annotation."""
+    """Yield all types within a type annotation."""
     arguments = get_args(annotation)
     if not arguments:
         yield annotation
@@ -95,8 +95,8 @@ def _inner_types(annotation: Any) -> Iterator[Any]:
 def value_text(annotation: Any) -> str:
     """Return the valid values of a type annotation in words.
 
-    A type does not give its range in a readable form. Therefore the function passes a wrong value
-    to the validator of the type, and takes the range from the error message.
+    A type does not state its range in a readable form. This function therefore validates a wrong
+    value, and takes the range from the error message.
     """
     origin = get_origin(annotation)
     arguments = [part for part in get_args(annotation) if part is not NoneType]
@@ -129,7 +129,7 @@ def _list_text(arguments: list[Any]) -> str:
 
 
 def _expected_text(annotation: Any) -> str:
-    """Return the expected value, as the error message of a type's validator names it."""
+    """Return the description of valid values that the validator of a type prints in an error message."""
     try:
         TypeAdapter(annotation).validate_python(object())
     except ValidationError as error:

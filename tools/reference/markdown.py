@@ -1,4 +1,4 @@
-"""Conversion of tables, and of docstrings in the google convention, to Markdown."""
+"""Conversion of tables and of google-style docstrings to Markdown."""
 
 import ast
 import html
@@ -8,28 +8,28 @@ import textwrap
 from collections.abc import Iterable, Sequence
 
 SECTION_PATTERN = re.compile(r"^(Args|Returns|Raises|Attributes|Source):\s*$|^(Source): (.*)$")
-"""Heading of a section in a docstring."""
+"""Pattern of the heading of a section in a docstring."""
 ENTRY_PATTERN = re.compile(r"^    (\*{0,2}[\w, ]+): (.*)$")
-"""First line of the entry for an argument or an exception in a docstring."""
+"""Pattern of the first line of an entry for an argument or an exception in a docstring."""
 
 
 def table_cell(text: object) -> str:
     """Return a text as the content of a cell in a Markdown table.
 
-    Code with a vertical bar is written in HTML. Markdown needs a backslash before the bar, and
-    would show it.
+    Code with a vertical bar is written in HTML. In Markdown the bar would need a backslash, which a
+    page would show.
     """
     plain = " ".join(str(text).split())
     return re.sub(r"`([^`]*\|[^`]*)`", _code_with_bars, plain).replace("|", "\\|")
 
 
 def _code_with_bars(match: re.Match[str]) -> str:
-    """Return quoted code as HTML, with character references for vertical bars."""
+    """Return quoted code as HTML, in which character references stand for vertical bars."""
     return "<code>" + html.escape(match[1], quote=False).replace("|", "&#124;") + "</code>"
 
 
 def quoted_code(text: object) -> str:
-    """Return a text as quoted code. In a table, the function ``table_cell`` escapes this text."""
+    """Return a text as quoted code. For a table, ``table_cell`` must escape the result."""
     return "`" + " ".join(str(text).split()) + "`"
 
 
@@ -67,7 +67,10 @@ def docstring_markdown(value: object) -> str:
 
 
 def attribute_docstrings(kind: type) -> dict[str, str]:
-    """Return the docstring below each attribute of a class as Markdown prose, by attribute."""
+    """Return the docstring below each attribute of a class as Markdown prose.
+
+    The keys are the attributes.
+    """
     body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
     assert isinstance(body, ast.ClassDef)
     texts: dict[str, str] = {}

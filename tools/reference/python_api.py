@@ -8,7 +8,10 @@ import handctl
 from tools.reference.markdown import docstring_markdown
 
 ARRAY_PATTERN = re.compile(r"numpy\.ndarray\[.*?, numpy\.dtype\[[\w.]*(?:\[\w+\])?\]\]")
-"""Type of an array, as the module inspect writes it. The reference pages write NDArray instead."""
+"""Pattern of an array type, as the module inspect writes it.
+
+The reference pages show NDArray instead.
+"""
 
 
 def exported_name_sections() -> str:
@@ -54,7 +57,7 @@ def _method_sections(kind: type) -> Iterator[str]:
 def _signature_block(function: object) -> str:
     """Return the signature of a function as code.
 
-    A long signature has one argument in each line.
+    A long signature is written with one argument per line.
     """
     assert inspect.isfunction(function)
     signature = inspect.signature(function)
@@ -67,13 +70,13 @@ def _signature_block(function: object) -> str:
     line = f"{name}{flat} -> {result}"
     if len(line) > 90:
         inner = flat[1:-1].replace(", ", ",\n    ")
-        # Commas within brackets of a type do not separate arguments.
+        # A comma inside the brackets of a type does not separate arguments.
         line = f"{name}(\n    {_rejoin_brackets(inner)},\n) -> {result}"
     return f"```python\n{line}\n```"
 
 
 def _rejoin_brackets(text: str) -> str:
-    """Join those lines of a signature that end within brackets with the next line."""
+    """Join each line of a signature that ends inside brackets with the next line."""
     lines: list[str] = []
     for line in text.split(",\n    "):
         if lines and lines[-1].count("[") > lines[-1].count("]"):

@@ -13,7 +13,7 @@ from tools.reference.markdown import attribute_docstrings, markdown_table, quote
 
 EVERY_TICK = "every tick"
 EXAMPLE_HANDS = ("jamia", "orca_like")
-"""Packaged hands that together have all topics."""
+"""Packaged hands whose runs together have all topics."""
 TOPIC_CONTENT = {
     "/robot_description": ("at the start", "URDF of the hand"),
     "/controller/names": (
@@ -58,7 +58,7 @@ TOPIC_CONTENT = {
     ),
     "/actuator/MOTOR/temperature": ("5 Hz", "temperature of the drive [degC]"),
 }
-"""Rate and content of each topic that has no telemetry fields."""
+"""Rate and content of those topics that have no telemetry fields."""
 TOPIC_REMARKS = {
     "/joint_states": "The effort is the torque of the tendons at the estimated tension, R^T f without friction.",
     "/tendon_states": "The effort is the estimated tension at the load cell, the net tension of a spool pair.",
@@ -73,7 +73,7 @@ PRINTED_TYPES = ("handctl_msgs/", "sensor_msgs/JointState", "pal_statistics_msgs
 def packaged_hand_topics() -> dict[str, tuple[str, str]]:
     """Return message type and note of each topic of the packaged hands.
 
-    Placeholders replace names in topics.
+    In the topics, placeholders replace the names of digits and motors.
     """
     registered_topics = {}
     for name in EXAMPLE_HANDS:
@@ -103,7 +103,10 @@ def topic_table() -> str:
 
 
 def _linked_type(kind: str) -> str:
-    """Return a message type. It is a link to the definition if the page prints that."""
+    """Return the name of a message type.
+
+    If the page prints its definition, the name is a link to it.
+    """
     name = kind.replace("/msg/", "/")
     if name not in MESSAGE_DEFINITIONS or not name.startswith(PRINTED_TYPES):
         return quoted_code(kind)
@@ -136,7 +139,7 @@ def topic_content(topic: str, note: str) -> tuple[str, str]:
 
 
 def message_types() -> str:
-    """Return the definitions of handctl's own message types, and of two other types that most topics use."""
+    """Return the definitions of the message types of handctl, and of two other types that most topics use."""
     parts = []
     for name, definition in MESSAGE_DEFINITIONS.items():
         if name.startswith(PRINTED_TYPES):
@@ -155,5 +158,8 @@ def telemetry_table() -> str:
 
 
 def _unit_of_field(field: str) -> str:
-    """Return the unit of a telemetry field, or of the torque that the log derives from it."""
+    """Return the unit of a telemetry field.
+
+    If the log derives a torque from the field, return the unit of this torque.
+    """
     return "N m" if field == "tendon_torque" else column_unit(f"{field}/x")
