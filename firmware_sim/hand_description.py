@@ -66,6 +66,8 @@ class Digit:
         armature: inertia that is added at each joint axis [kg m2].
         spring: stiffness of the return spring of each joint [N m/rad].
         preload: preload angle of the return spring of each joint [rad].
+        coupling: matrix of the joint angles that each coordinate moves, a row for each joint. It is
+            empty for a digit with independent joints.
     """
 
     name: str
@@ -85,6 +87,7 @@ class Digit:
     armature: tuple[float, ...]
     spring: tuple[float, ...]
     preload: tuple[float, ...]
+    coupling: tuple[tuple[float, ...], ...] = ()
 
     @property
     def joints(self) -> list[str]:
@@ -314,6 +317,10 @@ class Hand:
         """Return the first tendon of each spool pair."""
         return [tendon for tendon in self.tendons if tendon.pretension]
 
+    def has_pairs(self, digit: Digit) -> bool:
+        """Return True if spool pairs move the joints of a digit."""
+        return any(joint in tendon.arms for tendon in self.pairs for joint in digit.joints)
+
     @property
     def every_tendon(self) -> list[TendonSpec]:
         """Return all tendons: first those of ``tendons``, then the second tendon of each spool pair."""
@@ -477,7 +484,7 @@ def _make_mesh(link: str, file: Path, scale: Any, position: Any, rpy_deg: Any) -
 def _parse_digit(section: dict[str, Any]) -> Digit:
     count = len(section["link_length_m"])
     no_springs = [0.0] * count
-    for key in (*PER_LINK_KEYS, "joint_axis", "joint_rpy_deg"):
+    for key in (*PER_LINK_KEYS, "joint_axis", "joint_rpy_deg", "coupling"):
         if key in section and len(section[key]) != count:
             what = f"digit {section['name']}: {key} has {len(section[key])} values"
             raise SimulatorError(f"{what}; expected {count}, one per link")
@@ -502,6 +509,7 @@ def _parse_digit(section: dict[str, Any]) -> Digit:
         armature=tuple(section["joint_armature_kg_m2"]),
         spring=tuple(section.get("spring_stiffness_N_m_per_rad", no_springs)),
         preload=tuple(section.get("spring_preload_rad", no_springs)),
+        coupling=tuple(map(tuple, section.get("coupling", ()))),
     )
 
 
