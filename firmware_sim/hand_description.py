@@ -74,6 +74,8 @@ class Digit:
         armature: inertia that is added at each joint axis [kg m2].
         spring: stiffness of the return spring of each joint [N m/rad].
         preload: preload angle of the return spring of each joint [rad].
+        coupling: matrix of the joint angles that each coordinate moves, a row for each joint. It is
+            empty for a digit with independent joints.
     """
 
     name: str
@@ -94,6 +96,7 @@ class Digit:
     armature: tuple[float, ...]
     spring: tuple[float, ...]
     preload: tuple[float, ...]
+    coupling: tuple[tuple[float, ...], ...] = ()
 
     @property
     def joints(self) -> list[str]:
@@ -331,6 +334,10 @@ class Hand:
         """Return the first tendon of each spool pair."""
         return [tendon for tendon in self.tendons if tendon.pretension]
 
+    def has_pairs(self, digit: Digit) -> bool:
+        """Return True if spool pairs move the joints of a digit."""
+        return any(joint in tendon.arms for tendon in self.pairs for joint in digit.joints)
+
     @property
     def every_tendon(self) -> list[TendonSpec]:
         """Return all tendons: first those of ``tendons``, then the second tendon of each spool pair."""
@@ -503,7 +510,9 @@ def _parse_digit(section: dict[str, Any]) -> Digit:
     count = len(section["link_length_m"])
     slides = _prismatic(section)
     sliding = slides.count(True)
-    expected = dict.fromkeys((*PER_LINK_KEYS, "joint_type", "joint_axis", "joint_rpy_deg"), count)
+    expected = dict.fromkeys(
+        (*PER_LINK_KEYS, "joint_type", "joint_axis", "joint_rpy_deg", "coupling"), count
+    )
     expected |= dict.fromkeys(JOINT_KEYS, count - sliding)
     expected |= dict.fromkeys(JOINT_KEYS.values(), sliding)
     for key, number in expected.items():
@@ -534,6 +543,7 @@ def _parse_digit(section: dict[str, Any]) -> Digit:
         armature=_joint_values(section, "joint_armature_kg_m2"),
         spring=_joint_values(section, "spring_stiffness_N_m_per_rad", 0.0),
         preload=_joint_values(section, "spring_preload_rad", 0.0),
+        coupling=tuple(map(tuple, section.get("coupling", ()))),
     )
 
 

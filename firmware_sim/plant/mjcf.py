@@ -4,7 +4,7 @@ The world frame of the model is the palm frame.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 from xml.sax.saxutils import quoteattr
 
@@ -46,6 +46,10 @@ VISUAL_GROUP = 2
 """MuJoCo group of the meshes. Viewers show the groups 0 to 2."""
 HIDDEN_GROUP = 3
 """MuJoCo group of the shapes that meshes replace in pictures. Viewers do not show this group."""
+NO_FACTOR = 1e-9
+"""Largest factor of a joint in a loopback tendon that counts as 0."""
+COUPLING_STIFFNESS = 'solref="0.004 1" solimp="0.99 0.999 0.001"'
+"""Stiffness of the constraint that keeps the length of a loopback tendon, that of the contacts or higher."""
 MAX_CONTACTS = 16
 """Maximum number of measured contacts between a digit and the object.
 
@@ -89,13 +93,17 @@ def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
         _table_element(scene.grasp_object, scene.support) if scene.grasp_object else ""
     )
     tendons = "".join(_tendon_element(tendon) for tendon in hand.every_tendon)
+    loopbacks = {
+        name: text for digit in hand.digits for name, text in _loopbacks(hand, digit).items()
+    }
     sensors = "".join(_contact_sensor(hand, digit) for digit in hand.digits)
     if scene.load:
         sensors += "".join(_normal_force_sensor(hand, digit) for digit in hand.digits)
     head = f'<mujoco model="{hand.name}">{options}{_mesh_assets(shown)}'
     return (
         f"{head}<worldbody>\n{_palm_element(hand, '', opposed, shown)}\n{scene_bodies}</worldbody>\n"
-        f"<tendon>{tendons}</tendon>\n<sensor>{sensors}</sensor>\n</mujoco>"
+        f"<tendon>{tendons}{''.join(loopbacks.values())}</tendon>\n{_equality(loopbacks)}"
+        f"<sensor>{sensors}</sensor>\n</mujoco>"
     )
 
 
@@ -336,6 +344,37 @@ def _tendon_element(tendon: TendonSpec) -> str:
     """
     joints = "".join(f'<joint joint="{name}" coef="{arm}"/>' for name, arm in tendon.arms.items())
     return f'<fixed name="{tendon.name}" damping="{tendon.damping}">{joints}</fixed>'
+
+
+def _loopbacks(hand: Hand, digit: Digit) -> dict[str, str]:
+    """Build the loopback tendons that hold the joints of a digit with spool pairs to its coupling B.
+
+    Such a digit has no springs, and its pairs alone leave coupled joints free to turn against each
+    other. In a real hand a loopback tendon or a bar couples them. A combination c of the joint
+    angles is constant if B^T c = 0. Each c becomes a tendon, and ``_equality`` keeps its length.
+
+    Returns:
+        The tendons by name. In the model they come after those of ``Hand.every_tendon``.
+    """
+    if not digit.coupling or not hand.has_pairs(digit):
+        return {}
+    left, values, _ = np.linalg.svd(np.array(digit.coupling))
+    tendons = {}
+    for i, row in enumerate(left[:, len(values) :].T.tolist()):
+        joints = "".join(
+            f'<joint joint="{joint}" coef="{factor}"/>'
+            for joint, factor in zip(digit.joints, row, strict=True)
+            if abs(factor) > NO_FACTOR
+        )
+        name = f"{digit.name}_loopback{i + 1}"
+        tendons[name] = f'<fixed name="{name}">{joints}</fixed>'
+    return tendons
+
+
+def _equality(loopbacks: Iterable[str]) -> str:
+    """Build the constraints that keep the lengths of loopback tendons, an empty text without any."""
+    constraints = "".join(f'<tendon tendon1="{name}" {COUPLING_STIFFNESS}/>' for name in loopbacks)
+    return f"<equality>{constraints}</equality>\n" if constraints else ""
 
 
 def _contact_sensor(hand: Hand, digit: Digit) -> str:

@@ -314,7 +314,7 @@ class Plant:
             motor.step_alone()
         if not self._bodies:
             engine.applied[:] = torque
-            engine.tendon_damping[:] = damping
+            engine.tendon_damping[: len(damping)] = damping
         engine.step()
 
     def _joint_lists(self) -> tuple[list[float], list[float], list[float], list[float]]:

@@ -180,14 +180,14 @@ def test_only_a_contiguous_array_can_be_borrowed() -> None:
 
 PROBE_KERNEL_CODE = """
 from handctl.compiled import kernel, kernel_helper
-from handctl.core.state_block import STATE, state_tables
-from handctl.core.detectors import losses
+from handctl.core.state_block import STATE_SCHEMA, state_tables
+from handctl.core.detectors import frame_losses
 from handctl.core import state_block as s
 
 
 @kernel("block", "layout")
 def misses(block, at):
-    return losses.misses_every_second(state_tables(block, at), 0)
+    return frame_losses.misses_every_second(state_tables(block, at), 0)
 """
 """Source of a kernel that calls a function of a second file. This function uses a constant of a third file."""
 ASK_PROBE_CODE = """
@@ -195,7 +195,7 @@ from handctl import compiled
 from handctl.core import state_block as s
 from handctl.core.probe import misses
 
-layout = s.STATE.layout(dict.fromkeys(s.AXES, 1))
+layout = s.STATE_SCHEMA.layout(dict.fromkeys(s.STATE_AXES, 1))
 block = layout.initial.copy()
 layout.view(block, "lost")[0] = 0b1010101010101
 compiled._KERNEL_DISPATCHERS = {name: one for name, one in compiled._KERNEL_DISPATCHERS.items() if "probe" in name}

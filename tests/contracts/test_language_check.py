@@ -82,10 +82,10 @@ def test_a_count_above_its_limit_is_reported_and_limits_are_only_lowered(
 ) -> None:
     before = language_check.count_all(source_tree)
     limits = language_check.lowered_limits(before, {})
-    assert list(language_check.excesses(before, limits)) == []
+    assert list(language_check.limit_excesses(before, limits)) == []
     (source_tree / "src" / "two.py").write_text("class Wishes:\n    told = asked = heard = 1\n")
     after = language_check.count_all(source_tree)
-    (line,) = (line for line in language_check.excesses(after, limits) if "names" in line)
+    (line,) = (line for line in language_check.limit_excesses(after, limits) if "names" in line)
     assert line.startswith("src: names ")
     assert language_check.lowered_limits(after, limits)["src"]["names"] == limits["src"]["names"]
     (source_tree / "src" / "two.py").write_text("")

@@ -301,12 +301,27 @@ def test_a_motor_that_does_not_confirm_disabling_needs_its_power_removed(
     hand_bench.run_until_mode(HandMode.ACTIVE)
     hand_bench.peer.motors[3].ignored_commands.add(0xFD)
     hand_bench.tick(STOP_REQUEST)
+    hand_bench.run_until_mode(HandMode.DISARM)
+    hand_bench.peer.motor_force[3] = 0.0  # it stays enabled, but makes no torque
     hand_bench.run_until_mode(HandMode.DONE)
     assert hand_bench.state.unconfirmed == ("thumb_motor",)
     assert hand_bench.state.failure == "REMOVE POWER: not confirmed disabled: thumb_motor"
     assert duration_in_mode(hand_bench, HandMode.DISARM) == pytest.approx(
         DISARM_TIMEOUT_S, abs=0.05
     )
+
+
+def test_a_motor_that_keeps_its_torque_needs_its_power_removed_at_once(
+    hand_bench: ControllerBench,
+) -> None:
+    """The torque that the motor reports shows after 0.1 s that it still pulls (N16)."""
+    hand_bench.run_until_mode(HandMode.ACTIVE)
+    hand_bench.peer.motors[3].ignored_commands.add(0xFD)
+    hand_bench.tick(STOP_REQUEST)
+    hand_bench.run_until_mode(HandMode.DONE)
+    assert hand_bench.state.unconfirmed == ("thumb_motor",)
+    assert hand_bench.state.failure == "REMOVE POWER: still pulling after the cut: thumb_motor"
+    assert duration_in_mode(hand_bench, HandMode.DISARM) < 0.2
 
 
 def test_a_silent_motor_relaxes_the_others_and_both_faults_are_reported(

@@ -11,9 +11,11 @@ from handctl.core.control_law.digit_goal import GoalKind
 from handctl.core.estimation.contact_force import TIP_FORCE_TIME_CONSTANT_S
 from handctl.core.estimation.filter_stack import STATE_COUNT, S, X
 from handctl.core.estimation.tip_force import joint_lever, tip_force
+from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import TickEvent
 from handctl.hand.dynamics import static_torque
+from handctl.hand.hand_loading import load_hand
 from handctl.programs.program import TIGHTEN_TIMEOUT_S, ProgramProgress
 from handctl.programs.task import Task
 from handctl.programs.task_program import (
@@ -32,6 +34,7 @@ from tests.controller.synthetic_states import (
     exact_estimate,
     slack_hand_estimate,
 )
+from tests.hand.hand_on_wrist import mount_on_wrist
 
 GRASP_TASK = {
     "schema": 1,
@@ -337,6 +340,26 @@ def test_a_digit_that_touches_later_joins_the_grasp(
     run.run_until_contact(hand_in_contact(model, {"ring": 12.0}))
     assert sum(run.progress.contact) == 3
     assert run.progress.goals[held[0]] is before, "contact lost is not contact undone"
+
+
+@pytest.mark.parametrize(
+    ("name", "wrist_force"), [("jamia", -40.0), ("jamia11", -40.0), ("orca_like", 40.0)]
+)
+def test_a_wrist_never_touches_and_keeps_its_motion(name: str, wrist_force: float) -> None:
+    """Regression: a heavy wrist was taken for a digit in contact.
+
+    It then had a constant tension in place of its motion, and left its angle. The force along the
+    tendon of the wrist has the sign of its moment arm.
+    """
+    hand = load_hand(name) if name == "orca_like" else mount_on_wrist(name)
+    model = HandModel.from_hand(hand, Gains(), 500.0)
+    run = begin_closing(model, estimate_under_tension(model, 5.0))
+    run.run_until_contact(hand_in_contact(model, {"wrist": wrist_force, "index": 12.0}))
+    wrist, index = (model.hand.digit_names.index(digit) for digit in ("wrist", "index"))
+    assert run.progress.contact[index]
+    assert not run.progress.contact[wrist]
+    assert run.progress.goals[index].kind == GoalKind.TENSION
+    assert run.progress.goals[wrist].kind == GoalKind.MOTION
 
 
 def test_closing_without_contact_ends_with_a_message(

@@ -93,7 +93,7 @@ def test_compiled_and_python_worlds_send_equal_frames() -> None:
 
 
 @pytest.mark.parametrize(
-    "module", ["server", "rig", "programs.hand", "programs.drive", "programs.bus"]
+    "module", ["bus_server", "lockstep_hand", "programs.hand", "programs.drive", "programs.bus"]
 )
 def test_real_time_programs_do_not_import_the_compiler(module: str) -> None:
     code = f"import sys, firmware_sim.{module}; print('numba' in sys.modules)"

@@ -212,7 +212,7 @@ def test_a_second_hub_is_refused_and_the_first_goes_on(
 
 
 def test_a_stale_socket_is_replaced() -> None:
-    code = "import os\nfrom firmware_sim.bus.hub import Hub\nhub = Hub('stale')\nos._exit(0)"
+    code = "import os\nfrom firmware_sim.bus.hub import BusHub\nhub = BusHub('stale')\nos._exit(0)"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
     assert stat.S_ISSOCK(bus_path("stale").stat().st_mode)
     hub = BusHub("stale")

@@ -112,6 +112,9 @@ def test_compiled_kernels_equal_python(
 
 
 def test_kernels_compile_without_a_cache_folder() -> None:
-    code = "from firmware_sim.compiled import use; from firmware_sim.nodes.mit import codec; use(codec)"
+    code = (
+        "from firmware_sim.compiled import use_compiled_kernels; "
+        "from firmware_sim.nodes.mit import codec; use_compiled_kernels(codec)"
+    )
     nowhere = os.environ | {"NUMBA_CACHE_LOCATOR_CLASSES": "ZipCacheLocator"}
     subprocess.run([sys.executable, "-c", code], env=nowhere, check=True)

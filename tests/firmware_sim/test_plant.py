@@ -1,7 +1,9 @@
 """Compare the simulated hand with statics and kinematics that were computed by hand."""
 
+import json
 import math
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +14,7 @@ from firmware_sim.plant.mjcf import STEP_S, model_text, opposed_digits
 from firmware_sim.plant.plant import Plant
 from firmware_sim.plant.plant_perturbation import perturbed_hand
 from firmware_sim.scene.scene import load_scene
+from handctl.hand.hand_loading import hand_content, hand_from_content
 
 JAMIA_HAND = load_hand("jamia")
 
@@ -230,3 +233,62 @@ def test_the_step_is_short_enough(monkeypatch: pytest.MonkeyPatch) -> None:
     assert np.degrees(exact[-1].min()) > 12.0, "the digit closed"
     assert errors[0] < 0.2
     assert errors[1] < 0.3 * errors[0]
+
+
+COUPLED_FINGERS = ("index", "middle", "ring", "pinky")
+"""Digits of ``orca_like`` whose joints a test couples. Each has three joints and three spool pairs."""
+
+
+def hand_with_coupled_fingers(coupling: list[list[float]], path: Path) -> Hand:
+    """Return ``orca_like`` with coupled joints in each finger. One spool pair flexes both outer joints.
+
+    Args:
+        coupling: key ``coupling`` of the fingers, a row for each of the three joints. With one
+            column, the pair also turns the first joint, and the finger has no other pair.
+        path: path of the hand file, which is written.
+    """
+    content = json.loads(json.dumps(hand_content("orca_like")))
+    missing_tendons = ("pip",) if len(coupling[0]) == 2 else ("pip", "abd")
+    missing = {f"{finger}_{name}" for finger in COUPLED_FINGERS for name in missing_tendons}
+    content["tendon"] = [one for one in content["tendon"] if one["name"] not in missing]
+    content["motor"] = [one for one in content["motor"] if one["name"] not in missing]
+    for finger in COUPLED_FINGERS:
+        digit = next(one for one in content["digit"] if one["name"] == finger)
+        digit["coupling"] = coupling
+        flexor = next(one for one in content["tendon"] if one["name"] == f"{finger}_mcp")
+        flexor["moment_arm_m"] = {f"{finger}_j2": 0.0075, f"{finger}_j3": 0.0075}
+        if len(coupling[0]) == 1:
+            flexor["moment_arm_m"][f"{finger}_j1"] = 0.002
+    path.write_text(hand_from_content(content, "orca_like with coupled fingers").to_toml())
+    return load_hand(str(path))
+
+
+@pytest.mark.parametrize(
+    "coupling",
+    [
+        [[1.0, 0.0], [0.0, 1.0], [0.0, 1.0]],
+        [[1.0, 0.0], [0.0, 1.0], [0.0, 0.6]],
+        [[0.2], [1.0], [0.8]],
+    ],
+    ids=["equal", "with a ratio", "one coordinate"],
+)
+def test_coupled_joints_of_spool_pairs_keep_their_coupling(
+    coupling: list[list[float]], tmp_path: Path
+) -> None:
+    """Regression: the joints of a digit with spool pairs turned freely against each other.
+
+    Such a digit has no springs. While the fingers closed, their angles left the coupling by 49 to
+    74 deg. The loopback tendons keep them within 1.4 deg.
+    """
+    hand = hand_with_coupled_fingers(coupling, tmp_path / "coupled.toml")
+    plant = free_hand(hand=hand)
+    joints = [joint for digit in hand.digits for joint in digit.joints]
+    fingers = [[joints.index(f"{name}_j{i}") for i in (1, 2, 3)] for name in COUPLED_FINGERS]
+    off_coupling = np.eye(3) - np.array(coupling) @ np.linalg.pinv(coupling)
+    deviations = []
+    for _ in range(15):
+        pull_tendons(plant, 0.1, 0.04, ramp=0.2)
+        angles = np.degrees(np.array(plant.engine.q)[fingers])
+        deviations.append(np.abs(angles @ off_coupling).max())
+    assert angles[:, 1].min() > 60.0, "the fingers closed"
+    assert max(deviations) < 4.0

@@ -1,6 +1,7 @@
 """Compare spatial chains with pinocchio and MuJoCo, for twenty random hands with gravity in any direction."""
 
 from itertools import pairwise
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -35,6 +36,9 @@ from tests.hand.test_dynamics import (
     pinocchio_by_hand,
     random_motions,
 )
+
+EXAMPLE_HAND = str(Path(__file__).parents[2] / "examples" / "hands" / "shadow_like.toml")
+"""Hand file of an example with 24 joints. A wrist carries the base of its thumb, which carries the thumb."""
 
 
 @pytest.fixture(params=[*RANDOM_CHAIN_SEEDS, *MIXED_SEEDS])
@@ -218,11 +222,19 @@ def test_jacobians_and_levers_are_derivatives(random_hand_and_digits, rng):
             assert np.allclose(lever, normal @ middle, atol=1e-14)
 
 
-@pytest.fixture(params=[*RANDOM_CHAIN_SEEDS, *MIXED_SEEDS, "orca_like"])
+@pytest.fixture(
+    params=[
+        *RANDOM_CHAIN_SEEDS,
+        *MIXED_SEEDS,
+        "orca_like",
+        pytest.param(EXAMPLE_HAND, id="shadow_like"),
+    ]
+)
 def random_hand_tree(request: pytest.FixtureRequest) -> tuple[Hand, HandTree]:
     """Return a hand whose digits are a tree.
 
-    A test with this fixture runs once for each random tree and for the packaged one.
+    A test with this fixture runs once for each random tree, for the packaged one and for the
+    example ``shadow_like``.
     """
     hand = (
         load_hand(request.param) if isinstance(request.param, str) else random_tree(request.param)

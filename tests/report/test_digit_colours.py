@@ -4,6 +4,8 @@ import pytest
 
 from handctl.digit_colours import DIGITS_WITH_COLOUR, colour_numbers
 from handctl.hand.hand_loading import load_hand, packaged_hands
+from handctl.report.run_figure import DIGIT_COLOURS
+from handctl.view.scene.palette import DIGIT_PALETTE
 
 
 @pytest.mark.parametrize("name", packaged_hands())
@@ -11,12 +13,18 @@ def test_a_digit_has_the_same_colour_on_every_hand(name: str) -> None:
     digits = load_hand(name).digit_names
     numbers = colour_numbers(digits)
     assert len(set(numbers)) == len(digits)
-    assert max(numbers) < 6, "the palettes have six colours"
+    assert max(numbers) < min(len(DIGIT_COLOURS), len(DIGIT_PALETTE))
     assert all(
         number == DIGITS_WITH_COLOUR.index(digit)
         for digit, number in zip(digits, numbers, strict=True)
         if digit in DIGITS_WITH_COLOUR
     )
+
+
+def test_seven_digits_have_different_colours() -> None:
+    numbers = colour_numbers(("wrist", "index", "middle", "ring", "little", "base", "thumb"))
+    for palette in (DIGIT_COLOURS, DIGIT_PALETTE):
+        assert len({palette[number] for number in numbers}) == 7
 
 
 def test_digits_with_other_names_have_the_colours_in_order() -> None:

@@ -225,9 +225,9 @@ def test_error_frames_of_a_peer_are_events_of_their_bus() -> None:
 
 
 def test_peers_are_loaded_by_name() -> None:
-    assert isinstance(load_simulator(f"{__name__}:Peer"), RecordingPeer)
+    assert isinstance(load_simulator(f"{__name__}:RecordingPeer"), RecordingPeer)
     for entry in ("no.such.module:Peer", f"{__name__}:Nobody", "nonsense"):
         with pytest.raises(ConfigError, match="module:Class"):
             load_simulator(entry)
     with pytest.raises(ConfigError, match="too hot"):
-        load_simulator(f"{__name__}:Peer", fail="too hot")
+        load_simulator(f"{__name__}:RecordingPeer", fail="too hot")

@@ -52,6 +52,8 @@ def test_wrong_digits_are_refused(digits):
 class StreamOwner:
     """Fake client that owns a stream. The hand of this client is at rest."""
 
+    description = HAND
+
     def observe(self):
         """Return an observation in which all joint angles are 20 deg."""
         return self

@@ -6,12 +6,14 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import handctl as library
 from handctl import ConfigError, DriveError
+from handctl.hand.hand_loading import load_hand
 from handctl.runtime.mailbox import MAX_WATCHERS, WATCH_REQUEST, Mailbox, StatusWatcher
 from tests.runtime.processes import (
     LOCAL_BUS,
@@ -149,16 +151,17 @@ def test_values_are_checked_before_they_are_sent(work_folder):
             pass
 
     sent = []
-    goal = {"stream": "1-1", "names": ["a", "b"], "rate_Hz": 100.0, "space": "joint"}
-    stream = TargetStream(None, Sender(), goal, "rad", 0.012, 1.0)
+    goal = {"stream": "1-1", "names": ["index_j1", "thumb_j1"], "rate_Hz": 100.0, "space": "joint"}
+    owner = SimpleNamespace(description=load_hand("jamia"))
+    stream = TargetStream(owner, Sender(), goal, "rad", 0.012, 1.0)
     stream.send([0.0, np.pi])
-    stream.send({"a": np.pi / 2})
+    stream.send({"index_j1": np.pi / 2})
     assert sent == [[0.0, pytest.approx(180.0)], [pytest.approx(90.0), pytest.approx(180.0)]]
     for values, text in (
         ([1.0], r"send: values of shape \(1,\); expected 2 values"),
-        ({"c": 1.0}, "send: no 'c' in this stream; expected some of a, b"),
-        ([1.0, np.nan], "send: b is not finite; expected a finite number"),
-        ([np.inf, 0.0], "a is not finite"),
+        ({"c": 1.0}, "send: no 'c' in this stream; expected some of index_j1, thumb_j1"),
+        ([1.0, np.nan], "send: thumb_j1 is not finite; expected a finite number"),
+        ([np.inf, 0.0], "index_j1 is not finite"),
     ):
         with pytest.raises(ConfigError, match=text):
             stream.send(values)

@@ -19,9 +19,9 @@ TRY_FAULT_CODE = """
 import json
 from handctl.controller.tick import _fault_event
 from handctl.safety.faults.markdown import catalogue_markdown, fault_table_markdown
-from tests.safety.synthetic_monitor import Monitor, synthetic_limits
+from tests.safety.synthetic_monitor import SyntheticMonitor, synthetic_limits
 
-monitor = Monitor(synthetic_limits(2))
+monitor = SyntheticMonitor(synthetic_limits(2))
 verdicts = [monitor.judge({"measured_tension": {1: tension}}) for tension in (100.0, 100.5, 100.5)]
 print(json.dumps({
     "table": [line for line in fault_table_markdown().splitlines() if line.startswith("| T10 ")],

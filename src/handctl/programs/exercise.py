@@ -145,10 +145,17 @@ class ExerciseProgram:
         """Enter a stage of the exercise."""
         parts = self.stages_of(model)
         stage = parts[stage_index]
-        goals = tuple(_digit_goal(model, d, stage, estimate, t) for d in range(len(model.digits)))
+        carriers = [name in model.hand.carrier_digits for name in model.hand.digit_names]
+        # A digit that carries others keeps the angle of the first stage. It cannot follow the fast
+        # moves, and with a constant tension it would fall under its load. The moves of the other
+        # digits disturb it.
+        goals = tuple(
+            previous if carries and stage_index else _digit_goal(model, d, stage, estimate, t)
+            for d, (previous, carries) in enumerate(zip(progress.goals, carriers, strict=True))
+        )
         event = TickEvent("info", "phase", "", f"{stage.name} {stage_index + 1} of {len(parts)}")
-        # In `hold` every digit rests on its closed stop.
-        blocked = (stage.name == "hold",) * len(goals)
+        # In `hold` every digit under a tension rests on its closed stop.
+        blocked = tuple(stage.name == "hold" and not carries for carries in carriers)
         return replace(
             progress, step=stage_index, since=t, phase=stage.name, goals=goals, contact=blocked
         ), (event,)

@@ -271,7 +271,11 @@ class TaskProgram:
     def _detect_contact(
         self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate, t: float
     ) -> ProgressAndEvents:
-        """Detect the contact of closing digits, and let these digits hold their tension."""
+        """Detect the contact of closing digits, and let these digits hold their tension.
+
+        The estimated tip force of a digit that carries others, such as a wrist, has no meaning.
+        Such a digit keeps its motion.
+        """
         phase = self.task.phase[progress.step - 1]
         if not isinstance(phase, ClosePhase):
             return progress, ()
@@ -281,8 +285,10 @@ class TaskProgram:
         contact = list(progress.contact)
         touching = list(progress.touching)
         events: list[TickEvent] = []
-        for d, tendons in enumerate(model.digit_tendons):
-            closing = goals[d].kind == GoalKind.MOTION and not contact[d]
+        rows = zip(model.hand.digit_names, model.digit_tendons, strict=True)
+        for d, (name, tendons) in enumerate(rows):
+            carries = name in model.hand.carrier_digits
+            closing = goals[d].kind == GoalKind.MOTION and not contact[d] and not carries
             threshold = contact_threshold(
                 goals[d], model.digits[d].joint_count, gains.threshold_N, t
             )
@@ -297,7 +303,6 @@ class TaskProgram:
                 closes = np.where(model.is_pair[tendons], side != 0.0, side > 0.0)
                 start = np.where(closes, side * pulled, start)
                 goals[d] = tension_goal(model, d, start, model.gains.tension.rate_N_per_s, estimate)
-                name = model.hand.digit_names[d]
                 events.append(
                     TickEvent(
                         "info", "contact", name, f"{name} touches, {forces[d]:.2f} N at its tip"

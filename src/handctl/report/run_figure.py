@@ -16,7 +16,7 @@ from handctl.printing import printable_text
 from handctl.report.summary import mean_angles
 from handctl.report.truth_record import TruthRecord
 
-DIGIT_COLOURS = ("#3b6fb6", "#d9822b", "#3c9d5d", "#b8436f", "#7a5fb5", "#8a8a2a")
+DIGIT_COLOURS = ("#3b6fb6", "#d9822b", "#3c9d5d", "#b8436f", "#7a5fb5", "#8a8a2a", "#3a8f9c")
 """Colours of the digits: index, middle, ring, thumb, and others."""
 COMMAND_COLOUR = "#444444"
 PLANT_COLOUR = "#000000"

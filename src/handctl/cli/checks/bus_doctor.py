@@ -93,7 +93,7 @@ def _examine_bus(spec: str, expected: BusSection, hand: Hand | None) -> dict[str
             for one in rows
         ],
         "nodes": [
-            {"protocol": node.protocol, "node_id": node.node_id, **trip._asdict()}
+            {"protocol": node.protocol, "node_id": node.node_id, **_trip_fields(trip)}
             for node, trip in trips
         ],
     }
@@ -220,6 +220,18 @@ def _missing_motors(hand: Hand, bus: str, result: BusScan) -> list[LinkFinding]:
         else LinkFinding(f"{name} was not searched for: it answers only to commands", True)
         for name, is_queried in names
     ]
+
+
+def _trip_fields(trip: RoundTrip) -> dict[str, Any]:
+    """Return the fields of the JSON output for a measured round-trip time [s]."""
+    return {
+        "answers": trip.answers,
+        "asked": trip.requests,
+        "shortest": trip.shortest_s,
+        "median": trip.median_s,
+        "longest": trip.longest_s,
+        "twice": trip.double_answers,
+    }
 
 
 def _print_findings(buses: list[dict[str, Any]]) -> None:

@@ -4,11 +4,19 @@ This module uses no bus.
 """
 
 import argparse
+from typing import Any
 
 from handctl.cli.console.options import print_escaped, print_json, warn_if_lossy
 from handctl.cli.console.progress import progress_bar
 from handctl.log.read.reader import RunLog
-from handctl.replay.limits_judgement import judge_by_limits
+from handctl.replay.limits_judgement import LimitStop, judge_by_limits
+
+
+def _stop_fields(stop: LimitStop) -> dict[str, Any]:
+    """Return the fields of the JSON output for a stop."""
+    fields = stop._asdict()
+    fields["logged"] = fields.pop("in_logged_run")
+    return fields
 
 
 def run(args: argparse.Namespace) -> int:
@@ -18,7 +26,7 @@ def run(args: argparse.Namespace) -> int:
             judgement = judge_by_limits(log, args.limits, update_progress)
         code = warn_if_lossy(args.recorded, log.warning)
     if args.json:
-        stops = [stop._asdict() for stop in judgement.stops]
+        stops = [_stop_fields(stop) for stop in judgement.stops]
         counts = {
             "ticks": judgement.ticks,
             "stopped": judgement.stopped,

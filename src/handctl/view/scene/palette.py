@@ -30,6 +30,7 @@ DIGIT_PALETTE = (
     Colour(246, 104, 158),
     Colour(184, 146, 255),
     Colour(206, 206, 92),
+    Colour(104, 206, 216),
 )
 """Colours of the digits.
 

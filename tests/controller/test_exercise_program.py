@@ -1,0 +1,54 @@
+"""Test the exercise program: the goals of each digit in each stage."""
+
+import pytest
+
+from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
+from handctl.core.gains.gains import packaged_gains
+from handctl.core.hand_model import HandModel
+from handctl.hand.hand_loading import load_hand
+from handctl.programs.exercise import ExerciseProgram
+from tests.controller.synthetic_states import empty_readings, estimate_under_tension
+from tests.hand.hand_on_wrist import mount_on_wrist
+
+StageRecord = tuple[str, tuple[DigitGoal, ...], tuple[bool, ...]]
+"""Name of a stage, the goals of all digits, and the digits that rest on a stop or an object."""
+
+
+def stages_of_exercise(model: HandModel) -> list[StageRecord]:
+    """Run the exercise on a taut hand at rest, and return its stages in the order of execution."""
+    program, t = ExerciseProgram(), 0.0
+    progress = program.initial_progress(model)
+    taut, readings = estimate_under_tension(model, 5.0), empty_readings(model)
+    records: list[StageRecord] = []
+    while not progress.finished:
+        t += model.period
+        before = progress
+        progress, _ = program.advance(model, progress, taut, readings, t)
+        if progress.phase not in ("start", "tighten", "end") and progress.since != before.since:
+            records.append((progress.phase, progress.goals, progress.contact))
+    return records
+
+
+@pytest.mark.parametrize("name", ["jamia", "jamia11", "orca_like"])
+def test_a_wrist_keeps_its_angle_while_the_other_digits_exercise(name: str) -> None:
+    """Regression: a wrist followed the fast moves, and then closed under a constant tension.
+
+    A heavy wrist moved by 9 deg in 0.1 s, which ended the step test of `tune design` with fault
+    T01.
+    """
+    hand = load_hand(name) if name == "orca_like" else mount_on_wrist(name)
+    model = HandModel.from_hand(hand, packaged_gains(name), 400.0)
+    records = stages_of_exercise(model)
+    wrist = model.hand.digit_names.index("wrist")
+    assert {"settle", "move", "close", "hold"} == {stage for stage, _, _ in records}
+    assert len(records) >= 8
+    first = records[0][1]
+    assert first[wrist].kind == GoalKind.MOTION
+    for stage, goals, contact in records:
+        assert goals[wrist] is first[wrist], stage
+        assert not contact[wrist], stage
+        kind = GoalKind.TENSION if stage in ("close", "hold") else GoalKind.MOTION
+        for d in range(len(goals)):
+            if d != wrist:
+                assert goals[d].kind == kind, stage
+                assert contact[d] == (stage == "hold"), stage
