@@ -77,7 +77,7 @@ DAILY_LOGS = ("jamia-grasp.mcap", "jamia-lost.mcap")
     ],
 )
 def test_interpreted_kernels_give_the_same_bytes(name: str) -> None:
-    script = f"from {__name__} import hash_of_execution, GOLDEN; print(hash_of_execution(GOLDEN / {name!r}))"
+    script = f"from {__name__} import hash_of_execution, GOLDEN_LOGS; print(hash_of_execution(GOLDEN_LOGS / {name!r}))"
     with run_without_compiler("-c", script) as other:
         mine = hash_of_execution(GOLDEN_LOGS / name)
         output, _ = other.communicate(timeout=120)
