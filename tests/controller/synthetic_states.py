@@ -51,7 +51,7 @@ class SensorReadings(NamedTuple):
 class SyntheticEstimate(NamedTuple):
     """Estimate of the present state of a hand.
 
-    The attributes of this class are named like those of ``handctl.core.hand_estimate.Estimate``.
+    The attributes of this class are named like those of ``handctl.core.hand_estimate.HandEstimate``.
     """
 
     tension: np.ndarray
