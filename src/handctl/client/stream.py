@@ -57,9 +57,11 @@ class TargetStream:
 
     The hand reaches a target ``horizon_s`` after the target was sent, and continues to the next
     target. A program with a known trajectory should send the point ``horizon_s`` ahead. Then the
-    hand follows the trajectory without delay. If no more targets arrive, the hand stays at the last
-    target. After ``hold_after_ms`` it holds, and after ``relax_after_ms`` it relaxes. The section
-    ``[stream]`` of the hand file contains both times.
+    hand follows the trajectory without delay.
+
+    If no more targets arrive, the hand stays at the last target. After ``hold_after_ms`` it holds,
+    and after ``relax_after_ms`` it relaxes. The section ``[stream]`` of the hand file contains both
+    times.
 
     The controller clips targets outside the range of a joint, and limits the speed and the
     acceleration of the motion. ``status`` reports how often it has clipped a target.
