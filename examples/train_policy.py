@@ -46,7 +46,7 @@ def policy_action(policy, seen):
     A policy has weights (inputs + 1,), the last one for the constant 1.
     """
     parts = [np.degrees(seen[names == name]) for name in INPUT_NAMES]
-    parts[-1] = env.values_of(parts[-1])  # angles of digits from angles of joints
+    parts[-1] = env.coordinates_of_joints(parts[-1])  # angles of digits from angles of joints
     scaled = [2.0 * (part - env.low_deg) / (env.high_deg - env.low_deg) - 1.0 for part in parts]
     return np.clip(policy @ [*scaled, np.ones(len(env.names))], -1.0, 1.0).astype(np.float32)
 
@@ -61,7 +61,7 @@ def run_episode(policy, seed):
     while not (ended or truncated):
         seen, reward, ended, truncated, _ = env.step(policy_action(policy, seen))
         rewards.append(reward)
-        rows.append([np.degrees(env.values_of(env.true_q)), env.reference_deg(env.t_s)])
+        rows.append([np.degrees(env.coordinates_of_joints(env.true_q)), env.reference_deg(env.t_s)])
     return sum(rewards) / env.max_steps, np.array(rows)
 
 

@@ -30,7 +30,7 @@ class LibraryWriter(NamedTuple):
 def mcap_ros2_writer(path: Path) -> LibraryWriter:
     """Return a writer of mcap-ros2-support with its default settings."""
     from mcap_ros2.reader import read_ros2_messages
-    from mcap_ros2.writer import LibraryWriter as Ros2Writer
+    from mcap_ros2.writer import Writer as Ros2Writer
 
     file = path.open("wb")
     writer = Ros2Writer(file)
@@ -56,7 +56,7 @@ def rosbags_writer(path: Path) -> LibraryWriter:
     It writes a folder with MCAP storage, and takes each message as an object of its type.
     """
     from rosbags.highlevel import AnyReader
-    from rosbags.rosbag2 import LibraryWriter as BagWriter
+    from rosbags.rosbag2 import Writer as BagWriter
     from rosbags.rosbag2 import StoragePlugin
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -107,7 +107,7 @@ def _typed_object(store: Any, kind: str, content: dict[str, Any]) -> Any:
 def json_mcap_writer(path: Path) -> LibraryWriter:
     """Return a writer of JSON in MCAP, with json.dumps and the package mcap."""
     from mcap.reader import make_reader
-    from mcap.writer import LibraryWriter as McapWriter
+    from mcap.writer import Writer as McapWriter
 
     file = path.open("wb")
     writer = McapWriter(file)
