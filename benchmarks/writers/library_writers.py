@@ -56,8 +56,8 @@ def rosbags_writer(path: Path) -> LibraryWriter:
     It writes a folder with MCAP storage, and takes each message as an object of its type.
     """
     from rosbags.highlevel import AnyReader
-    from rosbags.rosbag2 import Writer as BagWriter
     from rosbags.rosbag2 import StoragePlugin
+    from rosbags.rosbag2 import Writer as BagWriter
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.EMPTY)
