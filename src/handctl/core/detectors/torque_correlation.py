@@ -65,6 +65,11 @@ LARGEST_INCREMENT = 4.0
 
 Noise reaches about this limit in a hold.
 """
+MIN_COMMAND_WINDOW_S = 6e-3
+"""Shortest time of three ticks in which a report is compared with the range of the commands [s].
+
+A reply on a busy computer may be some milliseconds late.
+"""
 SERVO_COUNTS = 0.75
 """Smallest increment (rms) for a drive that closes the position loop, in counts of position and speed.
 
@@ -204,9 +209,15 @@ def is_command_contradicted(x: StateTables, c: ConstantTables, n: int) -> bool:
     the low-passed difference alone, for example if two drives are exchanged and their loops drive
     each other.
 
+    Only motors of tendons without load cell are tested. A load cell shows a wrong force in another
+    way, and replies on a busy computer may be older than three ticks. For the same reason, three
+    ticks must take at least ``MIN_COMMAND_WINDOW_S``.
+
     A drive that closes its position loop is not tested, because it has no torque command. Nor is a
     drive that sends its torque separately, because the torque may be older than the reply.
     """
+    if c.tendon_int[h.CELL_GROUP, n] >= 0 or 3.0 * c.run[h.PERIOD] < MIN_COMMAND_WINDOW_S:
+        return False
     if c.tendon_int[h.DRIVE_CLOSES_LOOP, n] or not c.tendon_int[h.ANSWERS_ONCE, n]:
         return False
     if x.tendon[s.REPORT_ON_TIME, n] <= SETTLED_TICKS:

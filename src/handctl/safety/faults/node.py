@@ -265,7 +265,7 @@ declare_row("N14", "command not obeyed", odrive=f"{WEAKER_SIGN}: by tension (T04
 N14 = declare_fault(
     "N14", "a command is not obeyed",
     f"The filtered difference of commanded and reported torque is above {NOT_OBEYED_N:g} N at the tendon, or it is "
-    f"above {CONTRADICTED_MEAN_N:g} N and the report is far from the last three commands",
+    f"above {CONTRADICTED_MEAN_N:g} N without a load cell, and the report is far from the last three commands",
     SafetyAction.RELAX, ENDED_BY_OPERATOR, MOTOR_INSTANCE, relax_method=RelaxMethod.OPEN_LOOP,
     cause="The drive limits its torque, is in another mode, or its torque constant is wrong.",
     remedy="Check torque limit and torque constant of the drive, and run handctl conformance on it.",
