@@ -161,13 +161,8 @@ def link_position(link: LinkFrame, q: np.ndarray) -> np.ndarray:
     return link_positions(link, q[[max(link.joint, 0)]])[0]
 
 
-def test_transforms_of_the_log_are_those_of_the_model(random_hand_and_digits, rng):
-    """The transforms of the log are made from the text of the hand file alone.
-
-    Combined along each digit, they equal the transforms of the model.
-    """
-    hand, digits = random_hand_and_digits
-    q = rng.uniform(-2.0, 2.0, len(hand.joints))
+def frames_in_log(hand: Hand, q: np.ndarray) -> dict[str, tuple[np.ndarray, tuple[float, ...]]]:
+    """Return position and orientation of each link frame in the palm frame, from the transforms of the log."""
     place = {"palm": (np.zeros(3), (0.0, 0.0, 0.0, 1.0))}
     for link in link_frames(hand.to_toml()):
         position, turn = place[link.parent]
@@ -180,6 +175,17 @@ def test_transforms_of_the_log_are_those_of_the_model(random_hand_and_digits, rn
             tuple(link_quaternions(link, q[[link.joint]])[0]) if link.joint >= 0 else link.rotation
         )
         place[link.child] = here, multiply_quaternions(turn, own)
+    return place
+
+
+def test_transforms_of_the_log_are_those_of_the_model(random_hand_and_digits, rng):
+    """The transforms of the log are made from the text of the hand file alone.
+
+    Combined along each digit, they equal the transforms of the model.
+    """
+    hand, digits = random_hand_and_digits
+    q = rng.uniform(-2.0, 2.0, len(hand.joints))
+    place = frames_in_log(hand, q)
     for digit in digits:
         for transform in link_transforms(digit, q[digit.joints]):
             position, turn = place[transform.frame]
@@ -296,18 +302,7 @@ def test_the_dynamics_of_a_tree_equal_those_of_pinocchio(random_hand_tree, rng):
 def test_logged_transforms_of_a_tree_equal_the_model(random_hand_tree, rng):
     hand, whole = random_hand_tree
     q = rng.uniform(-2.0, 2.0, len(hand.joints))
-    place = {"palm": (np.zeros(3), (0.0, 0.0, 0.0, 1.0))}
-    for link in link_frames(hand.to_toml()):
-        position, turn = place[link.parent]
-        here = (
-            np.array(pinocchio.Quaternion(np.array(turn)).toRotationMatrix())
-            @ link_position(link, q)
-            + position
-        )
-        own = (
-            tuple(link_quaternions(link, q[[link.joint]])[0]) if link.joint >= 0 else link.rotation
-        )
-        place[link.child] = here, multiply_quaternions(turn, own)
+    place = frames_in_log(hand, q)
     for digit, points_of_digit in zip(whole.digits, whole.points(q), strict=True):
         assert np.allclose(place[f"{digit.name}_tip"][0], points_of_digit[-1], atol=1e-12)
 

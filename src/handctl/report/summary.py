@@ -1,5 +1,6 @@
 """Numbers about a run: timing of the control loop, tracking errors, and accuracy of the estimates."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -396,7 +397,7 @@ def tracking_text(summary: Mapping[str, Any]) -> tuple[float, str]:
     units = {angle.get("unit", "deg") for angle in summary["joint_angles"].values()}
     if units == {"mm"}:
         return 1000.0 * EQUIVALENT_M_PER_RAD, "mm rms"
-    return 57.29578, "deg rms"
+    return math.degrees(1.0), "deg rms"
 
 
 def measured_bus_load(

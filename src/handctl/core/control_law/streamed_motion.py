@@ -148,8 +148,9 @@ def advance_reference(x: StateTables, c: ConstantTables, d: int, k: int) -> None
     period = c.run[h.PERIOD] * (1 + x.run_int[s.MISSED_TICKS])
     position = x.coordinate[s.TRAJECTORY, k]
     rate = x.coordinate[s.TRAJECTORY + 1, k]
-    gain = c.run[h.STREAM_ACCELERATION] * period * coordinate_scale(c, d, k)
-    slowest, fastest = _allowed_rates(x, c, d, k, period)
+    scale = coordinate_scale(c, d, k)
+    gain = c.run[h.STREAM_ACCELERATION] * period * scale
+    slowest, fastest = _allowed_rates(x, c, d, k, period, scale, gain)
     now = x.run_int[s.T_NS] / 1e9
     aim, aim_rate = position_on_segment(x, k, now)
     remaining = max(x.run[s.STREAM_SINCE] + x.run[s.STREAM_DURATION] - now, 0.0)
@@ -190,7 +191,7 @@ def coordinate_scale(c: ConstantTables, d: int, k: int) -> float:
 
 @kernel_helper
 def _allowed_rates(
-    x: StateTables, c: ConstantTables, d: int, k: int, period: float
+    x: StateTables, c: ConstantTables, d: int, k: int, period: float, scale: float, gain: float
 ) -> tuple[float, float]:
     """Return the lowest and the highest allowed rate of a coordinate's reference [rad/s].
 
@@ -203,11 +204,11 @@ def _allowed_rates(
         d: index of the digit.
         k: index of the coordinate.
         period: time since the last tick [s].
+        scale: motion of the coordinate that counts like 1 rad, see ``coordinate_scale``.
+        gain: largest change of the rate in the period [rad/s].
     """
     position = x.coordinate[s.TRAJECTORY, k]
-    scale = coordinate_scale(c, d, k)
     top = c.run[h.STREAM_SPEED] * scale
-    gain = c.run[h.STREAM_ACCELERATION] * period * scale
     slowest = max(
         -top, -max_stoppable_speed(position - x.coordinate[s.STREAM_RANGE, k], gain, period)
     )

@@ -65,8 +65,10 @@ LARGEST_INCREMENT = 4.0
 
 Noise reaches about this limit in a hold.
 """
+COMPARED_COMMANDS = 3
+"""Number of last commands whose range a single report is compared with."""
 MIN_COMMAND_WINDOW_S = 6e-3
-"""Shortest time of three ticks in which a report is compared with the range of the commands [s].
+"""Shortest time of ``COMPARED_COMMANDS`` ticks in which a single report is compared [s].
 
 A reply on a busy computer may be some milliseconds late.
 """
@@ -216,7 +218,8 @@ def is_command_contradicted(x: StateTables, c: ConstantTables, n: int) -> bool:
     A drive that closes its position loop is not tested, because it has no torque command. Nor is a
     drive that sends its torque separately, because the torque may be older than the reply.
     """
-    if c.tendon_int[h.CELL_GROUP, n] >= 0 or 3.0 * c.run[h.PERIOD] < MIN_COMMAND_WINDOW_S:
+    window = COMPARED_COMMANDS * c.run[h.PERIOD]
+    if c.tendon_int[h.CELL_GROUP, n] >= 0 or window < MIN_COMMAND_WINDOW_S:
         return False
     if c.tendon_int[h.DRIVE_CLOSES_LOOP, n] or not c.tendon_int[h.ANSWERS_ONCE, n]:
         return False
@@ -224,7 +227,7 @@ def is_command_contradicted(x: StateTables, c: ConstantTables, n: int) -> bool:
         return False
     lowest = math.inf
     highest = -math.inf
-    for earlier in range(3):
+    for earlier in range(COMPARED_COMMANDS):
         command = x.tendon[s.REPORT_FORCES + earlier, n]
         if math.isnan(command):
             return False
