@@ -24,6 +24,7 @@ from handctl.core.tick_types import (
     PackedTelemetry,
     TickIn,
     TickOut,
+    TickRequest,
 )
 from handctl.drives.frame import Frame
 from handctl.drives.frame_records import Frames, frames_as_records
@@ -154,7 +155,7 @@ class _PreparedTick:
     state: int
     out: TickOut
 
-    def command(self, requests: tuple[str, ...]) -> Sequence[Frame]:
+    def command(self, requests: tuple[TickRequest, ...]) -> Sequence[Frame]:
         """Return the frames of the tick."""
         return self.out.frames
 

@@ -17,7 +17,7 @@ from handctl.core.control_law.digit_goal import GoalKind
 from handctl.core.control_law.streamed_motion import begin_segments
 from handctl.core.control_law.trajectory import StreamedTrajectory
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import HandMode, TickOut
+from handctl.core.tick_types import HandMode, StreamTarget, TickOut, TickRequest
 from handctl.hand.dynamics import static_torque
 from handctl.programs.live_session import LiveProgram
 from handctl.programs.requests import is_stream_target, parse_target, target_request_text
@@ -59,7 +59,7 @@ class StreamClient:
         """Return the time of the next tick [ns]."""
         return self.run.k * self.run.period_ns
 
-    def tick(self, *requests: str) -> TickOut:
+    def tick(self, *requests: TickRequest) -> TickOut:
         """Run a tick in which requests arrive, and return its output."""
         self.tick_outputs.append(self.run.run_tick(requests=requests))
         return self.tick_outputs[-1]
@@ -81,10 +81,12 @@ class StreamClient:
         fields = {"interpolation": "linear", "rate_Hz": RATE_HZ} | fields
         return self.send_command("stream", stream="s", space=space, names=names, **fields)
 
-    def target_request(self, *values: float, number: int | None = None, age_s: float = 0.0) -> str:
-        """Return the request of a streamed target. The target was sent ``age_s`` seconds ago."""
+    def target_request(
+        self, *values: float, number: int | None = None, age_s: float = 0.0
+    ) -> StreamTarget:
+        """Return a streamed target that was sent ``age_s`` seconds ago."""
         self.sent += number is None
-        return target_request_text(
+        return StreamTarget(
             "s", self.sent if number is None else number, self.t_ns - round(1e9 * age_s), values
         )
 
@@ -363,6 +365,16 @@ def test_a_text_that_is_no_target_is_counted(text: str) -> None:
     assert target is None or target.values == (1.0,)
 
 
+@pytest.mark.parametrize("value", [0.1 + 0.2, 1e308, -0.0, 5e-324, math.inf, math.nan])
+def test_a_target_survives_the_log(value: float) -> None:
+    """A run gets decoded targets, and its re-execution gets their texts. Both must be equal to the last bit."""
+    target = StreamTarget("17-3", 2**62, -(2**40), (value, 1.0 / 3.0))
+    again = parse_target(target_request_text(target))
+    assert again is not None
+    assert again[:3] == target[:3]
+    assert np.array(again.values).tobytes() == np.array(target.values).tobytes()
+
+
 def test_repeated_overtaken_and_old_targets_are_ignored(jamia: HandModel) -> None:
     with live_client(jamia) as client:
         client.open_stream()
@@ -410,7 +422,7 @@ def test_a_jittering_stream_is_smooth(jamia: HandModel) -> None:
         client.wait(1.2)
         client.open_stream(interpolation="minimum_jerk")
         client.tick_outputs.clear()
-        began_ns, waiting = client.t_ns, list[tuple[int, str]]()
+        began_ns, waiting = client.t_ns, list[tuple[int, StreamTarget]]()
         for i in range(1000):
             if i % 5 == 0 and random.random() > 0.05:
                 text = client.target_request(sine_angle((client.t_ns - began_ns) / 1e9))

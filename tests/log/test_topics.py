@@ -20,6 +20,7 @@ from other_log_readers import RosbagsSerialiser, messages_by_topic, read_message
 from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
+from handctl.core.tick_types import StreamTarget
 from handctl.hand.digit import DigitModel
 from handctl.hand.hand_loading import load_hand
 from handctl.hand.link_frames import link_transforms
@@ -233,10 +234,14 @@ def test_streamed_targets_have_a_topic_and_no_line_in_rosout(tmp_path: Path) -> 
     asked = {
         0: (json.dumps(opening),),
         2: (
-            target_request_text("s", 0, ticks[2][0].t_ns - 3_000_000, (1.5, math.nan)),
-            target_request_text("t", 1, 0, (1e308,)),
+            StreamTarget("s", 0, ticks[2][0].t_ns - 3_000_000, (1.5, math.nan)),
+            target_request_text(StreamTarget("t", 1, 0, (1e308,))),
         ),
-        3: (target_request_text("s", 2**70, 0, ()), '{"do": "target", nonsense', '{"do": "stop"}'),
+        3: (
+            target_request_text(StreamTarget("s", 2**70, 0, ())),
+            '{"do": "target", nonsense',
+            '{"do": "stop"}',
+        ),
     }
     ticks = [
         (tick_in._replace(requests=asked.get(i, ())), out) for i, (tick_in, out) in enumerate(ticks)

@@ -10,6 +10,7 @@ from handctl.core.tick_types import (
     TELEMETRY_AXES,
     HandMode,
     IoEvent,
+    StreamTarget,
     Telemetry,
     TickEvent,
     TickIn,
@@ -67,7 +68,9 @@ def _tick_in(run: RunHeader, k: int, index: int, random: np.random.Generator) ->
     if index == 50:
         requests += (OPEN_STREAM,)
     if index > 50:
-        requests += (target_request_text("s", index, t_ns - 10**6, (10.0, index / 7)),)
+        requests += (
+            target_request_text(StreamTarget("s", index, t_ns - 10**6, (10.0, index / 7))),
+        )
     return TickIn(
         k,
         t_ns,

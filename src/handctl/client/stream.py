@@ -1,5 +1,6 @@
 """Stream of targets that a program sends to a running hand."""
 
+import math
 import time
 from collections.abc import Mapping, Sequence
 from types import TracebackType
@@ -184,7 +185,7 @@ class TargetStream:
             raise ConfigError(
                 f"values of shape {target.shape}", "send", f"{len(self.names)} values"
             )
-        if not np.isfinite(target).all():
+        if not all(map(math.isfinite, target.tolist())):
             name = self.names[int(np.flatnonzero(~np.isfinite(target))[0])]
             raise ConfigError(f"{name} is not finite", "send", "a finite number")
         return target

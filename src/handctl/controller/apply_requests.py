@@ -17,7 +17,13 @@ from handctl.controller.target_streams import (
 )
 from handctl.core import state_block as s
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import SHUTTING_DOWN, HandMode, TickEvent
+from handctl.core.tick_types import (
+    SHUTTING_DOWN,
+    HandMode,
+    StreamTarget,
+    TickEvent,
+    TickRequest,
+)
 from handctl.programs.commission import CommissionProgram
 from handctl.programs.live_session import (
     LiveProgram,
@@ -57,7 +63,7 @@ BEFORE_READY = (HandMode.SILENT, HandMode.INVENTORY)
 
 
 def apply_requests(
-    model: HandModel, program: Program, state: ControllerState, requests: tuple[str, ...]
+    model: HandModel, program: Program, state: ControllerState, requests: tuple[TickRequest, ...]
 ) -> tuple[OperatorRequests, tuple[TickEvent, ...]]:
     """Apply the requests of one tick, in the order of their arrival.
 
@@ -67,7 +73,7 @@ def apply_requests(
         model: model of the hand.
         program: program that sets the goals of the digits.
         state: state of the tick, modified in place.
-        requests: requests as JSON texts.
+        requests: requests as JSON texts, or as decoded targets.
 
     Returns:
         Stop and cut requests, and the events of all requests.
@@ -75,8 +81,9 @@ def apply_requests(
     operator = OperatorRequests()
     events = list[TickEvent]()
     for text in requests:
-        if is_stream_target(text):
-            events += apply_target(model, state, parse_target(text), state.run_integer(s.T_NS))
+        if isinstance(text, StreamTarget) or is_stream_target(text):
+            target = text if isinstance(text, StreamTarget) else parse_target(text)
+            events += apply_target(model, state, target, state.run_integer(s.T_NS))
             continue
         request = parse_request(text)
         if isinstance(request, str):

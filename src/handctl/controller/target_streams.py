@@ -9,9 +9,9 @@ from handctl.core import state_block as s
 from handctl.core.control_law.digit_goal import GoalKind
 from handctl.core.control_law.streamed_motion import CLIP_TOLERANCE, begin_segments
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import HandMode, TickEvent, Vector
+from handctl.core.tick_types import HandMode, StreamTarget, TickEvent, Vector
 from handctl.programs.program import ProgramProgress, coordinates_by_excursion
-from handctl.programs.requests import OpenStream, StreamTarget
+from handctl.programs.requests import OpenStream
 from handctl.programs.stream_plans import (
     TARGET_UNIT_BY_SPACE,
     StreamPlan,

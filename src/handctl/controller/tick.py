@@ -44,7 +44,7 @@ from handctl.core.estimation.consistency_events import consistency_events
 from handctl.core.estimation.filter_prediction import predict_filter_states
 from handctl.core.hand_constants import HandConstants
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import HandMode, TickEvent, TickIn, TickOut, Vector
+from handctl.core.tick_types import HandMode, TickEvent, TickIn, TickOut, TickRequest, Vector
 from handctl.drives.cia404.amplifier import AmplifierState
 from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import ERROR_FLAG, Frame
@@ -229,7 +229,9 @@ class Controller:
         )
         return TickInProgress(controller, last_state, state, tick_input, signs)
 
-    def _command_drives(self, open_tick: "TickInProgress", requests: tuple[str, ...]) -> None:
+    def _command_drives(
+        self, open_tick: "TickInProgress", requests: tuple[TickRequest, ...]
+    ) -> None:
         """Apply requests, judge, decide, and compute the frames to send, see ``TickInProgress.command``."""
         before, state, entry = open_tick.before, open_tick.state, open_tick.entry
         operator, request_events = NO_REQUESTS
@@ -663,11 +665,11 @@ class TickInProgress:
     events: tuple[TickEvent, ...] = ()
     unchanged: ControllerState | None = None
 
-    def command(self, requests: tuple[str, ...]) -> Frames:
+    def command(self, requests: tuple[TickRequest, ...]) -> Frames:
         """Apply requests, and return the frames to send.
 
         Args:
-            requests: requests of operators and programs, as JSON texts in the order of arrival.
+            requests: requests of operators and programs, in the order of arrival.
 
         Raises:
             ValueError: a command cannot be encoded. The command is not sent.

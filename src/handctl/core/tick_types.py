@@ -61,6 +61,27 @@ class IoEvent(NamedTuple):
     number: int = 1
 
 
+class StreamTarget(NamedTuple):
+    """Target of a stream.
+
+    Attributes:
+        stream: name of the stream.
+        number: number of the target, which rises from one target to the next.
+        sent_ns: time at which the client sent the target [ns of the run].
+        values: one value per name of the stream, in the unit of the stream. The values are not
+            checked.
+    """
+
+    stream: str
+    number: int
+    sent_ns: int
+    values: tuple[float, ...]
+
+
+TickRequest = str | StreamTarget
+"""A request to the controller: a JSON text, or a target that is already decoded."""
+
+
 class TickIn(NamedTuple):
     """Inputs of a tick.
 
@@ -70,8 +91,8 @@ class TickIn(NamedTuple):
         late_ns: delay of the real start of the tick behind its scheduled time [ns].
         frames: frames received since the last tick, in the order of reception.
         io_events: events of buses, host and recorder since the last tick.
-        requests: requests of operators and programs since the last tick, as JSON texts, in the
-            order of arrival.
+        requests: requests of operators and programs since the last tick, in the order of arrival.
+            A log contains all of them as JSON texts.
     """
 
     k: int
@@ -79,7 +100,7 @@ class TickIn(NamedTuple):
     late_ns: int = 0
     frames: Sequence[Frame] = ()
     io_events: tuple[IoEvent, ...] = ()
-    requests: tuple[str, ...] = ()
+    requests: tuple[TickRequest, ...] = ()
 
 
 GAIN_EVENT = "gain"

@@ -22,7 +22,7 @@ from handctl.controller.target_streams import stream_status
 from handctl.controller.tick import Controller
 from handctl.core.gains.gains import packaged_gains
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import HandMode, TickOut, Vector
+from handctl.core.tick_types import HandMode, StreamTarget, TickOut, TickRequest, Vector
 from handctl.errors import ConfigError
 from handctl.gym.observation_layout import (
     FIELD_OF_NAME,
@@ -34,7 +34,7 @@ from handctl.gym.observation_layout import (
 from handctl.hand.file.display_units import DisplayUnits
 from handctl.hand.hand_loading import load_hand
 from handctl.programs.live_session import LiveProgram
-from handctl.programs.requests import REFUSED_PREFIX, target_request_text
+from handctl.programs.requests import REFUSED_PREFIX
 from handctl.programs.stream_plans import target_horizon_s
 from handctl.session.plan import check_hand_ready, default_rate
 from handctl.session.simulate import SimulatedRun, SimulatorSettings, homed_controller
@@ -311,13 +311,13 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
             [(digit.joints_to_coordinates @ q[digit.joints]).mean() for digit in self.model.digits]
         )
 
-    def _step_requests(self, action: Vector) -> list[str]:
+    def _step_requests(self, action: Vector) -> list[TickRequest]:
         """Return all requests of a step.
 
         If the step sends targets for other joints or digits than the step before, a request opens a
         new stream.
         """
-        requests = self.action_requests(action)
+        requests: list[TickRequest] = list(self.action_requests(action))
         names = self.streamed_names(action)
         if names and names != self._last_streamed_names:
             opening = {
@@ -326,10 +326,10 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
             }  # fmt: skip
             requests.append(json.dumps(opening))
         self._last_streamed_names = names
-        return [*requests, self._target_request(action)] if names else requests
+        return [*requests, self._next_target(action)] if names else requests
 
-    def _target_request(self, action: Vector) -> str:
-        """Return the request with the next target of the stream.
+    def _next_target(self, action: Vector) -> StreamTarget:
+        """Return the next target of the stream.
 
         This target approaches the target of the action, within the largest rate of change.
         """
@@ -340,11 +340,11 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         angles = dict(zip(self.names, self._target_deg.tolist(), strict=True))
         number = self._target_number
         self._target_number += 1
-        return target_request_text(
+        return StreamTarget(
             STREAM_NAME,
             number,
             self.simulated_run.k * self.simulated_run.period_ns,
-            [angles[name] for name in self._last_streamed_names],
+            tuple([angles[name] for name in self._last_streamed_names]),
         )
 
     def _observation(self) -> Float32Array:

@@ -50,6 +50,7 @@ from handctl.drives.frame_records import (
     frames_as_records,
 )
 from handctl.log.cdr import ENCAPSULATION_HEADER, CdrReader, CdrWriter
+from handctl.programs.requests import request_text
 from handctl.safety.action import SafetyAction
 
 RECORD_FRAMING_STRUCT = struct.Struct("<II")
@@ -187,7 +188,7 @@ def _message_end(start: int, phase: str, tick_in: TickIn, events: tuple[TickEven
         out.put_string(kind)
         out.put_string(where)
         out.put_number("q", number)
-    out.put_strings(tick_in.requests)
+    out.put_strings(tuple(map(request_text, tick_in.requests)))
     out.put_length(len(events))
     for event in events:
         for text in event:

@@ -1,14 +1,17 @@
 """Requests to a running controller. Each is one JSON object in a datagram, which this module validates.
 
-Requests enter the tick as text, so a log is re-executed with exactly the same requests.
+Requests enter the tick as text, so a log is re-executed with exactly the same requests. Streamed
+targets are the exception, because they are frequent and must reach the drives quickly. They arrive
+as binary datagrams, enter the tick decoded, and become text in the log.
 """
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Annotated, Any, Literal, NamedTuple
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter, ValidationError
 
+from handctl.core.tick_types import StreamTarget, TickRequest
 from handctl.document import Document
 from handctl.programs.task import SHORTEST_MOVE_S, AngleDeg, Task, TensionN
 
@@ -207,40 +210,27 @@ def events_for_request(by: str, events: Iterable[Mapping[str, Any]]) -> list[str
     return texts
 
 
-class StreamTarget(NamedTuple):
-    """Target of a stream.
-
-    Attributes:
-        stream: name of the stream.
-        number: number of the target, which rises from one target to the next.
-        sent_ns: time at which the client sent the target [ns of the run].
-        values: one value per name of the stream, in the unit of the stream. The values are not
-            checked.
-    """
-
-    stream: str
-    number: int
-    sent_ns: int
-    values: tuple[float, ...]
-
-
 _TARGET_START = '{"do": "target", '
 """Start of the text of a target, for a quick test. Targets come hundreds of times a second."""
 
 
-def target_request_text(
-    stream: str, sequence_number: int, sent_ns: int, values: Sequence[float]
-) -> str:
-    """Return a target as the text of a request, see ``StreamTarget``.
+def target_request_text(target: StreamTarget) -> str:
+    """Return a target as the text of a request.
 
     Values are written to the last bit.
     """
+    stream, number, sent_ns, values = target
     listed = json.dumps(list(values))
-    return f'{_TARGET_START}"stream": "{stream}", "n": {sequence_number}, "sent_ns": {sent_ns}, "values": {listed}}}'
+    return f'{_TARGET_START}"stream": "{stream}", "n": {number}, "sent_ns": {sent_ns}, "values": {listed}}}'
+
+
+def request_text(request: TickRequest) -> str:
+    """Return the JSON text of a request to the controller."""
+    return target_request_text(request) if isinstance(request, StreamTarget) else request
 
 
 def is_stream_target(text: str) -> bool:
-    """Return True if a request is a target of a stream."""
+    """Return True if the text of a request is a target of a stream."""
     return text.startswith(_TARGET_START)
 
 
@@ -253,9 +243,11 @@ def alive_request_text(client: str) -> str:
     return f'{_ALIVE_START}"client": "{client}"}}'
 
 
-def is_routine_request(text: str) -> bool:
+def is_routine_request(request: TickRequest) -> bool:
     """Return True for a request that clients send many times in a run: a target, or a sign of life."""
-    return is_stream_target(text) or text.startswith(_ALIVE_START)
+    if isinstance(request, StreamTarget):
+        return True
+    return is_stream_target(request) or request.startswith(_ALIVE_START)
 
 
 def parse_target(text: str) -> StreamTarget | None:

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from types import FrameType
 from typing import Generic, Protocol, TypeVar
 
-from handctl.core.tick_types import HandMode, IoEvent, TickIn, TickOut
+from handctl.core.tick_types import HandMode, IoEvent, TickIn, TickOut, TickRequest
 from handctl.drives.frame import Frame
 from handctl.drives.frame_records import Frames, frames_as_records, join_frames
 from handctl.errors import REMOVE_POWER, PowerError
@@ -34,7 +34,7 @@ T = TypeVar("T", covariant=True)
 class TickInProgress(Protocol[T]):
     """Interface of a begun tick, as used by the loop. See ``controller.tick.TickInProgress``."""
 
-    def command(self, requests: tuple[str, ...]) -> Sequence[Frame]:
+    def command(self, requests: tuple[TickRequest, ...]) -> Sequence[Frame]:
         """Apply the requests of operators and programs, and return the frames to send."""
         ...
 
@@ -187,7 +187,7 @@ class ControlLoop(Generic[S]):
     buses: Sequence[LoopBus]
     begin_tick: Callable[[S, TickIn], TickInProgress[S]]
     cut_frames: Sequence[Frame]
-    take_requests: Callable[[], tuple[str, ...]]
+    take_requests: Callable[[], tuple[TickRequest, ...]]
     take_host_events: Callable[[], list[IoEvent]]
     record_tick: Callable[[TickIn, TickOut], None]
     show_tick: Callable[[TickIn, TickOut], None]

@@ -15,8 +15,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from handctl.core.tick_types import StreamTarget
 from handctl.errors import BusError
-from handctl.programs.requests import MAX_TARGET_VALUES, target_request_text
+from handctl.programs.requests import MAX_TARGET_VALUES
 from handctl.runtime.mailbox import SHORT_RUN_FOLDER_TEXT
 from handctl.runtime.paths import targets_path
 from handctl.runtime.socket_peers import receive_datagram, request_sender_credentials
@@ -78,35 +79,30 @@ class TargetBox:
             ) from None
         self.socket.setblocking(False)
 
-    def read_targets(self) -> tuple[str, ...]:
-        """Return the newest waiting targets as requests, oldest first.
+    def read_targets(self) -> tuple[StreamTarget, ...]:
+        """Return the newest waiting targets, oldest first.
 
         Malformed datagrams are dropped.
         """
-        texts: list[str] = []
+        targets: list[StreamTarget] = []
         for _ in range(MAX_DATAGRAMS_PER_TICK):
             try:
                 data, _, ours = receive_datagram(self.socket, MAX_DATAGRAM_BYTES + 1)
             except BlockingIOError:
                 break
-            if ours and (text := self._decode(data)):
-                texts.append(text)
-        return tuple(texts[-MAX_TARGETS_PER_TICK:])
+            if ours and (target := self._decode(data)) is not None:
+                targets.append(target)
+        return tuple(targets[-MAX_TARGETS_PER_TICK:])
 
-    def _decode(self, data: bytes) -> str:
-        """Return the text of the request in a datagram.
-
-        The text is empty if the datagram is malformed.
-        """
+    def _decode(self, data: bytes) -> StreamTarget | None:
+        """Return the target in a datagram, or None if the datagram is malformed."""
         if len(data) < HEADER_STRUCT.size:
-            return ""
+            return None
         magic, process, number, count, index, sent_ns = HEADER_STRUCT.unpack_from(data)
         if magic != TARGET_MAGIC or len(data) != HEADER_STRUCT.size + 8 * count:
-            return ""
+            return None
         values = struct.unpack_from(f"<{count}d", data, HEADER_STRUCT.size)
-        return target_request_text(
-            stream_name(process, number), index, self._run_time(sent_ns), values
-        )
+        return StreamTarget(stream_name(process, number), index, self._run_time(sent_ns), values)
 
     def close(self) -> None:
         """Remove the socket."""

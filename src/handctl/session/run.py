@@ -15,7 +15,7 @@ from handctl.controller.shutdown import shutdown_step
 from handctl.controller.state_snapshot import snapshot_bytes
 from handctl.controller.target_streams import stream_status
 from handctl.controller.tick import Controller
-from handctl.core.tick_types import IoEvent, TickIn, TickOut
+from handctl.core.tick_types import IoEvent, TickIn, TickOut, TickRequest
 from handctl.errors import BusError, DriveError, PowerError
 from handctl.hand.description import Hand
 from handctl.log.header import TRUTH_OFFSET_KEY
@@ -308,7 +308,7 @@ def _build_loop(
     clock: TickClock,
     buses: Sequence[LoopBus],
     recorder: Recorder,
-    requests: Callable[[], tuple[str, ...]],
+    requests: Callable[[], tuple[TickRequest, ...]],
     show: Callable[[TickIn, TickOut], None],
 ) -> ControlLoop[ControllerState]:
     def record_tick(entry: TickIn, out: TickOut) -> None:
@@ -352,21 +352,21 @@ def _describe_run(plan: RunPlan) -> dict[str, object]:
 
 def _request_source(
     plan: RunPlan, signals: StopSignals, mailbox: Mailbox, targets: TargetBox
-) -> Callable[[], tuple[str, ...]]:
+) -> Callable[[], tuple[TickRequest, ...]]:
     """Return a function that collects all requests for a tick.
 
     If the plan says so, its first request is to clear the latched errors of the drives.
     """
     orders = [CLEAR_REQUEST] if plan.clear_faults else []
 
-    def take_requests() -> tuple[str, ...]:
+    def take_requests() -> tuple[TickRequest, ...]:
         first = (orders.pop(),) if orders else ()
         return first + signals.take_request() + mailbox.read_requests() + targets.read_targets()
 
     return take_requests
 
 
-RequestSource = Callable[[], tuple[str, ...]]
+RequestSource = Callable[[], tuple[TickRequest, ...]]
 TickCallback = Callable[[TickIn, TickOut], None]
 
 

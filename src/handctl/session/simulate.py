@@ -21,7 +21,7 @@ from handctl.controller.controller_state import ControllerState
 from handctl.controller.run_setup import make_drives, make_sensors
 from handctl.controller.tick import Controller
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import HandMode, IoEvent, TickIn, TickOut
+from handctl.core.tick_types import HandMode, IoEvent, TickIn, TickOut, TickRequest
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import hand_path
 from handctl.programs.program import Program
@@ -189,7 +189,7 @@ class SimulatedRun:
     def run_tick(
         self,
         io: tuple[IoEvent, ...] = (),
-        requests: tuple[str, ...] = (),
+        requests: tuple[TickRequest, ...] = (),
         late_ns: int = 0,
         skip: int = 0,
     ) -> TickOut:
@@ -238,7 +238,7 @@ class SimulatedRun:
         return False
 
     def _decide(
-        self, io: tuple[IoEvent, ...], requests: tuple[str, ...], late_ns: int
+        self, io: tuple[IoEvent, ...], requests: tuple[TickRequest, ...], late_ns: int
     ) -> tuple[TickIn, TickOut]:
         frames = self._bus.drain()
         wires = tuple(IoEvent(*event) for event in self._bus.take_events())

@@ -14,7 +14,7 @@ from handctl.log.message_types import OTHER_PHASE_NUMBER, PHASE_NUMBERS
 from handctl.log.tick_batch import TickBatch
 from handctl.log.tick_record import TickRecord
 from handctl.log.topics.message_streams import MessageStamps, TopicRegistry, variable_length_block
-from handctl.programs.requests import is_routine_request
+from handctl.programs.requests import is_routine_request, request_text
 from handctl.safety.action import SafetyAction
 
 LOG_LEVEL_NUMBERS = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
@@ -173,6 +173,6 @@ def _log_lines(tick: TickRecord) -> Iterator[tuple[str, str, str]]:
         yield "warn", "io", " ".join(filter(None, (io_event.kind, io_event.where))) + number
     for request in tick.tick_in.requests:
         if not is_routine_request(request):  # Streamed targets have a topic of their own.
-            yield "info", "request", request
+            yield "info", "request", request_text(request)
     for event in tick.events:
         yield event.level, event.name, f"{event.where}: {event.text}" if event.where else event.text

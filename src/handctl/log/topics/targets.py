@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from handctl.core.tick_types import StreamTarget, TickRequest
 from handctl.log.cdr import CdrWriter
 from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
@@ -11,10 +12,10 @@ from handctl.log.tick_batch import TickBatch
 from handctl.log.topics.message_streams import MessageStamps, TopicRegistry, variable_length_block
 from handctl.programs.requests import (
     OpenStream,
-    StreamTarget,
     is_stream_target,
     parse_request,
     parse_target,
+    request_text,
 )
 
 
@@ -44,13 +45,13 @@ class TargetTopic:
             variable_length_block(self._channel, stamps.selected(np.array(at, np.intp)), messages)
         ]
 
-    def _targets_among(self, requests: tuple[str, ...]) -> Iterator[StreamTarget]:
+    def _targets_among(self, requests: tuple[TickRequest, ...]) -> Iterator[StreamTarget]:
         """Yield the streamed targets among some requests.
 
         The request that opens a stream gives the names of the values in all later targets of this
         stream.
         """
-        for text in requests:
+        for text in map(request_text, requests):
             if not is_stream_target(text):
                 request = parse_request(text)
                 if isinstance(request, OpenStream):
