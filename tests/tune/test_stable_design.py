@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from handctl.core.gains.gains import Gains
+from handctl.core.gains.gains import Gains, packaged_gains
 from handctl.core.hand_model import HandModel
 from handctl.hand.hand_loading import hand_from_content, load_hand, packaged_hands
 from handctl.tune.loops.design import GainDesign, design_gains, distinct_tendons, linear_factors
@@ -255,7 +255,7 @@ def test_closing_spool_pairs_are_not_reported_as_torn_tendons() -> None:
 @pytest.mark.parametrize("hand", QUICK_HANDS)
 def test_packaged_gains_come_to_rest_on_the_plant_with_the_least_friction(hand: str) -> None:
     """An oscillation that also occurs without feedback does not count as an oscillation of the control loop."""
-    model = HandModel.from_hand(load_hand(hand), Gains(), RATE_BY_HAND_HZ.get(hand, 200.0))
+    model = HandModel.from_hand(load_hand(hand), packaged_gains(hand), RATE_BY_HAND_HZ.get(hand, 200.0))
     proof = rest_test_of(model)
     assert proof(model), proof.reason
 
