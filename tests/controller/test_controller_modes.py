@@ -324,6 +324,19 @@ def test_a_motor_that_keeps_its_torque_needs_its_power_removed_at_once(
     assert duration_in_mode(hand_bench, HandMode.DISARM) < 0.2
 
 
+def test_a_motor_that_reports_disabled_and_pulls_needs_its_power_removed(
+    hand_bench: ControllerBench,
+) -> None:
+    """Regression: after an ordinary stop, a run ended as soon as all drives reported that they were disabled."""
+    hand_bench.run_until_mode(HandMode.ACTIVE)
+    hand_bench.run(1.0)
+    hand_bench.tick(STOP_REQUEST)
+    hand_bench.run_until_mode(HandMode.DISARM)
+    hand_bench.peer.cell_bias[3] = 30.0  # The motor is disabled, and its tendon has this tension.
+    hand_bench.run_until_mode(HandMode.DONE)
+    assert hand_bench.state.failure == "REMOVE POWER: still pulling after the cut: thumb_motor"
+
+
 def test_a_silent_motor_relaxes_the_others_and_both_faults_are_reported(
     hand_bench: ControllerBench,
 ) -> None:

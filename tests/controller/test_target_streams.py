@@ -375,6 +375,21 @@ def test_a_target_survives_the_log(value: float) -> None:
     assert np.array(again.values).tobytes() == np.array(target.values).tobytes()
 
 
+@pytest.mark.parametrize("number, sent_ns", [(2**70, 0), (-(2**64), 0), (0, 2**63), (0, -(2**70))])
+def test_integers_beyond_64_bits_do_not_end_the_run(
+    jamia: HandModel, number: int, sent_ns: int
+) -> None:
+    """Regression: such a number in the text of a target raised OverflowError in the tick, which cut the torque."""
+    with live_client(jamia) as client:
+        client.open_stream()
+        client.stream_motion(lambda t: 20.0, 0.3)
+        client.tick(target_request_text(StreamTarget("s", number, sent_ns, (80.0,))))
+        client.wait(0.02)
+        assert math.degrees(client.goal_history("q_goal")[-1]) < 21.0
+        assert stream_status(client.run.state).refused == 1
+        assert client.tick_outputs[-1].mode == HandMode.ACTIVE
+
+
 def test_repeated_overtaken_and_old_targets_are_ignored(jamia: HandModel) -> None:
     with live_client(jamia) as client:
         client.open_stream()

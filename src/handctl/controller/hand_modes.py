@@ -17,12 +17,14 @@ from handctl.controller.relaxing import (
     begin_relaxing,
     update_relax_rate,
 )
+from handctl.core import state_block as s
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import BEFORE_ARMING, TORQUE_MODES, HandMode, TickEvent
 from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import Frame
 from handctl.errors import REMOVE_POWER
 from handctl.safety.action import SafetyAction
+from handctl.safety.faults.node import STILL_PULLING_S
 
 LISTENING_DURATION_S = 0.5
 """Time before this host sends its first frame, in which it detects a second controller [s]."""
@@ -35,8 +37,10 @@ READY_DURATION_S = 0.1
 ARMING_TIMEOUT_S = 1.0
 RELAX_TIMEOUT_S = 1.0
 DISARM_TIMEOUT_S = 1.0
-CUT_DURATION_S = 0.1
+CUT_DURATION_S = STILL_PULLING_S
 """Time for which the frames that cut the torque are repeated [s]."""
+RELEASE_CHECK_TICKS = 2
+"""Ticks after ``STILL_PULLING_S`` in which the detector of tendons that still pull (N16) has the last word."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -344,7 +348,10 @@ def _after_disarm(state: ControllerState, inputs: ModeInputs) -> NextMode:
         return HandMode.DONE, f"{REMOVE_POWER}: still pulling after the cut: {', '.join(pulling)}"
     enabled = _enabled_motors(state, inputs.names)
     if not enabled:
-        return HandMode.DONE, ""
+        # A drive may report that it is disabled, and pull nevertheless.
+        ticks_without_torque = state.run_integer(s.CUT_TICKS) - RELEASE_CHECK_TICKS
+        checked = ticks_without_torque * inputs.model.period >= STILL_PULLING_S
+        return (HandMode.DONE if checked else HandMode.DISARM), ""
     if inputs.elapsed < DISARM_TIMEOUT_S:
         return HandMode.DISARM, ""
     return HandMode.DONE, f"{REMOVE_POWER}: not confirmed disabled: {', '.join(enabled)}"

@@ -251,15 +251,20 @@ def is_routine_request(request: TickRequest) -> bool:
 
 
 def parse_target(text: str) -> StreamTarget | None:
-    """Parse the text of a target. Return None for a text of another form."""
+    """Parse the text of a target. Return None for a text of another form, or with an integer beyond 64 bits."""
     try:
         fields = json.loads(text)
         stream, number, sent_ns = fields["stream"], fields["n"], fields["sent_ns"]
         values = tuple([float(value) for value in fields["values"]])
     except (ValueError, KeyError, TypeError, RecursionError, OverflowError):
         return None
-    right = isinstance(stream, str) and type(number) is int and type(sent_ns) is int
+    right = isinstance(stream, str) and _is_int64(number) and _is_int64(sent_ns)
     return StreamTarget(stream, number, sent_ns, values) if right else None
+
+
+def _is_int64(value: object) -> bool:
+    """Return True for an integer that fits into the state block."""
+    return type(value) is int and -(2**63) <= value < 2**63
 
 
 def parse_request(text: str) -> Request | str:
