@@ -1,5 +1,6 @@
 """A calibration belongs to a single hand, which is identified by the serial numbers of its drives."""
 
+import datetime
 import json
 import tomllib
 
@@ -16,7 +17,12 @@ from handctl.programs.calibration import load_calibration
 from handctl.programs.live_session import JogProgram
 from handctl.programs.requests import MoveDigits
 from handctl.runtime.clocks.lockstep import SIMULATED_HAND_ENTRY, LockstepClock, load_simulator
-from handctl.session.calibration import previous_identified, run_commissioning, write_calibration
+from handctl.session.calibration import (
+    find_calibration,
+    previous_identified,
+    run_commissioning,
+    write_calibration,
+)
 from handctl.session.run import make_controller, run_lockstep
 from tests.drives.protocol_bench import hand_file
 
@@ -146,6 +152,21 @@ def test_a_calibration_of_an_earlier_version_is_accepted_with_a_notice(work_fold
     assert f"caution: {path} does not name its drives" in err
     assert bench.jog(old, "with_old").state.failure == ""
     bench.peer.close()
+
+
+@pytest.mark.parametrize(
+    ("hours", "reason"), [(-1, ""), (-25, "older than a day"), (1, "from the future")]
+)
+def test_a_calibration_is_used_for_a_day(work_folder, hours, reason):
+    """Regression: a calibration from the future, of a computer with a wrong clock, never became too old."""
+    bench = CalibratedBench(work_folder, "jamia")
+    path = work_folder / "c.toml"
+    made = datetime.datetime.now(datetime.UTC) + datetime.timedelta(hours=hours)
+    write_calibration(path, bench.commission("made").model_copy(update={"made": made.isoformat()}))
+    bench.peer.close()
+    calibration, why = find_calibration(path, bench.plan.hand, named=True)
+    assert (calibration is None) == bool(reason)
+    assert reason in why
 
 
 def test_identified_values_of_other_drives_are_not_used(work_folder, capsys):

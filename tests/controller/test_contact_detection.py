@@ -18,8 +18,10 @@ from handctl.core import constants as h
 from handctl.core.estimation.contact_force import (
     TIP_FORCE_DRIFT_TIME_CONSTANT_S,
     TIP_FORCE_MEAN_TIME_CONSTANT_S,
+    _fit_tip_force,
 )
 from handctl.core.hand_model import HandModel
+from handctl.core.state_block import state_tables
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
 from tests.controller.plant_run import model_of, run_on_plant
@@ -29,6 +31,7 @@ from tests.controller.synthetic_states import (
     constant_tables_of,
     detect_contacts,
     exact_estimate,
+    uncompiled_function,
 )
 
 WALL_SCENE = """name = "wall"
@@ -52,6 +55,17 @@ def task_program(*phases: dict[str, Any]) -> TaskProgram:
     return TaskProgram(
         Task.model_validate_json(json.dumps({"schema": 1, "name": "t", "phase": phases}))
     )
+
+
+@pytest.mark.parametrize("hand", ["jamia", "jamia11"])
+def test_a_tip_without_lever_has_no_tip_force(hand: str) -> None:
+    """Regression: 0/0 made the smoothed tip force NaN for ever, so that no contact was found."""
+    model = model_of(hand)
+    state = active_state(model)
+    tables = uncompiled_function(state_tables)(state.block, state.layout.places)
+    fit = uncompiled_function(_fit_tip_force)
+    lever = np.zeros(len(model.hand.joints))
+    assert fit(tables, constant_tables_of(model), 0, lever) == 0.0
 
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])

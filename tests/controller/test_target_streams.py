@@ -375,7 +375,9 @@ def test_a_target_survives_the_log(value: float) -> None:
     assert np.array(again.values).tobytes() == np.array(target.values).tobytes()
 
 
-@pytest.mark.parametrize("number, sent_ns", [(2**70, 0), (-(2**64), 0), (0, 2**63), (0, -(2**70))])
+@pytest.mark.parametrize(
+    ("number", "sent_ns"), [(2**70, 0), (-(2**64), 0), (0, 2**63), (0, -(2**70))]
+)
 def test_integers_beyond_64_bits_do_not_end_the_run(
     jamia: HandModel, number: int, sent_ns: int
 ) -> None:

@@ -383,6 +383,22 @@ def test_a_full_disk_leaves_a_whole_file(
     assert [one.name for one in tiny_disk.iterdir()] == ["run.mcap"]
 
 
+def test_a_log_that_is_renamed_during_the_run_is_completed(tmp_path: Path) -> None:
+    """Regression: the recorder process ended with FileNotFoundError, and the log had no end."""
+    path = tmp_path / "run.mcap"
+    writer = LogWriter(path, synthetic_run.synthetic_header(), lambda *what: None, 1)
+    records = _make_records(100)
+    for record in records[:50]:
+        writer.add_tick(record[RECORD_FRAMING_STRUCT.size :])
+    path.rename(tmp_path / "kept.mcap")
+    writer.sync()
+    for record in records[50:]:
+        writer.add_tick(record[RECORD_FRAMING_STRUCT.size :])
+    writer.finish("finished", 0)
+    with RunLog(tmp_path / "kept.mcap") as log:
+        assert (len(log), log.warning, log.end["reason"]) == (100, "", "finished")
+
+
 def test_a_full_disk_has_reserved_space_for_the_end(tiny_disk: Path) -> None:
     events: list[tuple[str, int]] = []
     writer = LogWriter(

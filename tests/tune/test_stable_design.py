@@ -255,7 +255,9 @@ def test_closing_spool_pairs_are_not_reported_as_torn_tendons() -> None:
 @pytest.mark.parametrize("hand", QUICK_HANDS)
 def test_packaged_gains_come_to_rest_on_the_plant_with_the_least_friction(hand: str) -> None:
     """An oscillation that also occurs without feedback does not count as an oscillation of the control loop."""
-    model = HandModel.from_hand(load_hand(hand), packaged_gains(hand), RATE_BY_HAND_HZ.get(hand, 200.0))
+    model = HandModel.from_hand(
+        load_hand(hand), packaged_gains(hand), RATE_BY_HAND_HZ.get(hand, 200.0)
+    )
     proof = rest_test_of(model)
     assert proof(model), proof.reason
 

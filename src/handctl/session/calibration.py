@@ -20,11 +20,13 @@ from handctl.session.plan import RunPlan
 from handctl.session.run import RunFunction, RunOutcome, make_controller
 from handctl.session.time_scale_advice import pace_advice
 
-MAX_UNANNOUNCED_CALIBRATION_AGE_S = 24 * 3600.0
+MAX_CALIBRATION_AGE_S = 24 * 3600.0
 """Largest age of a calibration with which a hand may be armed [s].
 
 Older calibrations are wrong, because load cells drift and tendons creep.
 """
+CLOCK_TOLERANCE_S = 60.0
+"""Largest time by which a calibration may lie in the future [s], because clocks of computers differ."""
 LOCKSTEP_CALIBRATION_DATE = datetime.datetime.fromtimestamp(0, datetime.UTC)
 IdentifiedByTendon = dict[str, IdentifiedParameters]
 """Identified parameters of each tendon, by name of the tendon."""
@@ -52,9 +54,11 @@ def find_calibration(path: Path, hand: Hand, named: bool) -> tuple[Calibration |
         if named:
             raise
         return None, str(error)
-    made = datetime.datetime.fromisoformat(calibration.made).timestamp()
-    if time.time() - made > MAX_UNANNOUNCED_CALIBRATION_AGE_S:
+    age_s = time.time() - datetime.datetime.fromisoformat(calibration.made).timestamp()
+    if age_s > MAX_CALIBRATION_AGE_S:
         return None, f"{path} is older than a day"
+    if age_s < -CLOCK_TOLERANCE_S:
+        return None, f"{path} is from the future, so its age is unknown"
     return calibration, ""
 
 

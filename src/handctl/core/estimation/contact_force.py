@@ -43,6 +43,13 @@ SLOW_GRIP_TIME_CONSTANT_S = 0.2
 """Time constant of the slow average of wound length minus stretch, while the hand holds an object [s]."""
 
 
+MIN_SQUARED_RESPONSE = 1e-6
+"""Sum of the squared tendon tensions under a tip force of 1 N [N^2], below which the tip force is unknown.
+
+The tendons of such a digit cannot feel a force at its tip.
+"""
+
+
 @kernel_helper
 def update_tip_forces(x: StateTables, c: ConstantTables) -> None:
     """Update the tip forces of closing digits.
@@ -90,7 +97,10 @@ def _write_tip_levers(x: StateTables, c: ConstantTables, lever: Vector) -> None:
 
 @kernel_helper
 def _fit_tip_force(x: StateTables, c: ConstantTables, d: int, lever: Vector) -> float:
-    """Return the tip force that fits the unexplained tensions of a digit best, by least squares [N]."""
+    """Return the tip force that fits the unexplained tensions of a digit best, by least squares [N].
+
+    The force is 0 if the tendons cannot feel it.
+    """
     work = 0.0
     size = 0.0
     for n in range(c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d]):
@@ -99,7 +109,7 @@ def _fit_tip_force(x: StateTables, c: ConstantTables, d: int, lever: Vector) -> 
             response += c.tendon_joint[h.TORQUE_TO_TENSION, n, j] * lever[j]
         work += response * x.tendon[s.EXTERNAL_TENSION, n]
         size += response * response
-    return work / size
+    return work / size if size > MIN_SQUARED_RESPONSE else 0.0
 
 
 @kernel_helper

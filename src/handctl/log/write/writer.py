@@ -249,10 +249,11 @@ class LogWriter:
             return
         try:
             self._to_disk(self._fd)
+            # The descriptor stays valid if somebody renames or deletes the log during the run.
+            disk = os.fstatvfs(self._fd)
         except OSError as error:
             self._close_after_failure(error)
             return
-        disk = os.statvfs(self._path)
         free = disk.f_bavail * disk.f_frsize
         if free < self._floor:
             self._stop_early(free)
