@@ -9,7 +9,8 @@ import pytest
 
 from handctl.cli.main import main
 from handctl.hand.file.toml_text import toml_text
-from handctl.hand.hand_loading import hand_content
+from handctl.hand.hand_loading import hand_content, load_hand
+from handctl.programs.calibration import load_calibration
 from tests.cli.command_refusals import refusal_line
 from tests.runtime.processes import run_handctl, time_scale_options
 
@@ -84,6 +85,18 @@ def test_a_grasp_that_lifts_nothing_is_a_failure(work_folder, capsys):
     assert shown.err.splitlines()[-1].startswith(
         "handctl: two fingers on cylinder: the object was never lifted"
     )
+
+
+def test_a_demo_overwrites_no_calibration(work_folder, capsys):
+    """Regression: ``--log jamia.mcap`` replaced jamia.calibration.toml, with which a real hand is armed."""
+    path = work_folder / "jamia.calibration.toml"
+    path.write_text("of the real hand")
+    assert main(["demo", "--lockstep", "--log", "jamia.mcap"]) == 2
+    assert "would overwrite jamia.calibration.toml" in capsys.readouterr().err
+    assert path.read_text() == "of the real hand"
+    assert main(["demo", "--lockstep", "--log", "other.mcap"]) == 0
+    calibration = load_calibration(work_folder / "other.calibration.toml", load_hand("jamia"))
+    assert calibration.simulated
 
 
 def test_a_hand_of_two_buses_needs_no_bus_named(work_folder, capsys):

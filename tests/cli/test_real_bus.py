@@ -6,6 +6,7 @@ they use.
 
 import datetime
 import io
+import json
 import os
 import pty
 import select
@@ -20,7 +21,9 @@ import handctl as library
 from handctl.cli.console.motion_confirmation import age_text
 from handctl.cli.main import main
 from handctl.hand.hand_loading import load_hand
+from handctl.programs.calibration import load_calibration
 from handctl.runtime.buses.open import real_buses
+from handctl.session.calibration import write_calibration
 from tests.cli.command_refusals import refusal_line
 from tests.runtime.processes import write_homed_calibration
 
@@ -87,6 +90,25 @@ def test_without_a_terminal_a_hand_moves_only_with_yes(command_words, capsys):
         "the only error is the missing bus"
     )
     assert "can0" in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_the_calibration_of_a_simulated_hand_arms_no_real_hand(work_folder, capsys):
+    """Regression: such a file was accepted if its drives have no serial numbers, or the same ones."""
+    hand = load_hand("jamia")
+    path = work_folder / "jamia.calibration.toml"
+    write_homed_calibration(path, hand)
+    real = load_calibration(path, hand)
+    assert not real.simulated, "files of earlier versions count as real"
+    write_calibration(path, real.model_copy(update={"simulated": True}))
+    dry_run = ["run", *HAND_OPTION, "--dry-run", "--json"]
+    for bus, is_used in (("local:a", True), *((bus, False) for bus in REAL_BUSES)):
+        assert main([*dry_run, "--bus", bus]) == 0
+        reason = json.loads(capsys.readouterr().out)["commissioning"]
+        assert (reason == "") == is_used, bus
+        assert ("of a simulated hand" in reason) != is_used
+    named = [*dry_run, "--calibration", str(path), "--bus"]
+    assert "is of a simulated hand" in refusal_line(capsys, *named, "socketcan:can0")
+    assert main([*named, "local:a"]) == 0
 
 
 def at_a_terminal(answer: str) -> tuple[int, str]:

@@ -62,6 +62,24 @@ def test_other_gains_are_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert picture.stat().st_size > 10_000
 
 
+@pytest.mark.parametrize("log", sorted(GOLDEN_FOLDER.glob("*.mcap")), ids=lambda path: path.stem)
+def test_the_comparison_ends_at_a_fault_that_the_log_does_not_have(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Regression: the figures of other gains included the time after such a fault, in which the hand relaxed."""
+    gains = tmp_path / "gains.toml"
+    gains.write_text("[motion]\nposition_error_m = 3e-5\nspeed_error_m_s = 3e-3\n")
+    words = ["replay", "execute", str(log), "--gains", str(gains), "--picture"]
+    assert main([*words, str(tmp_path / "a.png"), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert main([*words, str(tmp_path / "b.png")]) == 0
+    out = capsys.readouterr().out
+    ends = found["compared"] < found["ticks"]
+    assert ("the comparison ends at" in out) == ends
+    assert all(fault in out for fault in found["faults"])
+    assert ends == bool(found["faults"])
+
+
 def test_gains_that_are_wrong_are_bad_input(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

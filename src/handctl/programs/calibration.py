@@ -48,6 +48,8 @@ class Calibration(Document):
     """Hash of the hand description that the calibration belongs to."""
     made: str
     """Date and time of the calibration, ISO 8601, UTC."""
+    simulated: bool = False
+    """True if the calibration is of a simulated hand. A hand with real motors is never armed with it."""
     tendon: dict[str, TendonCalibration]
     drive: dict[str, str] = Field(default_factory=dict)
     """Identity of the drive of each motor, see `Drive.identity`.

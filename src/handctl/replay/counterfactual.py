@@ -2,6 +2,10 @@
 
 The controller runs on the measurements in the log. So the figure shows the command in each tick,
 but not the motion that the hand would have made.
+
+The recorded measurements do not follow the new commands. The safety monitor may therefore find a
+fault that no hand has, and relax the hand. From then on, the commands say nothing about the gains,
+so the comparison ends there.
 """
 
 from pathlib import Path
@@ -9,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.tick_types import TickIn, TickOut
+from handctl.core.tick_types import TickEvent, TickIn, TickOut
 from handctl.log.read.reader import RunLog
 from handctl.output import save_figure
 from handctl.replay.run_comparison import rms_and_peak
@@ -31,11 +35,27 @@ class CommandCollector:
         """Start without any tick."""
         self._torque: list[Array] = []
         self._tension: list[Array] = []
+        self._reactions: list[tuple[int, int]] = []
+        self._faults: list[tuple[int, TickEvent]] = []
 
     def add_tick(self, entry: TickIn, out: TickOut) -> None:
         """Add the commands of one tick."""
+        self._faults += [
+            (len(self._torque), event) for event in out.events if event.name == "fault"
+        ]
+        self._reactions.append((int(out.mode), int(out.action)))
         self._torque.append(out.telemetry.motor_torque_goal)
         self._tension.append(out.telemetry.tension_goal)
+
+    def comparable_ticks(self, log: RunLog) -> int:
+        """Return the number of ticks until the mode or the reaction of the safety monitor differs from the log."""
+        mode, action = np.array(self._reactions).T
+        differs = (mode != log.mode) | (action != log.action)
+        return int(np.argmax(differs)) if differs.any() else len(differs)
+
+    def faults_at(self, tick: int) -> list[str]:
+        """Return the texts of the faults that were found in a tick, by its index."""
+        return [event.text for at, event in self._faults if at == tick]
 
     @property
     def motor_torques(self) -> Array:
@@ -51,9 +71,13 @@ class CommandCollector:
 def command_change(
     log: RunLog, commands: CommandCollector
 ) -> dict[str, dict[str, dict[str, float]]]:
-    """Return RMS and peak of the new minus the logged command, for each motor [N m] and tendon [N]."""
-    torque = commands.motor_torques - log.field("motor_torque_goal")
-    tension = commands.tendon_tensions - log.field("tension_goal")
+    """Return RMS and peak of the new minus the logged command, for each motor [N m] and tendon [N].
+
+    Only the comparable ticks count.
+    """
+    ticks = commands.comparable_ticks(log)
+    torque = (commands.motor_torques - log.field("motor_torque_goal"))[:ticks]
+    tension = (commands.tendon_tensions - log.field("tension_goal"))[:ticks]
     return {
         "motor_torque_N_m": {
             name: rms_and_peak(torque[:, i]) for i, name in enumerate(log.header.motors)
@@ -66,6 +90,8 @@ def command_change(
 
 def draw_commands(path: Path, log: RunLog, commands: CommandCollector, title: str) -> None:
     """Draw the logged commands and the commands of other gains as PNG: tension and torque of each tendon.
+
+    The time after the comparable ticks is grey.
 
     Args:
         path: PNG file to write.
@@ -82,22 +108,31 @@ def draw_commands(path: Path, log: RunLog, commands: CommandCollector, title: st
     rows = figure.subplots(n, 2, sharex=True, squeeze=False)
     figure.suptitle(title)
     pairs = (
-        ("tension [N]", log.header.tendons, log.field("tension_goal"), commands.tendon_tensions),
         (
-            "torque [N m]",
+            "commanded tension [N]",
+            log.header.tendons,
+            log.field("tension_goal"),
+            commands.tendon_tensions,
+        ),
+        (
+            "commanded torque [N m]",
             log.header.motors,
             log.field("motor_torque_goal"),
             commands.motor_torques,
         ),
     )
+    end = commands.comparable_ticks(log)
     for column, (unit, names, was, now) in enumerate(pairs):
         for i, name in enumerate(names):
             axes = rows[i, column]
             axes.plot(log.times, was[:, i], color=LOGGED_COLOR, linewidth=0.9, label="as logged")
             axes.plot(log.times, now[:, i], color=OTHER_COLOR, linewidth=0.7, label="these gains")
+            if end < len(log.times):
+                axes.axvspan(log.times[end], log.times[-1], color="0.85", label="not comparable")
             axes.set_ylabel(f"{name}\n{unit}", fontsize=8)
             axes.grid(alpha=0.3)
             axes.margins(x=0)
         rows[-1, column].set_xlabel("time [s]")
-    rows[0, 0].legend(fontsize=8, loc="upper left", ncols=2)
+    lines, labels = rows[0, 0].get_legend_handles_labels()
+    figure.legend(lines, labels, fontsize=8, loc="outside upper right", ncols=3)
     save_figure(figure, path, 100)

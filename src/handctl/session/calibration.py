@@ -5,7 +5,7 @@ The calibration is read from a file, or measured before the run (commissioning).
 
 import datetime
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from handctl.core.identified_parameters import IdentifiedParameters
@@ -15,6 +15,7 @@ from handctl.hand.file.toml_text import toml_text
 from handctl.output import write_text_atomically
 from handctl.programs.calibration import Calibration, TendonCalibration, load_calibration
 from handctl.programs.commission import CommissionProgram, calibration_of_result
+from handctl.runtime.buses.open import real_buses
 from handctl.session.notices import NoticeCallback, ignore_notice
 from handctl.session.plan import RunPlan
 from handctl.session.run import RunFunction, RunOutcome, make_controller
@@ -32,24 +33,34 @@ IdentifiedByTendon = dict[str, IdentifiedParameters]
 """Identified parameters of each tendon, by name of the tendon."""
 
 
-def find_calibration(path: Path, hand: Hand, named: bool) -> tuple[Calibration | None, str]:
+def find_calibration(
+    path: Path, hand: Hand, named: bool, buses: Sequence[str] = ()
+) -> tuple[Calibration | None, str]:
     """Return the calibration in a file, if the hand may be armed with this calibration.
 
     Args:
         path: calibration file, which may not exist yet.
         hand: description of the hand to arm.
         named: True if the operator named the file. An invalid file is then an error.
+        buses: buses of the hand to arm.
 
     Returns:
         The calibration and an empty text. If no calibration is valid, None and the reason.
 
     Raises:
-        ConfigError: the named file exists and cannot be used.
+        ConfigError: the named file exists and cannot be used, or it is of a simulated hand and a
+            bus can have real motors.
     """
     if not path.exists():
         return None, f"there is no {path}"
     try:
         calibration = load_calibration(path, hand)
+        if calibration.simulated and (real := real_buses(buses)):
+            raise ConfigError(
+                "is of a simulated hand",
+                str(path),
+                f"a calibration of the hand on {real[0]}: handctl commission",
+            )
     except ConfigError as error:
         if named:
             raise
@@ -87,7 +98,8 @@ def run_commissioning(
     )
     drive_states = zip(controller.drives, outcome.state.drives, strict=True)
     drives = {drive.name: drive.identity(state) for drive, state in drive_states}
-    return calibration.model_copy(update={"drive": drives}), outcome
+    simulated = virtual or plan.is_simulated
+    return calibration.model_copy(update={"drive": drives, "simulated": simulated}), outcome
 
 
 def write_calibration(path: Path, calibration: Calibration) -> None:
@@ -95,8 +107,9 @@ def write_calibration(path: Path, calibration: Calibration) -> None:
     rows = calibration.model_dump(by_alias=True)
     tables = {f"tendon.{name}": row for name, row in rows.pop("tendon").items()}
     tables |= {f"identified.{name}": row for name, row in rows.pop("identified").items()}
-    if not rows["drive"]:
-        del rows["drive"]
+    for optional in ("drive", "simulated"):
+        if not rows[optional]:
+            del rows[optional]
     text = toml_text(rows) + "".join(
         f"\n[{name}]\n{toml_text(row)}" for name, row in tables.items()
     )

@@ -1,6 +1,7 @@
 """Conversion of command-line arguments to the inputs of ``handctl.session``, the package that runs a hand."""
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -105,10 +106,17 @@ def calibration_path(args: argparse.Namespace, hand: Hand) -> Path:
     return path
 
 
-def find_calibration(args: argparse.Namespace, hand: Hand) -> tuple[Path, Calibration | None, str]:
+def find_calibration(
+    args: argparse.Namespace, hand: Hand, buses: Sequence[str] = ()
+) -> tuple[Path, Calibration | None, str]:
     """Return the path of the hand's calibration file.
 
     If the hand may be armed with this calibration, also return the calibration.
+
+    Args:
+        args: arguments with ``--calibration``.
+        hand: description of the hand.
+        buses: buses of the hand to arm.
 
     Returns:
         the path of the file, the calibration or None, and the reason if it is None.
@@ -117,7 +125,7 @@ def find_calibration(args: argparse.Namespace, hand: Hand) -> tuple[Path, Calibr
         ConfigError: a named file exists but cannot be used, or the file cannot be written.
     """
     path = calibration_path(args, hand)
-    loaded, reason = calibration.find_calibration(path, hand, named=bool(args.calibration))
+    loaded, reason = calibration.find_calibration(path, hand, bool(args.calibration), buses)
     print_detail(f"calibration: {path}" + (f" is not used: {reason}" if reason else ""))
     return path, loaded, reason
 

@@ -32,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
             before
         )  # refuse a log whose hand cannot be loaded: this hand gives the names of the columns
         program = playback_program(before, plan.period_ns * 1e-9, args.raw)
-        path, calibration, reason = find_calibration(args, plan.hand)
+        path, calibration, reason = find_calibration(args, plan.hand, plan.buses)
         start_s, end_s = active_interval(before)
         lossy = warn_if_lossy(args.recorded, before.warning)
         if missing := count_missing_ticks(before):

@@ -13,6 +13,9 @@ from handctl.output import check_output, path_with_suffix
 from handctl.processes import usable_cores
 from handctl.session.exit_codes import ExitCode
 
+MAX_PRINTED_ULPS = 10_000
+"""Largest difference that is printed in units in the last place. Such a difference comes from rounding."""
+
 
 def run(args: argparse.Namespace) -> int:
     """Execute the controller again on a log, and return the exit code."""
@@ -121,7 +124,14 @@ def _writer_text(log: Any) -> tuple[str, str]:
 def _difference_line(one: Any) -> str:
     """Return a difference from the log as one line: tick, time [s], field, logged value and computed value."""
     place = f"{one.field} of {one.name}" if one.name else one.field
-    apart = f", {one.ulps} units in the last place" if one.ulps is not None else ""
+    apart = ""
+    if one.ulps is not None:
+        few = one.ulps <= MAX_PRINTED_ULPS
+        apart = (
+            f", {one.ulps} units in the last place"
+            if few
+            else f", {one.computed - one.logged:+.3g}"
+        )
     return f"tick {one.k} ({one.t_s:.3f} s), {place}: logged {one.logged!r}, now {one.computed!r}{apart}"
 
 
@@ -149,9 +159,17 @@ def _compare_with_other_gains(args: argparse.Namespace, log: Any) -> bool:
         f"{log.header.metadata.get('hand', '?')}: {args.recorded.name} with {args.gains.name}",
     )
     change = command_change(log, commands)
+    compared = commands.comparable_ticks(log)
+    faults = commands.faults_at(compared)
     if args.json:
         first = execution.first_difference._asdict() if execution.first_difference else None
-        counts = {"ticks": execution.ticks, "differing": execution.differing_ticks, "first": first}
+        counts = {
+            "ticks": execution.ticks,
+            "differing": execution.differing_ticks,
+            "compared": compared,
+            "faults": faults,
+            "first": first,
+        }
         print_json(counts | {"gains": str(args.gains), "picture": str(picture), "change": change})
         return True
     print_escaped(
@@ -159,6 +177,12 @@ def _compare_with_other_gains(args: argparse.Namespace, log: Any) -> bool:
     )
     if execution.first_difference:
         print_escaped(f"first: {_difference_line(execution.first_difference)}")
+    if compared < execution.ticks:
+        reason = "; ".join(faults) or "another mode than in the log"
+        print_escaped(f"the comparison ends at {log.times[compared]:.3f} s: {reason}")
+        print_escaped(
+            "(the recorded motion does not follow these commands, so this is no fault of a hand)"
+        )
     for unit, rows in change.items():
         for name, size in rows.items():
             print_escaped(f"{name:<18} {unit:<18} rms {size['rms']:.4g}, peak {size['peak']:.4g}")

@@ -80,6 +80,7 @@ def _run_demo(args: argparse.Namespace) -> int:
         line = f"{plan.hand.name}: {task.name} on {args.scene}, {plan.rate_hz:g} Hz"
         return report_dry_run(args, plan, line, task=task.name, scene=args.scene)
     log = args.log or default_log(plan.hand, "demo")
+    _check_not_overwritten(_calibration_path(log), log)
     plan.attachments["task.toml"] = text
     started = time.monotonic()
     if args.lockstep:
@@ -100,6 +101,21 @@ def _run_demo(args: argparse.Namespace) -> int:
         )
         return ExitCode.FAILED
     return code
+
+
+def _calibration_path(log: Path) -> Path:
+    """Return the path of the file with the calibration of the simulated hand."""
+    return log.with_suffix(".calibration.toml")
+
+
+def _check_not_overwritten(path: Path, log: Path) -> None:
+    """Check that a file of the demo does not exist yet. It could be the calibration of a real hand.
+
+    Raises:
+        ConfigError: the file exists.
+    """
+    if path.exists():
+        raise ConfigError(f"would overwrite {path}", f"--log {log}", "another name for the log")
 
 
 def _bus_words(names: tuple[str, ...]) -> list[str]:
@@ -139,7 +155,7 @@ def _commission_and_run(
     print_note(f"commissioning {plan.hand.name}: tare, zero, and a 3 N pull of each tendon")
     calibration, _ = run_commissioning(plan, commission_log(log), first)
     calibration = calibration.model_copy(update={"identified": identified})
-    path = log.with_suffix(".calibration.toml")
+    path = _calibration_path(log)
     write_calibration(path, calibration)
     plan.attachments["calibration.toml"] = path.read_bytes()
     return then(plan, make_controller(plan, program, calibration, arm_at_once=True), log)

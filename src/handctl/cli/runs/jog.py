@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
         plan.hand.digit_names if args.angle is None else (*plan.hand.digit_names, *plan.hand.joints)
     )
     program = _jog_program(args, names, min(tendon.tension_max_N for tendon in plan.hand.tendon))
-    path, calibration, reason = find_calibration(args, plan.hand)
+    path, calibration, reason = find_calibration(args, plan.hand, plan.buses)
     if args.dry_run:
         line = f"{plan.hand.name}: would jog {args.digit}" + (
             f", after commissioning: {reason}" if reason else ""

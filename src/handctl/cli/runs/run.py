@@ -29,7 +29,7 @@ def run(args: argparse.Namespace) -> int:
     refuse_view_without_screen(args.view)
     plan = make_plan(args)
     program, attached = _program_of_task(args, plan)
-    path, calibration, reason = find_calibration(args, plan.hand)
+    path, calibration, reason = find_calibration(args, plan.hand, plan.buses)
     if args.dry_run:
         load = f"bus load {100 * max(plan.bus_loads):.0f} %"
         summary = f"{plan.hand.name}: all files are valid; {plan.rate_hz:g} Hz, {load}"

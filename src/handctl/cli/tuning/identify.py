@@ -79,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
     program = ExciteProgram(
         excitation_steps(plan.hand, tuple(args.digits or plan.hand.digit_names))
     )
-    path, calibration, reason = find_calibration(args, plan.hand)
+    path, calibration, reason = find_calibration(args, plan.hand, plan.buses)
     if args.lockstep and not args.calibration:  # keep simulated results out of the real hand's file
         path = _simulated_calibration_path(plan.hand)
     total = sum(step.duration_s for step in program.steps)

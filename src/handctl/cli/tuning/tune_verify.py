@@ -80,7 +80,7 @@ def _run_once(
     args: argparse.Namespace, plan: RunPlan, program: Any, observer: Any, log: Path
 ) -> tuple[RunOutcome, Path | None]:
     if not args.lockstep:
-        path, calibration, reason = find_calibration(args, plan.hand)
+        path, calibration, reason = find_calibration(args, plan.hand, plan.buses)
         announce_motion(args, plan, path, calibration)
         if calibration is None:
             calibration = ensure_calibration(plan, path, reason, run_live, commission_log(log))
