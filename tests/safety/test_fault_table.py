@@ -11,7 +11,12 @@ import pytest
 from handctl.core.detectors import fault_detection as compiled_judge
 from handctl.safety import tick_verdict as judgement
 from handctl.safety.action import RelaxMethod, SafetyAction
-from handctl.safety.faults.fault import ENDED_BY_ITSELF, ENDED_BY_OPERATOR, Fault
+from handctl.safety.faults.fault import (
+    ENDED_BY_ITSELF,
+    ENDED_BY_OPERATOR,
+    TENDON_INSTANCE,
+    Fault,
+)
 from handctl.safety.faults.table import (
     ACTION_NUMBERS,
     DEBOUNCE_TICKS,
@@ -204,6 +209,19 @@ def test_faults_of_the_tension_loop_relax_without_it() -> None:
         "T03",
         "T06",
     }
+
+
+def test_properties_of_faults_are_consistent() -> None:
+    for fault in FAULT_TABLE:
+        if fault.makes_tension_unreliable or fault.shows_torque_after_cut:
+            assert fault.latched, fault.id
+            assert TENDON_INSTANCE in fault.per, fault.id
+        if fault.caused_by_lateness:
+            assert fault.latched, fault.id
+        if fault.makes_tension_unreliable:
+            assert fault.needs_load_cell, fault.id
+        if fault.needs_load_cell or fault.needs_joint_encoders:
+            assert TENDON_INSTANCE in fault.per, fault.id
 
 
 def test_the_safety_page_lists_how_each_fault_relaxes() -> None:

@@ -25,6 +25,7 @@ from handctl.drives.frame import Frame
 from handctl.errors import REMOVE_POWER
 from handctl.safety.action import SafetyAction
 from handctl.safety.faults.node import STILL_PULLING_S
+from handctl.safety.faults.table import FAULT_BY_ID
 
 LISTENING_DURATION_S = 0.5
 """Time before this host sends its first frame, in which it detects a second controller [s]."""
@@ -394,7 +395,9 @@ def _pulling_motors(
     model: HandModel, state: ControllerState, names: tuple[str, ...]
 ) -> tuple[str, ...]:
     """Return the names of motors whose tendons still have tension after the torque was cut (N16)."""
-    tendons = {mark.instance for mark in state.latched if mark.id == "N16"}
+    tendons = {
+        mark.instance for mark in state.latched if FAULT_BY_ID[mark.id].shows_torque_after_cut
+    }
     return tuple(
         name
         for name, tendon in zip(names, model.hand.tendon_names, strict=True)

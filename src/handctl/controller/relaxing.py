@@ -31,8 +31,6 @@ OVER_TENSION_RATE_N_PER_S = 2000.0
 START_MARGIN_N = 15.0
 """Largest amount by which the first setpoint may exceed the last commanded force [N], for friction and motion."""
 
-LOAD_CELL_FAULTS = ("T04b", "T05", "T05b", "T06")
-"""Faults that make the measured tension unreliable: the true tension may be larger."""
 RELAXED_WITHIN_N = 3.0
 """Distance above the tension of a relaxed tendon within which a tendon counts as relaxed [N]."""
 SETPOINT_MARGIN_N = 3.0
@@ -73,7 +71,7 @@ def begin_relaxing(model: HandModel, state: ControllerState) -> None:
     table[s.SETPOINT] = sign * start
     # COMMANDED_FORCE is the commanded motor force, from which the envelope starts in the next tick.
     explained = present
-    if any(mark.id in LOAD_CELL_FAULTS for mark in state.latched):
+    if any(FAULT_BY_ID[mark.id].makes_tension_unreliable for mark in state.latched):
         # If the load cell may be wrong, the tension may be as large as the setpoint. A position
         # goal has no setpoint.
         explained = np.where(in_tension_loop, np.maximum(present, start), present)

@@ -2,8 +2,9 @@
 
 from handctl.hand.description import Hand
 from handctl.hand.file.error_text import shortened_list
+from handctl.safety.faults.table import FAULT_TABLE
 
-NEED_LOAD_CELL = ("N02", "N14b", "T03b", "T04a", "T04b", "T05", "T05b", "T06", "T09")
+NEED_LOAD_CELL = tuple(fault.id for fault in FAULT_TABLE if fault.needs_load_cell)
 """Faults that are not detected for a tendon without load cell.
 
 These faults compare a load cell with the motor, or concern the load cell itself. Without a load
@@ -11,7 +12,7 @@ cell, the faults T01, T02, T03, T08 and N06 use the estimated tension. The limit
 faults are then stricter by two standard deviations of the estimate. The fault N16 then uses the torque that the
 drive reports.
 """
-NEED_ENCODERS = ("N06a", "N06b", "T08")
+NEED_ENCODERS = tuple(fault.id for fault in FAULT_TABLE if fault.needs_joint_encoders)
 """Faults that are not detected for a tendon whose joints have no encoders."""
 
 

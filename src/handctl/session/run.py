@@ -43,12 +43,10 @@ from handctl.runtime.observations import ObservationWriter
 from handctl.runtime.paths import clock_path, faults_path, is_socket_served
 from handctl.runtime.status import status_of_tick
 from handctl.runtime.targets import TargetBox
+from handctl.safety.faults.table import FAULT_BY_ID
 from handctl.session.exit_codes import ExitCode
 from handctl.session.header import run_header
 from handctl.session.plan import OperatorDisplay, RunPlan
-
-LATENESS_FAULTS = ("B02", "B03b", "B17", "N02", "N02b", "N08", "H03")
-"""Identifiers of the faults that latch when drives answer late, or when sensor frames or ticks are late."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +74,7 @@ class RunOutcome:
     @property
     def was_too_slow(self) -> bool:
         """Return True if a fault has occurred because the host or the simulator was too slow."""
-        return any(mark.id in LATENESS_FAULTS for mark in self.state.latched)
+        return any(FAULT_BY_ID[mark.id].caused_by_lateness for mark in self.state.latched)
 
     @property
     def exit_code(self) -> ExitCode:

@@ -63,6 +63,7 @@ declare_row("B02", "several frames in a row lost", ticks=1, ms=30, required=5, w
 B02 = declare_fault(
     "B02", "a motor has gone silent", f"A motor sends no reply {_SILENCE_CONDITION}", SafetyAction.RELAX,
     ENDED_BY_OPERATOR, MOTOR_INSTANCE,
+    caused_by_lateness=True,
     cause="The motor has lost power or its cable, or its drive has crashed.",
     remedy="Check supply and CAN cable of the motor, find it with handctl scan, then start a new run.",
 )  # fmt: skip
@@ -79,6 +80,7 @@ B03B = declare_fault(
     "B03b", "many replies are being lost",
     f"More than {RELAX_LOST_FRAMES} of the last {LOSS_WINDOW_TICKS} replies of a node are missing",
     SafetyAction.RELAX, ENDED_BY_OPERATOR, NODE_INSTANCE,
+    caused_by_lateness=True,
     cause="The bus is disturbed or overloaded, or the host is too slow.",
     remedy="Check termination, shielding and bus load (handctl bus doctor, handctl bus plan) before the next run.",
 )  # fmt: skip
@@ -242,6 +244,7 @@ B17 = declare_fault(
     "B17", "some nodes do not hear",
     f"A motor sends no reply in {MIN_SILENT_TICKS} ticks in a row, while other motors reply",
     SafetyAction.RELAX, ENDED_BY_OPERATOR, MOTOR_INSTANCE,
+    caused_by_lateness=True,
     cause="One motor's cable, supply or drive has failed, or one branch of the bus is disturbed.",
     remedy="Check plug, cable and supply of this motor, then start a new run.",
 )  # fmt: skip

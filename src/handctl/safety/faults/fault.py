@@ -113,6 +113,13 @@ class Fault:
         name: name of the single instance of a fault of ``HAND_INSTANCE``.
         reports: kinds of bus and host events that report the fault. Kinds of recorder events begin
             with ``recorder:``.
+        makes_tension_unreliable: True if the true tension may be larger than the measured tension.
+        caused_by_lateness: True if the fault latches when drives answer late, or when sensor frames
+            or ticks are late.
+        shows_torque_after_cut: True if the fault shows that a motor still makes torque after a cut.
+        needs_load_cell: True if the fault is not detected for a tendon without load cell.
+        needs_joint_encoders: True if the fault is not detected for a tendon whose joints have no
+            encoders.
     """
 
     id: str
@@ -127,6 +134,11 @@ class Fault:
     per: tuple[str, ...] = ()
     name: str = ""
     reports: tuple[str, ...] = ()
+    makes_tension_unreliable: bool = False
+    caused_by_lateness: bool = False
+    shows_torque_after_cut: bool = False
+    needs_load_cell: bool = False
+    needs_joint_encoders: bool = False
 
     @property
     def reaction(self) -> str:
@@ -174,6 +186,11 @@ def declare_fault(
     relax_method: RelaxMethod = RelaxMethod.LOOP,
     name: str = "",
     reports: tuple[str, ...] = (),
+    makes_tension_unreliable: bool = False,
+    caused_by_lateness: bool = False,
+    shows_torque_after_cut: bool = False,
+    needs_load_cell: bool = False,
+    needs_joint_encoders: bool = False,
 ) -> int:
     """Declare a fault. For the arguments see ``Fault``.
 
@@ -194,6 +211,11 @@ def declare_fault(
         per,
         name,
         reports,
+        makes_tension_unreliable,
+        caused_by_lateness,
+        shows_torque_after_cut,
+        needs_load_cell,
+        needs_joint_encoders,
     )
     DECLARED_FAULTS.append(declared)
     # The detectors' result table has one row for each kind of instance. For the second kind,

@@ -45,6 +45,7 @@ declare_row("H03", "three or more ticks missed", ticks=1, required=1)
 H03 = declare_fault(
     "H03", "the host stalled", f"For {STALLED_S * 1e3:g} ms, and for at least {MIN_STALLED_TICKS} ticks, no tick ran",
     SafetyAction.RELAX, ENDED_BY_OPERATOR, HAND_INSTANCE, name="loop",
+    caused_by_lateness=True,
     cause="Another program, a debugger or the kernel stopped the controller.",
     remedy="Run handctl doctor (priority, cores), close other programs, then start a new run.",
 )  # fmt: skip

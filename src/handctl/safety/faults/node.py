@@ -112,12 +112,14 @@ declare_row("N02", "silent node", ticks=1, ms=30, required=4,
 N02 = declare_fault(
     "N02", "the load cells are silent", f"The sensor node sends no tension frame {_SILENCE_CONDITION}",
     SafetyAction.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE,
+    caused_by_lateness=True, needs_load_cell=True,
     cause="The sensor node has lost power or its cable, or has crashed.",
     remedy="Check supply and cable of the sensor node, then start a new run.",
 )  # fmt: skip
 N02B = declare_fault(
     "N02b", "the joint encoders are silent", f"The sensor node sends no joint frame {_SILENCE_CONDITION}",
     SafetyAction.RELAX, ENDED_BY_OPERATOR, JOINT_INSTANCE,
+    caused_by_lateness=True,
     cause="The sensor node, or its joint encoders, have lost power or cable.",
     remedy="Check supply and cable of the sensor node and of the joint encoders, then start a new run.",
 )  # fmt: skip
@@ -158,6 +160,7 @@ N06A = declare_fault(
     "N06a", "joint and spool disagree",
     f"The filtered difference of joint encoder and spool is above {SLIP_WARN_DEG:g} degrees",
     SafetyAction.WARN, ENDED_BY_ITSELF, TENDON_INSTANCE,
+    needs_joint_encoders=True,
     cause="A tendon stretches or slips on its spool, or an encoder drifts.",
     remedy="Check the tendon's clamp and the encoder's magnet. Commission the hand again (handctl commission).",
 )  # fmt: skip
@@ -165,6 +168,7 @@ N06B = declare_fault(
     "N06b", "an encoder or a tendon slips",
     f"The filtered difference of joint encoder and spool is above {SLIP_TRIP_DEG:g} degrees",
     SafetyAction.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE, relax_method=RelaxMethod.OPEN_LOOP,
+    needs_joint_encoders=True,
     cause="The tendon slips on its spool, has left a pulley, or an encoder has come loose.",
     remedy="Check clamp and path of the tendon and the encoder's magnet, then commission again (handctl commission).",
 )  # fmt: skip
@@ -183,6 +187,7 @@ declare_row("N08", "the drive's watchdog fired", odrive=_HEARTBEAT_VISIBILITY, t
 N08 = declare_fault(
     "N08", "a drive's watchdog fired", "The drive reports that its watchdog fired", SafetyAction.RELAX,
     ENDED_BY_OPERATOR, MOTOR_INSTANCE,
+    caused_by_lateness=True,
     cause="The drive received no command in time: this host was too slow, or commands were lost.",
     remedy="Run handctl doctor (priority, cores), close other programs, or lower the rate.",
 )  # fmt: skip
@@ -274,6 +279,7 @@ N14B = declare_fault(
     "N14b", "the tension oscillates",
     f"For {SWING_S * 1e3:g} ms, the tension oscillates about the command with {SWING_N:g} N RMS, above {SWING_HZ:g} Hz",
     SafetyAction.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE, relax_method=RelaxMethod.OPEN_LOOP,
+    needs_load_cell=True,
     cause="The torque of the motor has a ripple, or the gains are too high for this hand.",
     remedy="Lower the gains (handctl gains, handctl tune), and calibrate the drive against cogging.",
 )  # fmt: skip
@@ -293,6 +299,7 @@ N16 = declare_fault(
     "N16", "a drive does not release",
     f"The tension or the reported torque does not fall within {STILL_PULLING_S * 1e3:g} ms after the torque was cut",
     SafetyAction.CUT, ENDED_BY_OPERATOR, TENDON_INSTANCE,
+    shows_torque_after_cut=True,
     cause="The drive does not obey the cut, or something else pulls the tendon.",
     remedy="Remove the motor power now. Then check the drive before the hand is powered again.",
 )  # fmt: skip

@@ -110,6 +110,7 @@ T03 = declare_fault(
 T03B = declare_fault(
     "T03b", "tension above the drive's limit", "A load-cell reading is above drive_limit_N",
     SafetyAction.CUT, ENDED_BY_OPERATOR, TENDON_INSTANCE,
+    needs_load_cell=True,
     cause="The drive makes more torque than its limit allows, or something else pulls the tendon.",
     remedy="Check the torque limit in the drive's own settings before the hand is powered again.",
 )  # fmt: skip
@@ -126,12 +127,14 @@ declare_row("T04", "load cell drifts", odrive=_ODRIVE_VISIBILITY, ticks=2, ms=50
 T04A = declare_fault(
     "T04a", "a load cell drifts", f"Torque, inertia and friction do not explain {RESIDUAL_WARN_N:g} N of the tension",
     SafetyAction.WARN, ENDED_BY_ITSELF, TENDON_INSTANCE,
+    needs_load_cell=True,
     cause="The load cell drifts, or the friction or the torque constant differs from the hand file.",
     remedy="Commission the hand again (handctl commission). If it repeats, identify the hand (handctl identify).",
 )  # fmt: skip
 T04B = declare_fault(
     "T04b", "a load cell is wrong", f"Torque, inertia and friction do not explain {RESIDUAL_TRIP_N:g} N of the tension",
     SafetyAction.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE, relax_method=RelaxMethod.OPEN_LOOP,
+    makes_tension_unreliable=True, needs_load_cell=True,
     cause="The load cell or its amplifier has failed, or the motor's torque constant is wrong.",
     remedy="Check the load cell with a known weight with handctl bus watch, then commission (handctl commission).",
 )  # fmt: skip
@@ -143,6 +146,7 @@ T05 = declare_fault(
     "T05", "a load cell is stuck",
     f"{CELL_TICKS} readings of a load cell are equal, although the torque of the motor changes",
     SafetyAction.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE,
+    makes_tension_unreliable=True, needs_load_cell=True,
     cause="The load cell's amplifier or the sensor node repeats one value.",
     remedy="Restart the sensor node, and check the amplifier of this load cell.",
 )  # fmt: skip
@@ -150,6 +154,7 @@ T05B = declare_fault(
     "T05b", "load-cell readings are old",
     f"{MIN_REPEATS} to {REPEAT_WINDOW} readings in a row repeat readings from some ticks before",
     SafetyAction.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE, relax_method=RelaxMethod.OPEN_LOOP,
+    makes_tension_unreliable=True, needs_load_cell=True,
     cause="The sensor node or a gateway sends stored readings under new counters.",
     remedy="Restart the sensor node, and check its firmware for a queue of readings.",
 )  # fmt: skip
@@ -160,6 +165,7 @@ T06 = declare_fault(
     f"For {SATURATED_TICKS} ticks, the reading is at the end of the range, or shows a broken wire",
     SafetyAction.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE, debounce=SATURATED_TICKS,
     relax_method=RelaxMethod.FAST_LOOP,
+    makes_tension_unreliable=True, needs_load_cell=True,
     cause="A wire is broken, the load cell is unplugged, or the tension is beyond its range.",
     remedy="Check wire and plug of the load cell with handctl bus watch, then commission (handctl commission).",
 )  # fmt: skip
@@ -179,6 +185,7 @@ T08 = declare_fault(
     "T08", "a tendon left its pulley",
     f"In {DERAILED_READINGS} readings, joint and spool differ by more than a tendon can stretch",
     SafetyAction.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE,
+    needs_joint_encoders=True,
     cause="The tendon has derailed or crossed another one, or a tendon without load cell has torn.",
     remedy="Put the tendon back on its pulleys, then commission the hand (handctl commission).",
 )  # fmt: skip
@@ -195,6 +202,7 @@ T09 = declare_fault(
     "T09", "friction has grown",
     f"Over 5 s of motion, the mean friction is {FRICTION_WARN_N:g} N above that of the hand file",
     SafetyAction.WARN, ENDED_BY_ITSELF, TENDON_INSTANCE,
+    needs_load_cell=True,
     cause="The tendon sheath or the pulleys are worn or dirty.",
     remedy="Clean or replace sheath and pulleys, or identify the hand again (handctl identify).",
 )  # fmt: skip
