@@ -2,8 +2,7 @@
 
 import pytest
 
-from handctl.core.detectors.node_faults import PHASE_FAULT, ROW_OF_CAUSE
-from handctl.drives.contract import DrivePhase
+from handctl.core.detectors.node_faults import ROW_OF_CAUSE
 from handctl.drives.fault_causes import DriveFaultCause
 from handctl.drives.motor_description import GUARDED_PROTOCOLS, PROTOCOL_TRAITS
 from handctl.safety.action import SafetyAction
@@ -27,7 +26,6 @@ from tests.safety.fault_cases import (
 
 def test_causes_of_a_drive_s_error() -> None:
     assert len(ROW_OF_CAUSE) == len(DriveFaultCause)
-    assert PHASE_FAULT == DrivePhase.FAULT
     tick_input = merge_inputs(
         drive_error(0, DriveFaultCause.OTHER, 9),
         drive_error(1, DriveFaultCause.HOT, 11),

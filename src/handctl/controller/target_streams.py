@@ -38,8 +38,6 @@ The tendon of a free digit bears no more than the digit's springs and friction. 
 this would spin the motor, which resembles a snapped tendon (T01) or an oscillation (N14b).
 Setpoints also keep this margin below the largest tension, because the tension may overshoot.
 """
-OPEN_STREAM, RUNNING_STREAM = 1, 2
-"""Values of the field ``state_block.STREAMING``."""
 
 
 def present_references(model: HandModel, state: ControllerState) -> tuple[Vector, ...]:
@@ -65,7 +63,7 @@ def open_stream(model: HandModel, state: ControllerState, request: OpenStream) -
     for row in (s.STREAM_ACCEPTED, s.STREAM_CLIPPED, s.STREAM_LATE, s.STREAM_REFUSED):
         state.set_run_integer(row, 0)
     state.set_run_integer(s.STREAM_SEQUENCE, -1)
-    state.set_run_integer(s.STREAMING, OPEN_STREAM)
+    state.set_run_integer(s.STREAMING, s.OPEN_STREAM)
     state.tendon[s.STIFFNESS_FRACTION], state.tendon[s.DAMPING_FRACTION] = loop_fractions(
         model, stream
     )
@@ -149,7 +147,7 @@ def apply_target(
             state, s.STREAM_REFUSED, f"refused: a target that is no target, expected {right}"
         )
     sent_ns = min(target.sent_ns, t_ns)
-    running = state.run_integer(s.STREAMING) == RUNNING_STREAM
+    running = state.run_integer(s.STREAMING) == s.RUNNING_STREAM
     # Several targets of one tick may have the time of the tick.
     overtaken = target.number <= state.run_integer(
         s.STREAM_SEQUENCE
@@ -162,7 +160,7 @@ def apply_target(
     clipped = begin(model, state, stream, np.array(target.values), sent_ns, t_ns)
     state.set_run_integer(s.STREAM_SENT_NS, sent_ns)
     state.set_run_integer(s.STREAM_SEQUENCE, target.number)
-    state.set_run_integer(s.STREAMING, RUNNING_STREAM)
+    state.set_run_integer(s.STREAMING, s.RUNNING_STREAM)
     _count_target(state, s.STREAM_ACCEPTED)
     limit = (
         "the range of a joint, or one that taut tendons cannot hold"
@@ -245,7 +243,7 @@ def _begin_segment(
     duration = max(sent_ns / 1e9 + stream.horizon - since, model.period)
     apart = (sent_ns - state.run_integer(s.STREAM_SENT_NS)) / 1e9
     steady = (
-        state.run_integer(s.STREAMING) == RUNNING_STREAM
+        state.run_integer(s.STREAMING) == s.RUNNING_STREAM
         and apart <= MAX_TARGET_GAP_PERIODS * stream.period
     )
     # Two targets that arrive together do not show the speed of the stream, so the time between them
@@ -273,7 +271,7 @@ def stream_status(state: ControllerState) -> StreamStatus:
     """Return the status of the open stream of targets."""
     if state.decisions.stream is None:
         return _NO_STREAM
-    running = state.run_integer(s.STREAMING) == RUNNING_STREAM
+    running = state.run_integer(s.STREAMING) == s.RUNNING_STREAM
     age_s = (
         (state.run_integer(s.T_NS) - state.run_integer(s.STREAM_SENT_NS)) / 1e9
         if running

@@ -23,7 +23,7 @@ from handctl.core.constants import ConstantTables, constant_tables
 from handctl.core.control_law.servo_commands import command_torque_only
 from handctl.core.estimation.varying_moment_arms import carrier_excursion
 from handctl.core.state_block import StateTables, state_tables
-from handctl.drives.contract import Drive
+from handctl.drives.contract import Drive, DrivePhase
 from handctl.drives.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, Frame
 from handctl.drives.frame_records import (
     BUS_BIT,
@@ -75,7 +75,7 @@ SENSOR_NODE_OWNER = -1
 """Value of the column ``OWNER_COLUMN`` for frames of the sensor node."""
 STATE_MACHINE_FRAMES, FEEDBACK_FRAMES, VALUE_FRAMES, SENSOR_FRAMES, HOST_FRAMES = range(5)
 """Kinds of frames: for a state machine, reply to a command, more drive values, sensor node, sent by this host only."""
-ENABLED_PHASE = 3
+ENABLED_PHASE = int(DrivePhase.ENABLED)
 """Value of ``drives.contract.DrivePhase.ENABLED``."""
 MISSING_ENTRY = -1
 """Index that stands for a missing entry."""

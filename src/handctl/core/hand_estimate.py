@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.core import state_block as s
+from handctl.core.estimation.filter_stack import SLACK_REGIME
 from handctl.core.tick_types import Vector
 
 QuantityTable = NDArray[np.float64]
@@ -102,7 +103,7 @@ class HandEstimate:
     @property
     def is_slack(self) -> NDArray[np.bool_]:
         """Return for each tendon True if it is slack."""
-        return np.asarray(self.regimes == 2)
+        return np.asarray(self.regimes == SLACK_REGIME)
 
     @property
     def q(self) -> Vector:

@@ -201,6 +201,8 @@ STREAM_SENT_NS = _whole("stream_sent_ns", "run", "ns",
     "time at which the latest accepted target was sent")  # fmt: skip
 STREAMING = _whole("streaming", "run", "",
     "1 if a stream is open, 2 after its first accepted target, else 0")  # fmt: skip
+OPEN_STREAM, RUNNING_STREAM = 1, 2
+"""Values of the field ``STREAMING``."""
 STREAM_SEQUENCE = _whole("stream_sequence", "run", "",
     "sequence number of the latest accepted target; -1 before the first", initial=-1)  # fmt: skip
 STREAM_ACCEPTED = _whole("stream_accepted", "run", "", "number of accepted targets of the stream")

@@ -36,10 +36,10 @@ from handctl.core.estimation import (
     varying_moment_arms,
 )
 from handctl.core.state_block import state_tables
+from handctl.core.tick_types import ACTIVE_MODE, ARMING_MODE, DONE_MODE, RELAX_MODE, SILENT_MODE
+from handctl.safety.action import SafetyAction
 
-SILENT, ARMING, ACTIVE, RELAX, DONE = 0, 3, 4, 5, 8
-"""Values of ``core.tick_types.HandMode``."""
-HOLD_ACTION = 2
+HOLD_ACTION = int(SafetyAction.HOLD)
 """Value of ``safety.action.SafetyAction.HOLD``."""
 
 
@@ -51,7 +51,7 @@ def observe_tick(
     x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
     measurements.write_measurements(x, c)
-    if ARMING <= x.run_int[s.MODE] <= RELAX:
+    if ARMING_MODE <= x.run_int[s.MODE] <= RELAX_MODE:
         measurements.reject_outliers(x, c, x.run_int[s.MISSED_TICKS])
     else:
         measurements.clear_rejected_steps(x)
@@ -88,7 +88,7 @@ def conclude_estimate(
     if c.run_int[h.HAND_VARYING]:
         varying_moment_arms.update_structure(x, c)
     kalman.derive_estimate(x, c)
-    if x.run_int[s.MODE] == ACTIVE or x.run_int[s.MODE] == RELAX:
+    if x.run_int[s.MODE] == ACTIVE_MODE or x.run_int[s.MODE] == RELAX_MODE:
         blocked_digits.update_blocked(x, c)
     else:
         blocked_digits.reset_blocked(x)
@@ -129,7 +129,9 @@ def evaluate_goals(
     """
     x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
-    computed_torque.update_hold_limits(x, c, action == HOLD_ACTION and x.run_int[s.MODE] == ACTIVE)
+    computed_torque.update_hold_limits(
+        x, c, action == HOLD_ACTION and x.run_int[s.MODE] == ACTIVE_MODE
+    )
     digit_reference.follow_trajectories(x, c, x.run_int[s.HOLDING] == 1)
     digit_reference.write_required_torque(x, c, digit_reference.joint_trajectories(x, c))
     return digit_reference.write_required_tensions(x, c)
@@ -171,7 +173,7 @@ def compute_motor_torques(
     """
     x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
-    if x.run_int[s.MODE] == ACTIVE or x.run_int[s.MODE] == RELAX:
+    if x.run_int[s.MODE] == ACTIVE_MODE or x.run_int[s.MODE] == RELAX_MODE:
         computed_torque.write_motor_torques(
             x, c, digit_reference.joint_trajectories(x, c), relax_rate, open_loop == 1, ticks
         )
@@ -189,16 +191,16 @@ def store_commands(
     mode = x.run_int[s.MODE]
     for n in range(x.tendon.shape[1]):
         x.tendon[s.COMMANDED_FORCE, n] = x.tendon[s.COMMANDED_TENSION, n] = math.nan
-        if mode == ACTIVE or mode == RELAX:
+        if mode == ACTIVE_MODE or mode == RELAX_MODE:
             x.tendon[s.COMMANDED_FORCE, n] = x.tendon[s.TORQUE, n] / c.tendon[h.SPOOL_RADIUS, n]
-        if mode == ACTIVE:
+        if mode == ACTIVE_MODE:
             x.tendon[s.COMMANDED_TENSION, n] = x.tendon[s.TENSION_GOAL, n]
-    if mode == ACTIVE:
+    if mode == ACTIVE_MODE:
         stuck_sensors.filter_goals(x, c)
     else:
         for n in range(x.tendon.shape[1]):
             x.tendon[s.FILTERED_GOAL, n] = math.nan
-    if mode != SILENT and mode != DONE:
+    if mode != SILENT_MODE and mode != DONE_MODE:
         outstanding_requests.add_requests(x, x.run_int[s.K])
     posture.estimate_tip_forces(x, c)
     for d in range(x.digit.shape[1]):

@@ -39,6 +39,15 @@ class HandMode(enum.IntEnum):
     """
 
 
+SILENT_MODE = int(HandMode.SILENT)
+ARMING_MODE = int(HandMode.ARMING)
+ACTIVE_MODE = int(HandMode.ACTIVE)
+RELAX_MODE = int(HandMode.RELAX)
+DISARM_MODE = int(HandMode.DISARM)
+CUT_MODE = int(HandMode.CUT)
+DONE_MODE = int(HandMode.DONE)
+"""Values of ``HandMode``, for compiled code. Motor torque may act from ARMING to RELAX."""
+
 BEFORE_ARMING = (HandMode.SILENT, HandMode.INVENTORY, HandMode.READY)
 """Modes in which no drive was enabled yet."""
 TORQUE_MODES = (HandMode.ARMING, HandMode.ACTIVE, HandMode.RELAX)

@@ -46,9 +46,10 @@ from handctl.core.control_law.servo_commands import (
     write_servo_command,
 )
 from handctl.core.estimation.blocked_digits import MAX_PRESS_N
+from handctl.core.estimation.filter_stack import SLACK_REGIME
 from handctl.core.estimation.spool_pair import net_tension_at_spool
 from handctl.core.estimation.statics import part_explained_by_motion, winding_efficiency
-from handctl.core.estimation.take_up import SLACK_BELOW_N, SLACK_REGIME
+from handctl.core.estimation.take_up import SLACK_BELOW_N
 from handctl.core.estimation.varying_moment_arms import (
     arm_slope,
     carrier_excursion,
@@ -578,7 +579,7 @@ def _tension_force(
     error = setpoint - x.tendon[s.TENSION, n]
     integral = x.tendon[s.TENSION_INTEGRAL, n] + c.run[h.INTEGRAL_GAIN] * error
     integral = min(max(integral, -INTEGRAL_LIMIT_N), INTEGRAL_LIMIT_N)
-    slack = x.tendon_int[s.REGIME, n] == 2
+    slack = x.tendon_int[s.REGIME, n] == SLACK_REGIME
     if slack:
         integral = 0.0
     force = (

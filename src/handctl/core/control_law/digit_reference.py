@@ -9,6 +9,7 @@ from handctl.compiled import kernel_helper
 from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
+from handctl.core.control_law.digit_goal import GoalKind
 from handctl.core.control_law.streamed_motion import advance_reference
 from handctl.core.estimation.statics import subtract_passing_torque
 from handctl.core.estimation.varying_moment_arms import motor_speed
@@ -18,7 +19,9 @@ from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED_M_S
 
 Matrix = NDArray[np.float64]
 
-LIMP, MOTION, TENSION = 0, 1, 2
+LIMP = int(GoalKind.LIMP)
+MOTION = int(GoalKind.MOTION)
+TENSION = int(GoalKind.TENSION)
 """Values of ``digit_goal.GoalKind``, and of the field ``state_block.GOAL_KIND``."""
 NO_TRAJECTORY, MINIMUM_JERK, SAMPLED, STREAMED = 0, 1, 2, 3
 """Values of the field ``state_block.TRAJECTORY_KIND``."""

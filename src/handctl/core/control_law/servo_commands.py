@@ -37,12 +37,11 @@ from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
 from handctl.core.control_law.digit_reference import MOTION
-from handctl.core.estimation.take_up import SLACK_REGIME
+from handctl.core.estimation.filter_stack import SLACK_REGIME
 from handctl.core.estimation.varying_moment_arms import carrier_excursion
 from handctl.core.state_block import StateTables
+from handctl.core.tick_types import ACTIVE_MODE
 
-ACTIVE_MODE = 4
-"""Value of ``core.tick_types.HandMode.ACTIVE``."""
 MAX_PHASE_RAD = 0.3
 """Largest product of the natural frequency of a drive's position loop and the control period [rad].
 

@@ -28,14 +28,10 @@ from handctl.core.detectors import (
 )
 from handctl.core.detectors.bus_faults import Evidence
 from handctl.core.state_block import StateTables, reset_monitor
+from handctl.core.tick_types import ARMING_MODE, CUT_MODE, DISARM_MODE, RELAX_MODE
 from handctl.safety.faults.table import ACTION_NUMBERS, DEBOUNCE_TICKS
 
 FAULT_ROWS = len(ACTION_NUMBERS)
-ARMING, RELAX, DISARM, CUT = 3, 5, 6, 7
-"""Values of ``core.tick_types.HandMode``.
-
-Motor torque may act from ARMING to RELAX, and must not act in DISARM and CUT.
-"""
 
 
 @kernel_helper
@@ -54,8 +50,9 @@ def find_and_debounce_faults(
         NaN where the fault is absent.
     """
     mode = x.run_int[s.MODE]
-    armed = ARMING <= mode <= RELAX
-    cut = mode == CUT or mode == DISARM
+    # Motor torque may act from ARMING to RELAX, and must not act in DISARM and CUT.
+    armed = ARMING_MODE <= mode <= RELAX_MODE
+    cut = mode == CUT_MODE or mode == DISARM_MODE
     evidence = np.full((FAULT_ROWS, x.instance_int.shape[1]), math.nan)
     frame_losses.update_loss_counts(
         x,

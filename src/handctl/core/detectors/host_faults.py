@@ -35,7 +35,7 @@ def detect_host_faults(x: StateTables, c: ConstantTables, armed: bool, evidence:
         evidence[I07A, 0] = x.run_int[s.REFUSED_REQUESTS_NOW]
         if x.run_int[s.REFUSED_REQUESTS] >= REFUSED_REQUESTS_LIMIT:
             evidence[I07B, 0] = x.run_int[s.REFUSED_REQUESTS]
-    if armed and x.run_int[s.STREAMING] == 2:
+    if armed and x.run_int[s.STREAMING] == s.RUNNING_STREAM:
         silence_ns = x.run_int[s.T_NS] - x.run_int[s.STREAM_SENT_NS]
         if silence_ns > c.run_int[h.STREAM_HOLD_NS]:
             evidence[I11A, 0] = silence_ns / 1e9

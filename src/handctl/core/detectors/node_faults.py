@@ -11,6 +11,8 @@ from handctl.core.detectors.bus_faults import Evidence
 from handctl.core.detectors.frame_losses import cell_ticks_overdue, misses_every_second
 from handctl.core.detectors.tendon_slip import DEG_PER_RAD
 from handctl.core.state_block import StateTables
+from handctl.drives.contract import DrivePhase
+from handctl.drives.fault_causes import DriveFaultCause
 from handctl.safety.faults.node import (
     N01,
     N02,
@@ -48,9 +50,19 @@ from handctl.safety.faults.node import (
     SWING_S,
 )
 
-ROW_OF_CAUSE = (N11, N01, N08, N10, N11, N12, N11, N11B)
+_ROW_BY_CAUSE = {
+    DriveFaultCause.OTHER: N11,
+    DriveFaultCause.DROPPED_OUT: N01,
+    DriveFaultCause.WATCHDOG: N08,
+    DriveFaultCause.VOLTAGE: N10,
+    DriveFaultCause.HOT: N11,
+    DriveFaultCause.MISMATCH: N12,
+    DriveFaultCause.LOST: N11,
+    DriveFaultCause.UNKNOWN: N11B,
+}
+ROW_OF_CAUSE = tuple(_ROW_BY_CAUSE[cause] for cause in sorted(DriveFaultCause))
 """Fault for each value of ``drives.fault_causes.DriveFaultCause``."""
-PHASE_FAULT = 4
+FAULT_PHASE = int(DrivePhase.FAULT)
 """Value of ``drives.contract.DrivePhase.FAULT``."""
 
 
@@ -81,7 +93,7 @@ def _detect_drive_errors(x: StateTables, evidence: Evidence) -> None:
     Each cause of an error has its row in the evidence table.
     """
     for n in range(x.tendon.shape[1]):
-        if x.tendon_int[s.PHASE, n] == PHASE_FAULT:
+        if x.tendon_int[s.PHASE, n] == FAULT_PHASE:
             evidence[ROW_OF_CAUSE[x.tendon_int[s.FAULT_CAUSE, n]], n] = x.tendon_int[
                 s.FAULT_CODE, n
             ]

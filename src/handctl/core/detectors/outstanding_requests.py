@@ -13,6 +13,7 @@ from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
 from handctl.core.state_block import StateTables
+from handctl.drives.contract import DrivePhase
 from handctl.safety.faults.bus import LOSS_WINDOW_TICKS
 
 MAX_REQUESTS = 8
@@ -20,7 +21,7 @@ MAX_REQUESTS = 8
 
 A motor with more outstanding requests is silent, and its older requests are dropped.
 """
-PHASE_READY = 2
+READY_PHASE = int(DrivePhase.READY)
 """Value of ``drives.contract.DrivePhase.READY``."""
 
 
@@ -58,7 +59,7 @@ def add_requests(x: StateTables, k: int) -> None:
     """
     for n in range(x.tendon.shape[1]):
         count = x.tendon_int[s.OUTSTANDING_REQUESTS, n]
-        if x.tendon_int[s.PHASE_BEFORE, n] < PHASE_READY:
+        if x.tendon_int[s.PHASE_BEFORE, n] < READY_PHASE:
             count = 0
         remaining = 0
         # Keep at most MAX_REQUESTS - 1 old requests, to leave a place for the new request.

@@ -14,6 +14,7 @@ from handctl.core.detectors.tendon_slip import derailed_limit
 from handctl.core.estimation.measurements import monitored_tension
 from handctl.core.estimation.varying_moment_arms import moment_arm
 from handctl.core.state_block import StateTables
+from handctl.core.tick_types import RELAX_MODE
 from handctl.safety.faults.tendon import (
     CELL_FORCE_N,
     CELL_TICKS,
@@ -44,9 +45,6 @@ from handctl.safety.faults.tendon import (
     TAUT_N,
 )
 
-MODE_RELAX = 5
-"""Value of ``core.tick_types.HandMode.RELAX``."""
-
 
 @kernel_helper
 def detect_tendon_faults(
@@ -56,7 +54,7 @@ def detect_tendon_faults(
     rail = c.run[h.TENSION_RAIL]
     low = c.run[h.TENSION_LOW]
     relaxing_s = x.run_int[s.T_NS] * 1e-9 - x.run[s.MODE_SINCE]
-    relaxed = x.run_int[s.MODE] == MODE_RELAX and relaxing_s > RELAXED_S
+    relaxed = x.run_int[s.MODE] == RELAX_MODE and relaxing_s > RELAXED_S
     for n in range(x.tendon.shape[1]):
         # The load-cell reading is tested even before the tare of the load cell is known.
         tension = monitored_tension(x, c, n, True)

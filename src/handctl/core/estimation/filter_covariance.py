@@ -16,13 +16,13 @@ from handctl.compiled import kernel_helper
 from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
+from handctl.core.estimation.filter_stack import STATE_COUNT, E
 from handctl.core.state_block import StateTables
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-STATE_COUNT = 7
-CELL_ERROR = 5
+CELL_ERROR = E
 """Index of the load-cell error among the states of a tendon."""
 MISSING_VARIANCE_FACTOR = 1e12
 """Factor on the variance of a missing measurement.

@@ -44,6 +44,12 @@ class TendonRegime(enum.IntEnum):
     """
 
 
+FREE_REGIME = int(TendonRegime.FREE)
+HELD_REGIME = int(TendonRegime.HELD)
+SLACK_REGIME = int(TendonRegime.SLACK)
+"""Values of ``TendonRegime``, for compiled code."""
+
+
 @dataclass(frozen=True, slots=True)
 class FilterBlock:
     """Steady-state filter of one tendon in one regime.

@@ -18,6 +18,12 @@ from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation import filter_covariance
+from handctl.core.estimation.filter_stack import (
+    FREE_REGIME,
+    HELD_REGIME,
+    SLACK_REGIME,
+    STATE_COUNT,
+)
 from handctl.core.estimation.statics import (
     subtract_passing_torque,
     value_from_other_tendons,
@@ -34,15 +40,12 @@ from handctl.core.estimation.take_up import (
 )
 from handctl.core.estimation.varying_moment_arms import motor_speed
 from handctl.core.state_block import StateTables
+from handctl.core.tick_types import ARMING_MODE, RELAX_MODE
 from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED_M_S
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-STATE_COUNT = 7
-FREE_REGIME = 0
-HELD_REGIME = 1
-SLACK_REGIME = 2
 STOP_BAND_REST_M = 2e-5
 """Distance of the excursion from the stop of the open digit below which an arriving digit counts as at rest [m]."""
 STOP_BAND_STAY_M = 1e-4
@@ -492,7 +495,7 @@ def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
 @kernel_helper
 def is_in_contact(x: StateTables, d: int) -> bool:
     """Return True if a digit is blocked, or if, by the program, it touches an object while torque may act."""
-    acting = 3 <= x.run_int[s.MODE] <= 5  # ARMING, ACTIVE, RELAX
+    acting = ARMING_MODE <= x.run_int[s.MODE] <= RELAX_MODE
     return (acting and x.digit_int[s.PLANNED_CONTACT, d] == 1) or x.digit_int[s.BLOCKED, d] == 1
 
 

@@ -6,9 +6,9 @@ from handctl.compiled import kernel_helper
 from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
+from handctl.core.estimation.filter_stack import SLACK_REGIME
 from handctl.core.state_block import StateTables
 
-SLACK_REGIME = 2
 SLACK_BELOW_N = 1.0
 """A tendon may be slack if its estimated tension and its load-cell reading are below this tension [N].
 
