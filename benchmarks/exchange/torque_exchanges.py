@@ -74,7 +74,7 @@ class HandctlExchange:
     def __init__(self, interface, channel, motors):
         import numpy as np
 
-        from handctl.core import cyclic_frames
+        from handctl.core import tick_stages
         from handctl.drives.contract import DriveTarget
         from handctl.drives.frame_records import WORDS_PER_RECORD
         from handctl.runtime.buses.open import open_bus
@@ -82,7 +82,7 @@ class HandctlExchange:
         self.controller, state = enabled_controller(motors)
         self.state = state.copy()
         self.drive_target = DriveTarget.ENABLE
-        self.begin_tick = cyclic_frames.begin_tick
+        self.begin_tick = tick_stages.begin_tick
         self.np = np
         self.shape = 1 + motors, WORDS_PER_RECORD
         self.bus = open_bus(f"{interface}:{channel}", 0, 1_000_000)

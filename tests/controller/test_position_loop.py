@@ -22,11 +22,11 @@ from handctl.controller.monitor.safety_thresholds import servo_resolutions
 from handctl.controller.run_setup import make_controller, make_drives
 from handctl.core import state_block as s
 from handctl.core.control_law.servo_commands import LIMIT_MARGIN_N
-from handctl.core.cyclic_frames import WireTables
 from handctl.core.gains.gains import packaged_gains
 from handctl.core.hand_constants import servo_constants
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode
+from handctl.core.wire.wire_tables import WireTables
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand

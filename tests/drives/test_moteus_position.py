@@ -11,9 +11,9 @@ from firmware_sim.nodes.moteus.node import MoteusNode
 from firmware_sim.nodes.moteus.text_channel import FACTORY_CONFIGURATION
 from handctl.campaign.fault_matrix import FREE_STAGE
 from handctl.campaign.run_stages import advance_to_stage, homed_run
-from handctl.core import cyclic_frames
 from handctl.core import state_block as s
 from handctl.core.tick_types import HandMode
+from handctl.core.wire import cyclic_frames
 from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.frame_records import WORDS_PER_RECORD, Frames
 from handctl.drives.moteus import codec

@@ -8,10 +8,12 @@ from numpy.typing import NDArray
 
 from handctl.controller.controller_state import drive_values
 from handctl.core import constants as h
-from handctl.core import cyclic_frames, tick_stages
 from handctl.core import state_block as s
+from handctl.core import tick_stages
 from handctl.core.constants import CONSTANT_SCHEMA, DESIGN_ELEMENT_COUNT, FILTER_DESIGN_COUNT
 from handctl.core.state_block import STATE_SCHEMA
+from handctl.core.wire import cyclic_frames
+from handctl.core.wire.wire_tables import WireTables
 from handctl.drives.contract import Drive, DriveState, DriveTarget
 from handctl.drives.frame import ERROR_FLAG, Frame
 from handctl.drives.frame_records import WORDS_PER_RECORD, Frames, frames_as_records
@@ -39,7 +41,7 @@ class WiredDrives:
         self.layout = STATE_SCHEMA.layout(
             {**axes, "group": max(1, len(sensors.ids)), "instance": n + joints, "run": 1}
         )
-        self.tables = cyclic_frames.WireTables(drives, sensors)
+        self.tables = WireTables(drives, sensors)
         self.block = self.layout.initial.copy()
         self.owners = {
             (drive.bus, can_id): i for i, drive in enumerate(drives) for can_id in drive.node_ids
@@ -61,7 +63,7 @@ class WiredDrives:
     def begin_tick(self) -> None:
         """Begin a tick without changing the tick's number and time."""
         numbers = [self.field_number(name) for name in ("k", "t_ns", "late_ns", "missed", "frames")]
-        cyclic_frames.begin_tick(self.block, self.layout.places, *numbers)
+        tick_stages.begin_tick(self.block, self.layout.places, *numbers)
 
     def begin_tick_with_sync(self, k: int) -> Frame:
         """Return the request that the end of a tick sends to the sensors. Begin the next tick."""

@@ -34,17 +34,18 @@ from handctl.controller.monitor.safety_thresholds import compiled_constants, saf
 from handctl.controller.monitor.unsolicited_replies import detect_unsolicited_replies
 from handctl.controller.relaxing import is_open_loop, present_relax_rate
 from handctl.controller.telemetry import TelemetryGatherer
-from handctl.core import cyclic_frames, tick_stages
 from handctl.core import state_block as s
+from handctl.core import tick_stages
 from handctl.core.block_schema import BlockLayout, TablePlaces
 from handctl.core.control_law.goal_writer import sample_trajectories, write_goals
 from handctl.core.control_law.required_tensions import write_tension_goals
-from handctl.core.cyclic_frames import WireTables
 from handctl.core.estimation.consistency_events import consistency_events
 from handctl.core.estimation.filter_prediction import predict_filter_states
 from handctl.core.hand_constants import HandConstants
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode, TickEvent, TickIn, TickOut, TickRequest, Vector
+from handctl.core.wire import cyclic_frames
+from handctl.core.wire.wire_tables import WireTables
 from handctl.drives.cia404.amplifier import AmplifierState
 from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import ERROR_FLAG, Frame
@@ -297,7 +298,7 @@ class Controller:
         block = state.block
         places = self.layout.places
         missed = tick_input.k - last_state.k - 1
-        cyclic_frames.begin_tick(
+        tick_stages.begin_tick(
             block, places, tick_input.k, tick_input.t_ns, tick_input.late_ns, missed, len(frames)
         )
         signs = self._receive_frames(
@@ -390,7 +391,7 @@ class Controller:
         """Store the state of a drive in the state block and in the decisions, after its state machine has run."""
         before = state.decisions.drives[n]
         drive = self.drives[n]
-        cyclic_frames.store_drive(
+        tick_stages.store_drive(
             state.block, self.layout.places, n, *drive_state[1:7], int(drive_state.phase), drive_state.error,
             int(drive.fault_cause(drive_state.error)) if drive_state.phase == DrivePhase.FAULT else -1,
             drive.steady_status(drive_state), drive.due_ns(drive_state), int(drive_state.misread != before.misread),

@@ -2,7 +2,8 @@
 
 The stages in the order of their execution, each with its input and its result:
 
-receive    frames -> values of drives and sensors, see ``cyclic_frames``
+begin      number and time of the tick -> state block, with the flags of received data reset
+receive    frames -> values of drives and sensors, see ``wire.cyclic_frames``
 observe    values -> measurements
 correct    measurements -> filter states of the last tick, corrected
 predict    corrected states -> states at the present, by ``filterpy``
@@ -11,7 +12,7 @@ judge      measurements and estimate -> faults
 refer      goals -> required joint torques and tensions
 act        required tensions, goals, estimate -> motor torques
 store      commands -> memory for the next tick, numbers for the log
-send       motor torques -> frames, see ``cyclic_frames``
+send       motor torques -> frames, see ``wire.cyclic_frames``
 """
 
 import math
@@ -41,6 +42,94 @@ from handctl.safety.action import SafetyAction
 
 HOLD_ACTION = int(SafetyAction.HOLD)
 """Value of ``safety.action.SafetyAction.HOLD``."""
+
+
+@kernel("block", "layout", "count", "count", "count", "count", "count")
+def begin_tick(
+    block: BlockArray, at: TablePlaces, k: int, t_ns: int, late_ns: int, missed: int, frames: int
+) -> None:
+    """Reset the flags of received data, and store number and time of the tick.
+
+    Args:
+        block: state block.
+        at: ``BlockLayout.places`` of the state block.
+        k: number of the tick.
+        t_ns: time of the tick [ns].
+        late_ns: delay of the tick's start [ns].
+        missed: ticks missed before the present tick.
+        frames: number of received frames.
+    """
+    x = state_tables(block, at)
+    x.run_int[s.K] = k
+    x.run_int[s.T_NS] = t_ns
+    x.run_int[s.LATE_NS] = late_ns
+    x.run_int[s.MISSED_TICKS] = missed
+    x.run_int[s.RECEIVED_FRAMES] = frames
+    for n in range(x.tendon.shape[1]):
+        x.tendon_int[s.FEEDBACKS_NOW, n] = x.tendon_int[s.CELL_FRESH, n] = 0
+        x.tendon_int[s.PHASE_BEFORE, n] = x.tendon_int[s.PHASE, n]
+    for j in range(x.joint.shape[1]):
+        x.joint_int[s.JOINT_FRESH, j] = 0
+    for g in range(x.group_int.shape[1]):
+        x.group_int[s.GROUP_FRAMES_NOW, g] = 0
+    for node in range(x.node_int.shape[1]):
+        x.node_int[s.MALFORMED_NOW, node] = x.node_int[s.DUPLICATES, node] = 0
+    x.run_int[s.STALE_NOW] = x.run_int[s.UNKNOWN_FRAMES] = 0
+    x.run_int[s.REFUSED_REQUESTS_NOW] = x.run_int[s.CONSISTENCY_CHANGED] = 0
+
+
+@kernel("block", "layout", "count", "real", "real", "real", "real", *("count",) * 8)
+def store_drive(
+    block: BlockArray,
+    at: TablePlaces,
+    n: int,
+    position: float,
+    velocity: float,
+    torque: float,
+    temperature: float,
+    feedback_t_ns: int,
+    feedback_count: int,
+    phase: int,
+    fault_code: int,
+    fault_cause: int,
+    steady_status: int,
+    due_ns: int,
+    misread: int,
+) -> None:
+    """Store the values of a drive after its state machine has run.
+
+    Args:
+        block: state block.
+        at: ``BlockLayout.places`` of the state block.
+        n: index of the drive.
+        position: motor position, at the spool [rad].
+        velocity: motor velocity, at the spool [rad/s].
+        torque: torque that the drive reports [N m].
+        temperature: hottest sensor of the drive [degC].
+        feedback_t_ns: reception time of the latest feedback [ns].
+        feedback_count: number of feedback frames since the start.
+        phase: ``drives.contract.DrivePhase`` of the drive.
+        fault_code: error code of the drive.
+        fault_cause: ``drives.fault_causes.DriveFaultCause`` of the error code, -1 without a fault.
+        steady_status: drive status at which the drive's state machine has nothing to do.
+        due_ns: time at which the drive's state machine must run next [ns].
+        misread: 1 if a frame of the drive in this tick had a wrong shape.
+    """
+    x = state_tables(block, at)
+    x.tendon[s.POSITION, n] = position
+    x.tendon[s.VELOCITY, n] = velocity
+    x.tendon[s.REPORTED_TORQUE, n] = torque
+    x.tendon[s.TEMPERATURE, n] = temperature
+    x.tendon_int[s.FEEDBACKS_NOW, n] += feedback_count - x.tendon_int[s.FEEDBACKS, n]
+    x.tendon_int[s.FEEDBACKS, n] = feedback_count
+    x.tendon_int[s.FEEDBACK_NS, n] = feedback_t_ns
+    x.tendon_int[s.PHASE, n] = phase
+    x.tendon_int[s.FAULT_CODE, n] = fault_code
+    x.tendon_int[s.FAULT_CAUSE, n] = fault_cause
+    x.tendon_int[s.STATUS_EXPECTED, n] = steady_status
+    x.tendon_int[s.DUE_NS, n] = due_ns
+    if misread:
+        x.node_int[s.MALFORMED_NOW, n] = 1
 
 
 @kernel("block", "layout", "constants", "layout")

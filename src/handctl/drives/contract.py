@@ -6,7 +6,7 @@ Each protocol is one class. Each object of the class is the immutable descriptio
 one bus. All changing values are in an immutable ``DriveState``. In each tick the controller calls
 ``receive`` of each drive for every received frame. The controller then calls ``advance`` of each
 drive once, with the requested drive state. While a drive is enabled and its state machine has
-nothing to do, compiled code in ``core.cyclic_frames`` does this work, from the tables of
+nothing to do, compiled code in ``core.wire.cyclic_frames`` does this work, from the tables of
 ``cyclic_messages``. The controller calls ``advance`` again if the status of the feedback is not
 ``steady_status``, or when the time ``due_ns`` comes. No function here reads a clock or a socket.
 """

@@ -5,15 +5,13 @@ tables of signals. A drive is steady while it is enabled and its state machine (
 has nothing to do. ``receive_frames`` stops at each frame that a state machine must handle. The
 caller handles this frame, and calls ``receive_frames`` again for the frames after this one.
 ``encode_commands`` encodes the commands of steady drives, and stops at each drive that is not
-steady. ``WireTables`` builds the tables for a hand.
+steady. ``wire_tables`` builds the tables for a hand.
 """
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from handctl.compiled import borrowed_array, kernel, kernel_helper
 from handctl.core import constants as h
@@ -23,8 +21,24 @@ from handctl.core.constants import ConstantTables, constant_tables
 from handctl.core.control_law.servo_commands import command_torque_only
 from handctl.core.estimation.varying_moment_arms import carrier_excursion
 from handctl.core.state_block import StateTables, state_tables
-from handctl.drives.contract import Drive, DrivePhase
-from handctl.drives.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, Frame
+from handctl.core.wire.wire_tables import (
+    END_SIGNAL_COLUMN,
+    FEEDBACK_FRAMES,
+    FIRST_SIGNAL_COLUMN,
+    FRAME_KIND_COLUMN,
+    GROUP_COLUMN,
+    HOST_FRAMES,
+    NEAREST_ONLY_COLUMN,
+    OWNER_COLUMN,
+    PAYLOAD_BYTES_COLUMN,
+    SENSOR_FRAMES,
+    SENSOR_NODE_OWNER,
+    STATE_MACHINE_FRAMES,
+    FloatArray,
+    IntArray,
+)
+from handctl.drives.contract import DrivePhase
+from handctl.drives.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from handctl.drives.frame_records import (
     BUS_BIT,
     HEAD_WORD,
@@ -33,18 +47,13 @@ from handctl.drives.frame_records import (
     TIME_WORD,
     WORDS_PER_RECORD,
     WordRows,
-    frames_as_records,
 )
-from handctl.drives.sensors.contract import SensorInterface
 from handctl.drives.signals import (
     CHANNEL_COLUMN,
-    INTEGER_COLUMN_COUNT,
     ORDER_COLUMN,
     QUANTITY_COLUMN,
     WINDOW_COLUMN,
-    CyclicMessage,
     SignalQuantity,
-    SignalTable,
     bytes_reversed,
     decode_signal,
     encode_signal,
@@ -53,32 +62,10 @@ from handctl.drives.signals import (
 )
 from handctl.drives.signals import LENGTH_COLUMN as LENGTH_BITS
 
-IntArray = NDArray[np.int64]
-FloatArray = NDArray[np.float64]
-
-(
-    OWNER_COLUMN,
-    FRAME_KIND_COLUMN,
-    FIRST_SIGNAL_COLUMN,
-    END_SIGNAL_COLUMN,
-    PAYLOAD_BYTES_COLUMN,
-    GROUP_COLUMN,
-    NEAREST_ONLY_COLUMN,
-) = range(7)
-"""Columns of an entry, which describes the frames with one identifier.
-
-The columns are: index of the drive or ``SENSOR_NODE_OWNER``, kind of frame, first signal, signal
-after the last, payload length [bytes], group, and 1 if only the frame nearest to the expected
-position is used.
-"""
-SENSOR_NODE_OWNER = -1
-"""Value of the column ``OWNER_COLUMN`` for frames of the sensor node."""
-STATE_MACHINE_FRAMES, FEEDBACK_FRAMES, VALUE_FRAMES, SENSOR_FRAMES, HOST_FRAMES = range(5)
-"""Kinds of frames: for a state machine, reply to a command, more drive values, sensor node, sent by this host only."""
-ENABLED_PHASE = int(DrivePhase.ENABLED)
-"""Value of ``drives.contract.DrivePhase.ENABLED``."""
 MISSING_ENTRY = -1
 """Index that stands for a missing entry."""
+ENABLED_PHASE = int(DrivePhase.ENABLED)
+"""Value of ``drives.contract.DrivePhase.ENABLED``."""
 POSITION, VELOCITY, TORQUE, TEMPERATURE, STATUS, CELL, ANGLE, COUNTER = map(
     int, tuple(SignalQuantity)[:8]
 )
@@ -104,94 +91,6 @@ def find_key(keys: IntArray, key: Any) -> int:
         else:
             high = middle
     return low if low < len(keys) and keys[low] == key else MISSING_ENTRY
-
-
-@kernel("block", "layout", "count", "count", "count", "count", "count")
-def begin_tick(
-    block: BlockArray, at: TablePlaces, k: int, t_ns: int, late_ns: int, missed: int, frames: int
-) -> None:
-    """Reset the flags of received data, and store number and time of the tick.
-
-    Args:
-        block: state block.
-        at: ``BlockLayout.places`` of the state block.
-        k: number of the tick.
-        t_ns: time of the tick [ns].
-        late_ns: delay of the tick's start [ns].
-        missed: ticks missed before the present tick.
-        frames: number of received frames.
-    """
-    x = state_tables(block, at)
-    x.run_int[s.K] = k
-    x.run_int[s.T_NS] = t_ns
-    x.run_int[s.LATE_NS] = late_ns
-    x.run_int[s.MISSED_TICKS] = missed
-    x.run_int[s.RECEIVED_FRAMES] = frames
-    for n in range(x.tendon.shape[1]):
-        x.tendon_int[s.FEEDBACKS_NOW, n] = x.tendon_int[s.CELL_FRESH, n] = 0
-        x.tendon_int[s.PHASE_BEFORE, n] = x.tendon_int[s.PHASE, n]
-    for j in range(x.joint.shape[1]):
-        x.joint_int[s.JOINT_FRESH, j] = 0
-    for g in range(x.group_int.shape[1]):
-        x.group_int[s.GROUP_FRAMES_NOW, g] = 0
-    for node in range(x.node_int.shape[1]):
-        x.node_int[s.MALFORMED_NOW, node] = x.node_int[s.DUPLICATES, node] = 0
-    x.run_int[s.STALE_NOW] = x.run_int[s.UNKNOWN_FRAMES] = 0
-    x.run_int[s.REFUSED_REQUESTS_NOW] = x.run_int[s.CONSISTENCY_CHANGED] = 0
-
-
-@kernel("block", "layout", "count", "real", "real", "real", "real", *("count",) * 8)
-def store_drive(
-    block: BlockArray,
-    at: TablePlaces,
-    n: int,
-    position: float,
-    velocity: float,
-    torque: float,
-    temperature: float,
-    feedback_t_ns: int,
-    feedback_count: int,
-    phase: int,
-    fault_code: int,
-    fault_cause: int,
-    steady_status: int,
-    due_ns: int,
-    misread: int,
-) -> None:
-    """Store the values of a drive after its state machine has run.
-
-    Args:
-        block: state block.
-        at: ``BlockLayout.places`` of the state block.
-        n: index of the drive.
-        position: motor position, at the spool [rad].
-        velocity: motor velocity, at the spool [rad/s].
-        torque: torque that the drive reports [N m].
-        temperature: hottest sensor of the drive [degC].
-        feedback_t_ns: reception time of the latest feedback [ns].
-        feedback_count: number of feedback frames since the start.
-        phase: ``drives.contract.DrivePhase`` of the drive.
-        fault_code: error code of the drive.
-        fault_cause: ``drives.fault_causes.DriveFaultCause`` of the error code, -1 without a fault.
-        steady_status: drive status at which the drive's state machine has nothing to do.
-        due_ns: time at which the drive's state machine must run next [ns].
-        misread: 1 if a frame of the drive in this tick had a wrong shape.
-    """
-    x = state_tables(block, at)
-    x.tendon[s.POSITION, n] = position
-    x.tendon[s.VELOCITY, n] = velocity
-    x.tendon[s.REPORTED_TORQUE, n] = torque
-    x.tendon[s.TEMPERATURE, n] = temperature
-    x.tendon_int[s.FEEDBACKS_NOW, n] += feedback_count - x.tendon_int[s.FEEDBACKS, n]
-    x.tendon_int[s.FEEDBACKS, n] = feedback_count
-    x.tendon_int[s.FEEDBACK_NS, n] = feedback_t_ns
-    x.tendon_int[s.PHASE, n] = phase
-    x.tendon_int[s.FAULT_CODE, n] = fault_code
-    x.tendon_int[s.FAULT_CAUSE, n] = fault_cause
-    x.tendon_int[s.STATUS_EXPECTED, n] = steady_status
-    x.tendon_int[s.DUE_NS, n] = due_ns
-    if misread:
-        x.node_int[s.MALFORMED_NOW, n] = 1
 
 
 @kernel(
@@ -569,199 +468,3 @@ def encode_commands(
             write_window(frame_words[count], PAYLOAD_WORD, wholes[signal, WINDOW_COLUMN], ordered)
         count += 1
     return len(torque), count
-
-
-class WireTables:
-    """Tables of all cyclic frames of a hand.
-
-    Attributes:
-        keys: (e,) bus << 32 | identifier, sorted.
-        entries: (e, 7) with the columns ``OWNER_COLUMN`` to ``NEAREST_ONLY_COLUMN``.
-        wholes: (s, INTEGER_COLUMN_COUNT) integers of the received signals.
-        reals: (s, 2) real numbers of the received signals.
-        commands: (f, 3) drive, row of the torque in ``sent_wholes`` or -1, and feedback timeout
-            [ns] of each command.
-        sent_wholes: (t, INTEGER_COLUMN_COUNT) integers of the sent torques.
-        sent_reals: (t, 3) real numbers of the sent torques, with the limit [N m] in the third
-            column.
-        templates: (f, WORDS_PER_RECORD) commands without torque.
-        servos: (N, 2) first row of each drive in ``servo_wholes``, and the row after its last. Both
-            are equal for a drive that receives only torques.
-        servo_templates: (N, WORDS_PER_RECORD) position commands with all signals 0.
-        servo_wholes: (p, INTEGER_COLUMN_COUNT) integers of the signals of position commands.
-        servo_reals: (p, 4) real numbers of these signals: scale, offset, smallest and largest
-            value, for the true torque of the motor.
-    """
-
-    def __init__(
-        self,
-        drives: Sequence[Drive],
-        sensors: SensorInterface,
-        holds_position: Sequence[bool] = (),
-        torque_gain: FloatArray | None = None,
-    ) -> None:
-        """Build the tables of all frames.
-
-        Args:
-            drives: drives of the hand.
-            sensors: sensor node of the hand.
-            holds_position: for each drive, True if it closes the position loop. Empty if no drive
-                does.
-            torque_gain: (N,) torque at the spool per commanded torque. If it is None, all gains are
-                1.
-        """
-        self._signals: list[SignalTable] = []
-        found: dict[int, list[int]] = {}
-        for drive in drives:
-            found |= {
-                _frame_key(drive.bus, can_id): [0, HOST_FRAMES, 0, 0, 0, 0, 0]
-                for can_id in drive.host_ids
-            }
-        found |= {
-            _frame_key(sensors.bus, can_id): [SENSOR_NODE_OWNER, HOST_FRAMES, 0, 0, 0, 0, 0]
-            for can_id in sensors.host_ids
-        }
-        for n, drive in enumerate(drives):
-            found |= {
-                _frame_key(drive.bus, can_id): [n, STATE_MACHINE_FRAMES, 0, 0, 0, 0, 0]
-                for can_id in drive.node_ids
-            }
-            for message in drive.cyclic_messages.feedback:
-                kind = FEEDBACK_FRAMES if message.answers else VALUE_FRAMES
-                signals = self._add_message(message)
-                found[_frame_key(drive.bus, message.can_id)] = [
-                    n,
-                    kind,
-                    *signals,
-                    message.length,
-                    0,
-                    message.nearest,
-                ]
-        found |= {
-            _frame_key(sensors.bus, can_id): [
-                SENSOR_NODE_OWNER,
-                STATE_MACHINE_FRAMES,
-                0,
-                0,
-                0,
-                0,
-                0,
-            ]
-            for can_id in sensors.service_ids
-        }
-        for group, message in enumerate(sensors.messages):
-            found[_frame_key(sensors.bus, message.can_id)] = [
-                SENSOR_NODE_OWNER,
-                SENSOR_FRAMES,
-                *self._add_message(message),
-                message.length,
-                group,
-                0,
-            ]
-        keys = sorted(found)
-        self.keys: IntArray = np.array(keys, dtype=np.int64)
-        self.entries: IntArray = np.array([found[key] for key in keys], dtype=np.int64)
-        self.wholes = np.concatenate([table.wholes for table in self._signals])
-        self.reals = np.concatenate([table.reals for table in self._signals])
-        self._build_torque_commands(drives)
-        self._build_position_commands(drives, holds_position or [False] * len(drives), torque_gain)
-        self._entries_without: dict[tuple[int, ...], IntArray] = {}
-
-    def entries_without(self, groups: tuple[int, ...]) -> IntArray:
-        """Return a copy of the entries in which the frames of some groups go to the state machines of the sensors."""
-        entries = self._entries_without.get(groups)
-        if entries is None:
-            entries = self.entries.copy()
-            entries[
-                (entries[:, FRAME_KIND_COLUMN] == SENSOR_FRAMES)
-                & np.isin(entries[:, GROUP_COLUMN], groups),
-                FRAME_KIND_COLUMN,
-            ] = STATE_MACHINE_FRAMES
-            self._entries_without[groups] = entries
-        return entries
-
-    def _add_message(self, message: CyclicMessage) -> tuple[int, int]:
-        """Add the signals of a message to the tables. Return the range of their rows."""
-        first = sum(len(table.wholes) for table in self._signals)
-        self._signals.append(SignalTable(message))
-        return first, first + len(self._signals[-1].wholes)
-
-    def _build_torque_commands(self, drives: Sequence[Drive]) -> None:
-        rows = list[list[int]]()
-        templates = list[WordRows]()
-        wholes = list[IntArray]()
-        reals = list[list[float]]()
-        for n, drive in enumerate(drives):
-            for message in drive.cyclic_messages.commands:
-                table = SignalTable(message)
-                signal = -1
-                if len(table.wholes):
-                    signal = len(wholes)
-                    wholes.append(table.wholes[0])
-                    reals.append([*table.reals[0], message.limit])
-                rows.append([n, signal, drive.cyclic_messages.feedback_timeout_ns])
-                templates.append(_frame_template(message, drive.bus))
-        self.commands: IntArray = np.array(rows, dtype=np.int64).reshape(-1, 3)
-        self.sent_wholes: IntArray = np.array(wholes, dtype=np.int64).reshape(
-            -1, INTEGER_COLUMN_COUNT
-        )
-        self.sent_reals: FloatArray = np.array(reals, dtype=np.float64).reshape(-1, 3)
-        self.templates: WordRows = np.array(templates, dtype=np.uint64).reshape(
-            -1, WORDS_PER_RECORD
-        )
-
-    def _build_position_commands(
-        self,
-        drives: Sequence[Drive],
-        holds_position: Sequence[bool],
-        torque_gain: FloatArray | None,
-    ) -> None:
-        """Build the tables of the position commands of all drives that close the position loop."""
-        wholes = [np.empty((0, INTEGER_COLUMN_COUNT), np.int64)]
-        reals = [np.empty((0, 4))]
-        servos = np.zeros((len(drives), 2), np.int64)
-        templates = np.zeros((len(drives), WORDS_PER_RECORD), np.uint64)
-        for n, drive in enumerate(drives):
-            message = drive.cyclic_messages.position
-            if not holds_position[n] or message is None:
-                continue
-            signals = SignalTable(message).wholes
-            first = sum(len(one) for one in wholes)
-            servos[n] = first, first + len(signals)
-            templates[n] = _frame_template(message, drive.bus)
-            wholes.append(signals)
-            gain = 1.0 if torque_gain is None else float(torque_gain[n])
-            reals.append(_ranges_of_signals(message, gain))
-        self.servos: IntArray = servos
-        self.servo_templates: WordRows = templates
-        self.servo_wholes: IntArray = np.concatenate(wholes)
-        self.servo_reals: FloatArray = np.concatenate(reals)
-
-
-def _ranges_of_signals(message: CyclicMessage, torque_gain: float) -> FloatArray:
-    """Return scale, offset, smallest and largest value of each signal of a position command, (p, 4)."""
-    rows = []
-    for signal in message.signals:
-        if signal.quantity == SignalQuantity.UNUSED:
-            continue
-        gain = (
-            1.0
-            if signal.quantity in (SignalQuantity.POSITION, SignalQuantity.VELOCITY)
-            else torque_gain
-        )
-        low, high = signal.ends
-        if signal.quantity == SignalQuantity.TORQUE:
-            low = max(low, -message.limit)
-            high = min(high, message.limit)
-        rows.append([gain * value for value in (signal.scale, signal.offset, low, high)])
-    return np.array(rows)
-
-
-def _frame_key(bus: int, can_id: int) -> int:
-    return bus << 32 | can_id
-
-
-def _frame_template(message: CyclicMessage, bus: int) -> WordRows:
-    payload = message.base.ljust(message.length, b"\0")
-    row: WordRows = frames_as_records([Frame(message.can_id, payload, message.flags, bus)]).rows[0]
-    return row

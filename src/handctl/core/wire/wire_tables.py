@@ -1,0 +1,231 @@
+"""Tables of all cyclic frames of a hand, for the compiled functions of ``cyclic_frames``."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.drives.contract import Drive
+from handctl.drives.frame import Frame
+from handctl.drives.frame_records import WORDS_PER_RECORD, WordRows, frames_as_records
+from handctl.drives.sensors.contract import SensorInterface
+from handctl.drives.signals import INTEGER_COLUMN_COUNT, CyclicMessage, SignalQuantity, SignalTable
+
+IntArray = NDArray[np.int64]
+FloatArray = NDArray[np.float64]
+
+(
+    OWNER_COLUMN,
+    FRAME_KIND_COLUMN,
+    FIRST_SIGNAL_COLUMN,
+    END_SIGNAL_COLUMN,
+    PAYLOAD_BYTES_COLUMN,
+    GROUP_COLUMN,
+    NEAREST_ONLY_COLUMN,
+) = range(7)
+"""Columns of an entry, which describes the frames with one identifier.
+
+The columns are: index of the drive or ``SENSOR_NODE_OWNER``, kind of frame, first signal, signal
+after the last, payload length [bytes], group, and 1 if only the frame nearest to the expected
+position is used.
+"""
+SENSOR_NODE_OWNER = -1
+"""Value of the column ``OWNER_COLUMN`` for frames of the sensor node."""
+STATE_MACHINE_FRAMES, FEEDBACK_FRAMES, VALUE_FRAMES, SENSOR_FRAMES, HOST_FRAMES = range(5)
+"""Kinds of frames: for a state machine, reply to a command, more drive values, sensor node, sent by this host only."""
+
+
+class WireTables:
+    """Tables of all cyclic frames of a hand.
+
+    Attributes:
+        keys: (e,) bus << 32 | identifier, sorted.
+        entries: (e, 7) with the columns ``OWNER_COLUMN`` to ``NEAREST_ONLY_COLUMN``.
+        wholes: (s, INTEGER_COLUMN_COUNT) integers of the received signals.
+        reals: (s, 2) real numbers of the received signals.
+        commands: (f, 3) drive, row of the torque in ``sent_wholes`` or -1, and feedback timeout
+            [ns] of each command.
+        sent_wholes: (t, INTEGER_COLUMN_COUNT) integers of the sent torques.
+        sent_reals: (t, 3) real numbers of the sent torques, with the limit [N m] in the third
+            column.
+        templates: (f, WORDS_PER_RECORD) commands without torque.
+        servos: (N, 2) first row of each drive in ``servo_wholes``, and the row after its last. Both
+            are equal for a drive that receives only torques.
+        servo_templates: (N, WORDS_PER_RECORD) position commands with all signals 0.
+        servo_wholes: (p, INTEGER_COLUMN_COUNT) integers of the signals of position commands.
+        servo_reals: (p, 4) real numbers of these signals: scale, offset, smallest and largest
+            value, for the true torque of the motor.
+    """
+
+    def __init__(
+        self,
+        drives: Sequence[Drive],
+        sensors: SensorInterface,
+        holds_position: Sequence[bool] = (),
+        torque_gain: FloatArray | None = None,
+    ) -> None:
+        """Build the tables of all frames.
+
+        Args:
+            drives: drives of the hand.
+            sensors: sensor node of the hand.
+            holds_position: for each drive, True if it closes the position loop. Empty if no drive
+                does.
+            torque_gain: (N,) torque at the spool per commanded torque. If it is None, all gains are
+                1.
+        """
+        self._signals: list[SignalTable] = []
+        found: dict[int, list[int]] = {}
+        for drive in drives:
+            found |= {
+                _frame_key(drive.bus, can_id): [0, HOST_FRAMES, 0, 0, 0, 0, 0]
+                for can_id in drive.host_ids
+            }
+        found |= {
+            _frame_key(sensors.bus, can_id): [SENSOR_NODE_OWNER, HOST_FRAMES, 0, 0, 0, 0, 0]
+            for can_id in sensors.host_ids
+        }
+        for n, drive in enumerate(drives):
+            found |= {
+                _frame_key(drive.bus, can_id): [n, STATE_MACHINE_FRAMES, 0, 0, 0, 0, 0]
+                for can_id in drive.node_ids
+            }
+            for message in drive.cyclic_messages.feedback:
+                kind = FEEDBACK_FRAMES if message.answers else VALUE_FRAMES
+                signals = self._add_message(message)
+                found[_frame_key(drive.bus, message.can_id)] = [
+                    n,
+                    kind,
+                    *signals,
+                    message.length,
+                    0,
+                    message.nearest,
+                ]
+        found |= {
+            _frame_key(sensors.bus, can_id): [
+                SENSOR_NODE_OWNER,
+                STATE_MACHINE_FRAMES,
+                0,
+                0,
+                0,
+                0,
+                0,
+            ]
+            for can_id in sensors.service_ids
+        }
+        for group, message in enumerate(sensors.messages):
+            found[_frame_key(sensors.bus, message.can_id)] = [
+                SENSOR_NODE_OWNER,
+                SENSOR_FRAMES,
+                *self._add_message(message),
+                message.length,
+                group,
+                0,
+            ]
+        keys = sorted(found)
+        self.keys: IntArray = np.array(keys, dtype=np.int64)
+        self.entries: IntArray = np.array([found[key] for key in keys], dtype=np.int64)
+        self.wholes = np.concatenate([table.wholes for table in self._signals])
+        self.reals = np.concatenate([table.reals for table in self._signals])
+        self._build_torque_commands(drives)
+        self._build_position_commands(drives, holds_position or [False] * len(drives), torque_gain)
+        self._entries_without: dict[tuple[int, ...], IntArray] = {}
+
+    def entries_without(self, groups: tuple[int, ...]) -> IntArray:
+        """Return a copy of the entries in which the frames of some groups go to the state machines of the sensors."""
+        entries = self._entries_without.get(groups)
+        if entries is None:
+            entries = self.entries.copy()
+            entries[
+                (entries[:, FRAME_KIND_COLUMN] == SENSOR_FRAMES)
+                & np.isin(entries[:, GROUP_COLUMN], groups),
+                FRAME_KIND_COLUMN,
+            ] = STATE_MACHINE_FRAMES
+            self._entries_without[groups] = entries
+        return entries
+
+    def _add_message(self, message: CyclicMessage) -> tuple[int, int]:
+        """Add the signals of a message to the tables. Return the range of their rows."""
+        first = sum(len(table.wholes) for table in self._signals)
+        self._signals.append(SignalTable(message))
+        return first, first + len(self._signals[-1].wholes)
+
+    def _build_torque_commands(self, drives: Sequence[Drive]) -> None:
+        rows = list[list[int]]()
+        templates = list[WordRows]()
+        wholes = list[IntArray]()
+        reals = list[list[float]]()
+        for n, drive in enumerate(drives):
+            for message in drive.cyclic_messages.commands:
+                table = SignalTable(message)
+                signal = -1
+                if len(table.wholes):
+                    signal = len(wholes)
+                    wholes.append(table.wholes[0])
+                    reals.append([*table.reals[0], message.limit])
+                rows.append([n, signal, drive.cyclic_messages.feedback_timeout_ns])
+                templates.append(_frame_template(message, drive.bus))
+        self.commands: IntArray = np.array(rows, dtype=np.int64).reshape(-1, 3)
+        self.sent_wholes: IntArray = np.array(wholes, dtype=np.int64).reshape(
+            -1, INTEGER_COLUMN_COUNT
+        )
+        self.sent_reals: FloatArray = np.array(reals, dtype=np.float64).reshape(-1, 3)
+        self.templates: WordRows = np.array(templates, dtype=np.uint64).reshape(
+            -1, WORDS_PER_RECORD
+        )
+
+    def _build_position_commands(
+        self,
+        drives: Sequence[Drive],
+        holds_position: Sequence[bool],
+        torque_gain: FloatArray | None,
+    ) -> None:
+        """Build the tables of the position commands of all drives that close the position loop."""
+        wholes = [np.empty((0, INTEGER_COLUMN_COUNT), np.int64)]
+        reals = [np.empty((0, 4))]
+        servos = np.zeros((len(drives), 2), np.int64)
+        templates = np.zeros((len(drives), WORDS_PER_RECORD), np.uint64)
+        for n, drive in enumerate(drives):
+            message = drive.cyclic_messages.position
+            if not holds_position[n] or message is None:
+                continue
+            signals = SignalTable(message).wholes
+            first = sum(len(one) for one in wholes)
+            servos[n] = first, first + len(signals)
+            templates[n] = _frame_template(message, drive.bus)
+            wholes.append(signals)
+            gain = 1.0 if torque_gain is None else float(torque_gain[n])
+            reals.append(_ranges_of_signals(message, gain))
+        self.servos: IntArray = servos
+        self.servo_templates: WordRows = templates
+        self.servo_wholes: IntArray = np.concatenate(wholes)
+        self.servo_reals: FloatArray = np.concatenate(reals)
+
+
+def _ranges_of_signals(message: CyclicMessage, torque_gain: float) -> FloatArray:
+    """Return scale, offset, smallest and largest value of each signal of a position command, (p, 4)."""
+    rows = []
+    for signal in message.signals:
+        if signal.quantity == SignalQuantity.UNUSED:
+            continue
+        gain = (
+            1.0
+            if signal.quantity in (SignalQuantity.POSITION, SignalQuantity.VELOCITY)
+            else torque_gain
+        )
+        low, high = signal.ends
+        if signal.quantity == SignalQuantity.TORQUE:
+            low = max(low, -message.limit)
+            high = min(high, message.limit)
+        rows.append([gain * value for value in (signal.scale, signal.offset, low, high)])
+    return np.array(rows)
+
+
+def _frame_key(bus: int, can_id: int) -> int:
+    return bus << 32 | can_id
+
+
+def _frame_template(message: CyclicMessage, bus: int) -> WordRows:
+    payload = message.base.ljust(message.length, b"\0")
+    row: WordRows = frames_as_records([Frame(message.can_id, payload, message.flags, bus)]).rows[0]
+    return row
