@@ -11,6 +11,7 @@ from typing import Any
 
 from fuzz.mutate import ByteSource, mutated_content, paths_of_values
 from handctl.controller.bus_load import bus_loads
+from handctl.core.calibration import calibration_from
 from handctl.core.gains.gains import Gains, GainsFile, GainsProvenance
 from handctl.core.identified_parameters import identified_hand
 from handctl.document import validate_content
@@ -27,7 +28,6 @@ from handctl.hand.hand_loading import (
     packaged_hands,
     read_toml,
 )
-from handctl.programs.calibration import calibration_from
 from handctl.programs.task import Task, trajectory_from
 from handctl.session.tasks import check_task_for_hand
 

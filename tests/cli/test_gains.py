@@ -9,10 +9,10 @@ import time
 import pytest
 
 from handctl.cli.main import main
+from handctl.core.calibration import Calibration, TendonCalibration
 from handctl.core.gains.gains import Gains, GainsProvenance, gains_text
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
-from handctl.programs.calibration import Calibration, TendonCalibration
 from handctl.session.calibration import write_calibration
 from tests.runtime.processes import time_scale_options
 

@@ -17,11 +17,11 @@ import pytest
 from handctl.cli.main import main
 from handctl.cli.tuning.arguments import identify
 from handctl.cli.tuning.tune_verify import _print_rounds
+from handctl.core.calibration import Calibration, TendonCalibration
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.log.write.writer import LogWriter
-from handctl.programs.calibration import Calibration, TendonCalibration, load_calibration
-from handctl.session.calibration import write_calibration
+from handctl.session.calibration import load_calibration, write_calibration
 from handctl.tune.scoring import GainScore
 from handctl.tune.search.search import SearchResult, SearchTrial
 from tests.cli.command_refusals import refusal_line

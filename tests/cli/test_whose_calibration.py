@@ -13,12 +13,12 @@ from handctl.core.tick_types import HandMode
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
-from handctl.programs.calibration import load_calibration
 from handctl.programs.live_session import JogProgram
 from handctl.programs.requests import MoveDigits
 from handctl.runtime.clocks.lockstep import SIMULATED_HAND_ENTRY, LockstepClock, load_simulator
 from handctl.session.calibration import (
     find_calibration,
+    load_calibration,
     previous_identified,
     run_commissioning,
     write_calibration,

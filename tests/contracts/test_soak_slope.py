@@ -14,7 +14,7 @@ import pytest
 from fuzz import soak
 from fuzz.soak import MIN_SLOPE_TIME_S, WARM_UP_S, MemorySample, memory_slope
 from handctl.hand.hand_loading import load_hand
-from handctl.programs.calibration import load_calibration
+from handctl.session.calibration import load_calibration
 
 
 def memory_samples(

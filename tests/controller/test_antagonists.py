@@ -12,13 +12,13 @@ import pytest
 
 from handctl.controller.run_setup import make_controller
 from handctl.core import state_block as s
+from handctl.core.calibration import Calibration
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode, TickEvent
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand
 from handctl.hand.readiness import reasons_not_ready
-from handctl.programs.calibration import Calibration
 from handctl.programs.commission import PULL_TENSION_N, CommissionProgram, calibration_of_result
 from handctl.programs.program import Program
 from handctl.programs.task import Task

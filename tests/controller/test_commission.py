@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from handctl.core.calibration import Calibration
 from handctl.core.control_law.digit_goal import GoalKind
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
@@ -14,7 +15,6 @@ from handctl.core.tick_types import HandMode
 from handctl.drives.frame import Frame
 from handctl.errors import ConfigError
 from handctl.hand.hand_loading import hand_from_content, load_hand
-from handctl.programs.calibration import Calibration, load_calibration
 from handctl.programs.commission import (
     MAX_CROSSTALK_FRACTION,
     PULL_FORCE_LIMIT_N,
@@ -23,6 +23,7 @@ from handctl.programs.commission import (
     calibration_of_result,
 )
 from handctl.programs.program import ProgramProgress
+from handctl.session.calibration import load_calibration
 from tests.controller.controller_bench import ControllerBench, make_controller_bench
 from tests.controller.synthetic_states import (
     empty_readings,

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from handctl.controller.run_setup import make_controller
+from handctl.core.calibration import Calibration
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_constants import HandConstants
 from handctl.core.hand_model import HandModel
@@ -16,7 +17,6 @@ from handctl.hand.digit import DigitModel
 from handctl.hand.hand_loading import load_hand
 from handctl.hand.inverse_kinematics import closest_tip
 from handctl.hand.kinematics import joint_points
-from handctl.programs.calibration import Calibration
 from handctl.programs.commission import PULL_TENSION_N, CommissionProgram, calibration_of_result
 from handctl.programs.live_session import LiveProgram, apply_goal
 from handctl.programs.program import Program

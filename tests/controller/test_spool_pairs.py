@@ -13,6 +13,7 @@ import pytest
 
 from handctl.controller.run_setup import make_controller
 from handctl.core import state_block as s
+from handctl.core.calibration import Calibration
 from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
 from handctl.core.control_law.tendon_redundancy import tendon_directions
 from handctl.core.estimation.spool_pair import net_tension_at_joint, net_tension_at_spool
@@ -28,7 +29,6 @@ from handctl.log.header import RunHeader
 from handctl.log.topics.message_streams import TopicRegistry
 from handctl.log.topics.state_topics import SPOOL_PAIRS_TOPIC, StateTopics
 from handctl.log.topics.topic_set import TopicSet
-from handctl.programs.calibration import Calibration
 from handctl.programs.commission import PULL_TENSION_N, CommissionProgram, calibration_of_result
 from handctl.programs.default_task import default_task
 from handctl.programs.program import Program, ProgramProgress, ProgressAndEvents

@@ -17,13 +17,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handctl.controller.run_setup import RunSetup, make_controller
+from handctl.core.calibration import Calibration, TendonCalibration
 from handctl.core.gains.gains import Gains
 from handctl.core.tick_types import TickIn, TickOut
 from handctl.errors import LogError
 from handctl.hand.hand_loading import load_hand
 from handctl.log.code_identity import code_identity
 from handctl.log.read.reader import RunLog
-from handctl.programs.calibration import Calibration, TendonCalibration
 from handctl.programs.commission import CommissionProgram
 from handctl.programs.live_session import JogProgram, LiveProgram
 from handctl.programs.program import Program

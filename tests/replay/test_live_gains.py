@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import short_runs
 
+from handctl.core.calibration import Calibration, TendonCalibration
 from handctl.core.gains.gains import Gains
 from handctl.core.identified_parameters import IdentifiedParameters
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
-from handctl.programs.calibration import Calibration, TendonCalibration
 from handctl.programs.live_session import JogProgram
 from handctl.programs.requests import HoldTension
 from handctl.replay.execute import execute_log

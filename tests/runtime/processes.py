@@ -10,9 +10,9 @@ import sys
 import time
 from pathlib import Path
 
+from handctl.core.calibration import Calibration, TendonCalibration
 from handctl.hand.description import Hand
 from handctl.log.read.reader import RunLog
-from handctl.programs.calibration import Calibration, TendonCalibration
 from handctl.runtime.mailbox import StatusWatcher
 from handctl.session.calibration import write_calibration
 

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.identify import PARAMETER_TOLERANCES, measure_digit, summarise_results
 from handctl.cli.tuning.tune_files import load_tuned_hand
+from handctl.core.calibration import Calibration, TendonCalibration
 from handctl.core.identified_parameters import (
     PARAMETER_UNITS,
     IdentifiedParameters,
@@ -18,8 +19,7 @@ from handctl.core.identified_parameters import (
 from handctl.errors import ConfigError
 from handctl.hand.dynamics import DigitModel
 from handctl.hand.hand_loading import load_hand
-from handctl.programs.calibration import Calibration, TendonCalibration, load_calibration
-from handctl.session.calibration import write_calibration
+from handctl.session.calibration import load_calibration, write_calibration
 from handctl.tune.identify.excitation import excitation_steps, lift_off_tension
 from handctl.tune.identify.figure import _draw_parameters
 from handctl.tune.identify.fit import PARAMETER_NAMES

@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from handctl.controller.tick import Controller
+from handctl.core.calibration import Calibration
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
 from handctl.core.identified_parameters import identified_hand, torque_gain
@@ -26,7 +27,6 @@ from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.file.sections import Motor
 from handctl.hand.hand_loading import hand_from_content, parse_toml
-from handctl.programs.calibration import Calibration
 from handctl.programs.commission import CommissionProgram
 from handctl.programs.excitation import ExciteProgram, ExciteStep
 from handctl.programs.exercise import ExerciseProgram

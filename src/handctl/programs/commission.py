@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from handctl.core.calibration import Calibration, TendonCalibration
 from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
 from handctl.core.control_law.tension_allocation import tensions_for_torque
 from handctl.core.hand_estimate import HandEstimate, TickMeasurements
@@ -27,7 +28,6 @@ from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import TickEvent, Vector
 from handctl.drives.sensors.sensor_node import TARE_MAX_N, TARE_MIN_N
 from handctl.hand.dynamics import static_torque
-from handctl.programs.calibration import Calibration, TendonCalibration
 from handctl.programs.program import TARE_PHASE, ProgramProgress, ProgressAndEvents
 
 PULL_TENSION_N = 3.0

@@ -8,12 +8,13 @@ import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from handctl.core.calibration import Calibration, TendonCalibration, calibration_from
 from handctl.core.identified_parameters import IdentifiedParameters
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.file.toml_text import toml_text
+from handctl.hand.hand_loading import read_toml
 from handctl.output import write_text_atomically
-from handctl.programs.calibration import Calibration, TendonCalibration, load_calibration
 from handctl.programs.commission import CommissionProgram, calibration_of_result
 from handctl.runtime.buses.open import real_buses
 from handctl.session.notices import NoticeCallback, ignore_notice
@@ -31,6 +32,16 @@ CLOCK_TOLERANCE_S = 60.0
 LOCKSTEP_CALIBRATION_DATE = datetime.datetime.fromtimestamp(0, datetime.UTC)
 IdentifiedByTendon = dict[str, IdentifiedParameters]
 """Identified parameters of each tendon, by name of the tendon."""
+
+
+def load_calibration(path: Path, hand: Hand) -> Calibration:
+    """Read the calibration of a hand.
+
+    Raises:
+        ConfigError: the file cannot be read, is for another hand, is for another version of the
+            hand description, or lacks a tendon.
+    """
+    return calibration_from(read_toml(path), hand, str(path))
 
 
 def find_calibration(

@@ -15,6 +15,7 @@ from handctl.controller.shutdown import shutdown_step
 from handctl.controller.state_snapshot import snapshot_bytes
 from handctl.controller.target_streams import stream_status
 from handctl.controller.tick import Controller
+from handctl.core.calibration import Calibration
 from handctl.core.tick_types import IoEvent, TickIn, TickOut, TickRequest
 from handctl.errors import BusError, DriveError, PowerError
 from handctl.hand.description import Hand
@@ -22,7 +23,6 @@ from handctl.log.header import TRUTH_OFFSET_KEY
 from handctl.log.tick_record import pack_snapshot, pack_tick_record
 from handctl.log.topics.snapshots import SNAPSHOT_PERIOD_NS
 from handctl.log.write.recorder import Recorder
-from handctl.programs.calibration import Calibration
 from handctl.programs.live_session import LiveProgram, preload_spline
 from handctl.programs.program import Program
 from handctl.runtime.buses.open import open_bus

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from handctl.core.calibration import Calibration, TendonCalibration
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
-from handctl.programs.calibration import Calibration, TendonCalibration
 from handctl.session.calibration import write_calibration
 from tests.replay.grasp_repetition import mean_angle_differences, tensions_held
 from tests.replay.short_runs import CYLINDER_SCENE

@@ -10,9 +10,9 @@ from pathlib import Path
 
 from handctl.cli.console.options import print_escaped
 from handctl.cli.console.verbosity import print_note
+from handctl.core.calibration import Calibration
 from handctl.core.gains.gains import load_gains_file
 from handctl.errors import ConfigError
-from handctl.programs.calibration import Calibration
 from handctl.runtime.buses.open import real_buses
 from handctl.session.plan import RunPlan
 

@@ -8,10 +8,10 @@ from pathlib import Path
 from handctl.cli.console.options import print_escaped
 from handctl.cli.console.progress import progress_bar
 from handctl.cli.console.verbosity import is_quiet, is_verbose, print_detail, print_note
+from handctl.core.calibration import Calibration
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.output import check_output
-from handctl.programs.calibration import Calibration
 from handctl.session import calibration, gains, plan
 from handctl.session.simulate import SimulatorSettings
 

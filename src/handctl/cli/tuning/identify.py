@@ -21,16 +21,17 @@ from handctl.cli.console.plan import (
 )
 from handctl.cli.console.verbosity import print_note
 from handctl.cli.tuning.tune_files import same_hand_words
+from handctl.core.calibration import Calibration
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
-from handctl.programs.calibration import Calibration, load_calibration
 from handctl.programs.excitation import ExciteProgram
 from handctl.replay.controller_rebuild import logged_hand
 from handctl.runtime.hold_limit import HoldLimit
 from handctl.session.calibration import (
     ensure_calibration,
+    load_calibration,
     previous_identified,
     run_commissioning,
     write_calibration,

@@ -1,8 +1,7 @@
-"""Calibration file of a hand: tares, motor zeros, responses of all tendons to a pull, and identified parameters."""
+"""Calibration of a hand: tares, motor zeros, responses of all tendons to a pull, and identified parameters."""
 
 import datetime
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,6 @@ from handctl.document import Document, validate_content
 from handctl.drives.sensors.sensor_node import TARE_MAX_N, TARE_MIN_N
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.hand_loading import read_toml
 
 
 class TendonCalibration(Document):
@@ -74,16 +72,6 @@ class Calibration(Document):
         return np.array([self.tendon[name].zero_rad for name in hand.tendon_names])
 
 
-def load_calibration(path: Path, hand: Hand) -> Calibration:
-    """Read the calibration of a hand.
-
-    Raises:
-        ConfigError: The file cannot be read, is for another hand, is for another version of the
-            hand description, or lacks a tendon.
-    """
-    return calibration_from(read_toml(path), hand, str(path))
-
-
 def calibration_from(content: Mapping[str, Any], hand: Hand, source: str) -> Calibration:
     """Check the content of a calibration file for a hand, and return the calibration.
 
@@ -93,7 +81,8 @@ def calibration_from(content: Mapping[str, Any], hand: Hand, source: str) -> Cal
         source: name of the file, for messages.
 
     Raises:
-        ConfigError: The same errors as from `load_calibration`.
+        ConfigError: the content is no calibration, is for another hand, is for another version of
+            the hand description, or lacks a tendon.
     """
     calibration = validate_content(content, Calibration, source)
     if calibration.identity != hand.identity:
