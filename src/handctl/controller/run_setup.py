@@ -25,6 +25,7 @@ from handctl.drives.sensors.sensor_node import SensorNode
 from handctl.drives.signals import SignalQuantity
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
+from handctl.hand.file.quantities import MAX_POSITION_RANGE_RAD
 from handctl.hand.file.sections import Motor
 from handctl.hand.hand_loading import hand_from_content, parse_toml
 from handctl.programs.commission import CommissionProgram
@@ -110,7 +111,9 @@ class RunSetup(Document):
     arm_at_once: bool
     tare_N: tuple[float, ...]
     """(N,) load-cell tare, in the order of the tendons."""
-    zero_rad: tuple[Annotated[float, Field(ge=-1000, le=1000)], ...]
+    zero_rad: tuple[
+        Annotated[float, Field(ge=-MAX_POSITION_RANGE_RAD, le=MAX_POSITION_RANGE_RAD)], ...
+    ]
     """(N,) motor zero within the range of a calibration [rad]."""
     identities: tuple[str, ...] = ()
     """Identities of the drives at calibration. Empty if unknown."""

@@ -13,6 +13,7 @@ from handctl.document import Document, validate_content
 from handctl.drives.sensors.sensor_node import TARE_MAX_N, TARE_MIN_N
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
+from handctl.hand.file.quantities import MAX_POSITION_RANGE_RAD
 
 
 class TendonCalibration(Document):
@@ -20,7 +21,7 @@ class TendonCalibration(Document):
 
     tare_N: float
     """Tare of the load cell: its reading without tension."""
-    zero_rad: float = Field(ge=-1000, le=1000)
+    zero_rad: float = Field(ge=-MAX_POSITION_RANGE_RAD, le=MAX_POSITION_RANGE_RAD)
     """Motor position at which the tendon is just taut while its digit is open."""
     answer_N: float
     """Response of the tendon's own load cell to the pull."""

@@ -9,7 +9,6 @@ import sys
 from typing import Any
 
 from handctl.cli.console.bench_drive import (
-    MAX_TORQUE_N_M,
     NOT_OFF_WARNING,
     WATCHDOG_MS,
     describe_drive,
@@ -23,6 +22,7 @@ from handctl.cli.console.options import print_json
 from handctl.drives.contract import Drive
 from handctl.drives.discovery import DiscoveredNode
 from handctl.errors import ConfigError, PowerError
+from handctl.hand.file.quantities import MAX_TORQUE_N_M, MIN_TORQUE_LIMIT_N_M
 from handctl.runtime.buses.open import check_bus_spec
 from handctl.runtime.diagnostics.conformance import (
     CHECKED_REQUIREMENTS,
@@ -48,8 +48,9 @@ def run(args: argparse.Namespace) -> int:
     The exit code is 1 if a check failed, and 71 if the drive does not confirm that it is disabled.
     """
     options = parse_options(args.option)
-    if not (math.isfinite(args.limit) and 1e-3 <= args.limit <= MAX_TORQUE_N_M):
-        raise ConfigError(f"{args.limit:g}", "--torque-limit-Nm", f"0.001 to {MAX_TORQUE_N_M:g}")
+    if not (math.isfinite(args.limit) and MIN_TORQUE_LIMIT_N_M <= args.limit <= MAX_TORQUE_N_M):
+        right = f"{MIN_TORQUE_LIMIT_N_M:g} to {MAX_TORQUE_N_M:g}"
+        raise ConfigError(f"{args.limit:g}", "--torque-limit-Nm", right)
     check_bus_spec(args.bus)
     describe_drive(args, options, None)
     if args.dry_run:

@@ -7,13 +7,12 @@ from collections.abc import Mapping, Sequence
 
 from handctl.drives.discovery import DiscoveredNode
 from handctl.drives.protocol_registry import PROTOCOL_ENTRIES
+from handctl.hand.file.quantities import MAX_TORQUE_N_M
 from handctl.hand.file.sections import CIA404_PROTOCOL
 
 SnippetEntry = tuple[str, object, str]
 """Key, value and comment of one line of the hand file."""
 TO_FILL_IN_COMMENT = "yours: "
-MAX_TORQUE_N_M = 50.0
-"""Largest torque allowed in a hand file [N m]."""
 DEFAULT_RATED_TORQUE_N_M = 0.1
 ENCODER_COUNTS = 65536
 

@@ -37,8 +37,6 @@ WATCHDOG_MS = 100
 
 This time is longer than the delays of a desktop computer without real-time priority.
 """
-MAX_TORQUE_N_M = 50.0
-"""Largest torque that a hand file allows [N m]."""
 BENCH_OPTIONS: dict[str, dict[str, Any]] = {
     "odrive": {"torque_feedback": True},
     "cia402": {"sync": True},

@@ -6,7 +6,6 @@ import sys
 from typing import Any
 
 from handctl.cli.console.bench_drive import (
-    MAX_TORQUE_N_M,
     NOT_OFF_WARNING,
     WATCHDOG_MS,
     describe_drive,
@@ -22,6 +21,12 @@ from handctl.drives.discovery import DiscoveredNode
 from handctl.drives.drive_modes import COMMAND_UNITS, DriveMode, MotionLimits
 from handctl.drives.protocol_registry import make_mode_drive
 from handctl.errors import ConfigError, PowerError
+from handctl.hand.file.quantities import (
+    MAX_POSITION_RANGE_RAD,
+    MAX_SPEED_RANGE_RAD_S,
+    MAX_TORQUE_N_M,
+    MIN_TORQUE_LIMIT_N_M,
+)
 from handctl.hand.file.sections import Motor
 from handctl.runtime.buses.open import check_bus_spec
 from handctl.runtime.diagnostics.conformance import release_drive
@@ -31,11 +36,6 @@ from handctl.session.exit_codes import ExitCode
 
 MAX_JOG_S = 600.0
 """Longest duration of a motion [s]."""
-MAX_POSITION_RANGE_RAD = 1000.0
-"""Position range of a drive that counts turns and reports no range [rad].
-
-A hand file may not contain a larger range.
-"""
 ANGLE_UNIT = "rad"
 
 
@@ -95,8 +95,8 @@ def _motion_goal(args: argparse.Namespace) -> JogGoal:
     missing = [name for name, value in needed.items() if value is None]
     if missing:
         raise ConfigError("nothing", missing[0], "a value with --mode")
-    _check_number(args.limit, "--torque-limit-Nm", 1e-3, MAX_TORQUE_N_M)
-    _check_number(args.speed_limit, "--speed-limit", 1e-2, 1000.0)
+    _check_number(args.limit, "--torque-limit-Nm", MIN_TORQUE_LIMIT_N_M, MAX_TORQUE_N_M)
+    _check_number(args.speed_limit, "--speed-limit", 1e-2, MAX_SPEED_RANGE_RAD_S)
     _check_number(args.acceleration_limit, "--acceleration-limit", 1e-2, 1e5)
     _check_number(args.travel, "--travel", 1e-2, MAX_POSITION_RANGE_RAD)
     _check_number(args.duration, "--for", 1e-2, MAX_JOG_S)
@@ -130,6 +130,7 @@ def _describe_motion(
 
     def make_jog_drive(motor: Motor) -> Drive:
         if motor.protocol in ("odrive", "cia402"):
+            # These drives count turns, and report no range.
             motor = motor.model_copy(update={"position_range_rad": MAX_POSITION_RANGE_RAD})
         if goal.mode == DriveMode.FORCE_POSITION and node and "torque_max_N_m" in node.settings:
             motor = _with_current_limit(motor, node.settings["torque_max_N_m"], goal.max_torque_N_m)

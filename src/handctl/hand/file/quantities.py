@@ -337,8 +337,12 @@ TravelNoise = Annotated[float, in_range(1e-9, 5e-3, "m", "in metres?")]
 SpringPreload = Annotated[float, in_range(0.0, 6.3, "rad", "in radians?")]
 WrapAngle = Annotated[float, in_range(0.0, 20.0, "rad", "in radians?")]
 MotorZeroAngle = Annotated[float, in_range(-100.0, 100.0, "rad", "in radians?")]
-PositionRange = Annotated[float, in_range(0.1, 1000.0, "rad", "in radians?")]
-SpeedRange = Annotated[float, in_range(0.1, 1000.0, "rad/s", "in rad/s?")]
+MAX_POSITION_RANGE_RAD = 1000.0
+"""Largest position range of a drive, and so the largest motor position on either side of 0 [rad]."""
+PositionRange = Annotated[float, in_range(0.1, MAX_POSITION_RANGE_RAD, "rad", "in radians?")]
+MAX_SPEED_RANGE_RAD_S = 1000.0
+"""Largest speed range of a drive [rad/s]."""
+SpeedRange = Annotated[float, in_range(0.1, MAX_SPEED_RANGE_RAD_S, "rad/s", "in rad/s?")]
 Damping = Annotated[float, in_range(0.0, 0.1, "N m s/rad")]
 ServoStiffness = Annotated[float, in_range(1e-3, 5000.0, "N m/rad", "at the spool?")]
 ServoDamping = Annotated[float, in_range(0.0, 100.0, "N m s/rad", "at the spool?")]
@@ -352,8 +356,12 @@ TendonDamping = Annotated[float, in_range(0.0, 1e4, "N s/m")]
 StiffnessRatio = Annotated[float, in_range(0.01, 10.0)]
 KneeWidth = Annotated[float, in_range(1e-6, 0.01, "m", "in metres?")]
 FrictionCoefficient = Annotated[float, in_range(0.0, 1.0)]
-Torque = Annotated[float, in_range(0.0, 50.0, "N m", "in N m?")]
-PositiveTorque = Annotated[float, in_range(1e-3, 50.0, "N m", "in N m?")]
+MIN_TORQUE_LIMIT_N_M = 1e-3
+"""Smallest torque limit of a motor that a hand file allows [N m]."""
+MAX_TORQUE_N_M = 50.0
+"""Largest torque that a hand file allows [N m]."""
+Torque = Annotated[float, in_range(0.0, MAX_TORQUE_N_M, "N m", "in N m?")]
+PositiveTorque = Annotated[float, in_range(MIN_TORQUE_LIMIT_N_M, MAX_TORQUE_N_M, "N m", "in N m?")]
 TorqueConstant = Annotated[float, in_range(1e-4, 50.0, "N m/A", "at the spool?")]
 JointNoise = Annotated[float, in_range(1e-7, 0.5, "rad", "in radians?")]
 JointSpeed = Annotated[float, in_range(1.0, 3000.0, "deg/s", "in degrees?")]
