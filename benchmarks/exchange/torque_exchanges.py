@@ -100,9 +100,8 @@ class HandctlExchange:
     def receive(self):
         frames = self.bus.drain()
         state = self.state
-        self.begin_tick(
-            state.block, self.controller.layout.places, state.k, self.t_ns, 0, 0, len(frames)
-        )
+        places = self.controller.derived.layout.places
+        self.begin_tick(state.block, places, state.k, self.t_ns, 0, 0, len(frames))
         self.controller._receive_frames(state, frames, 0)
         return frames
 

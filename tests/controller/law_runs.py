@@ -84,7 +84,7 @@ def temperatures_for_limits(model: HandModel, limit: np.ndarray) -> np.ndarray:
 
     The limits must lie between the floor and the ceiling of the tensions.
     """
-    limits = controller_of(model).limits
+    limits = controller_of(model).derived.limits
     fraction = (limit - model.floor) / (model.ceiling - model.floor)
     return limits.temperature_hard - fraction * (limits.temperature_hard - limits.temperature_soft)
 
@@ -195,7 +195,7 @@ def required_tensions_of(
         state.block, state.layout.places, *stage_constants(model), motion
     )
     allocate_bounded_tensions(
-        model, state.layout, controller_of(model).constants, state.block, undecided, motion
+        model, state.layout, controller_of(model).derived.constants, state.block, undecided, motion
     )
     return state.view("load")
 

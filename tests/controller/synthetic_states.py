@@ -122,7 +122,7 @@ def active_state(model: HandModel) -> ControllerState:
 
 def stage_constants(model: HandModel) -> tuple[BlockArray, TablePlaces]:
     """Return the last two arguments of every stage of a tick: the constants of a hand and their layout."""
-    return controller_of(model)._constants
+    return controller_of(model).derived.constant_args
 
 
 def constant_tables_of(model: HandModel) -> ConstantTables:

@@ -206,7 +206,7 @@ def test_missed_ticks_are_reported_and_many_of_them_relax() -> None:
     run.run(0.5)
     assert run.tick(missed_ticks=1).action == SafetyAction.WARN
     run.run(0.1)
-    stalled = run.controller.limits.stalled_ticks
+    stalled = run.controller.derived.limits.stalled_ticks
     assert run.tick(missed_ticks=stalled - 1).action == SafetyAction.WARN
     run.run(0.1)
     out = run.tick(missed_ticks=stalled)

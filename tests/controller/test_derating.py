@@ -139,7 +139,7 @@ def test_no_tension_grows_during_a_hold_by_safety(warm_grasp) -> None:
         after.mode = mode
         after.view("tension")[...] = tension
         tick_stages.evaluate_goals(
-            after.block, after.layout.places, *controller._constants, int(action)
+            after.block, after.layout.places, *controller.derived.constant_args, int(action)
         )
         return after
 

@@ -223,7 +223,7 @@ def state_after_fusion(
     _fuse_encoders(
         after.block,
         after.layout.places,
-        *controller_of(model)._constants,
+        *controller_of(model).derived.constant_args,
         columns,
         spread,
         t_ns,

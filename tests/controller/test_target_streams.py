@@ -219,7 +219,7 @@ def check_ticks_repeat(run: SimulatedRun, middle: bytes, at: int) -> None:
     controller = run.controller
     for state, ticks in (
         (controller.initial_state(), run.recorded_ticks),
-        (restore_state(controller.layout, middle), run.recorded_ticks[at:]),
+        (restore_state(controller.derived.layout, middle), run.recorded_ticks[at:]),
     ):
         for entry, out in ticks:
             state, again = controller.tick(state, entry)
@@ -775,7 +775,7 @@ def test_a_task_within_a_session_holds_until_it_is_released(jamia: HandModel) ->
         assert client.tick_outputs[-1].phase == "hold", "longer than the task's 0.2 s"
         middle = snapshot_bytes(client.run.state)
         assert (
-            restore_state(client.run.controller.layout, middle).digest()
+            restore_state(client.run.controller.derived.layout, middle).digest()
             == client.run.state.digest()
         )
         assert client.send_command("release") == "release after hold"

@@ -179,8 +179,8 @@ def test_limits_are_stricter_by_the_sigma_of_the_estimate() -> None:
     assert not margin[1:].any()
     assert bare.ceiling[0] == file.tendon[0].tension_max_N - margin[0]
     controller = homed_controller(bare, TaskProgram(CYLINDER_TASK))
-    assert controller.limits.tension_trip[0] == file.tendon[0].tension_trip_N - margin[0]
-    assert controller.limits.tension_trip[1] == file.tendon[1].tension_trip_N
+    assert controller.derived.limits.tension_trip[0] == file.tendon[0].tension_trip_N - margin[0]
+    assert controller.derived.limits.tension_trip[1] == file.tendon[1].tension_trip_N
     assert margin[0] == BLIND_SIGMAS * bare.filter.held_sigma[0]
 
 

@@ -175,7 +175,7 @@ def test_a_number_that_cannot_be_encoded_becomes_a_torque_command(row: int, valu
         for _ in range(10):
             run.run_tick()
         assert run.state.view("servo_kp").all()
-        layout, tables = run.state.layout, run.controller.wire
+        layout, tables = run.state.layout, run.controller.derived.wire
         torque = run.state.tendon[s.TORQUE].copy()
         if row == s.SERVO_KP and math.isnan(value):
             value = math.inf  # A kp of NaN is not above 0: a torque command in any case.

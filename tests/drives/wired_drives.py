@@ -15,7 +15,7 @@ from handctl.core.state_block import STATE_SCHEMA
 from handctl.core.wire import cyclic_frames
 from handctl.core.wire.wire_tables import WireTables
 from handctl.drives.contract import Drive, DriveState, DriveTarget
-from handctl.drives.frame import ERROR_FLAG, Frame
+from handctl.drives.frame import Frame
 from handctl.drives.frame_records import WORDS_PER_RECORD, Frames, frames_as_records
 from handctl.drives.sensors.contract import SensorInterface
 
@@ -87,7 +87,7 @@ class WiredDrives:
             if at >= len(frames):
                 return self
             frame = frames[at]
-            i = self.owners.get((frame.bus, frame.can_id & ~ERROR_FLAG))
+            i = self.owners.get((frame.bus, frame.can_id))
             if i is None:
                 self.foreign_frames.append(frame)
             else:

@@ -81,7 +81,7 @@ def test_a_snapshot_restores_the_state_unchanged(fresh_log: Path) -> None:
         controller = rebuild_controller(log)
         state = controller.initial_state()
         for logged in log.ticks():
-            again = restore_state(controller.layout, snapshot_bytes(state))
+            again = restore_state(controller.derived.layout, snapshot_bytes(state))
             assert (again.digest(), snapshot_bytes(again)) == (
                 state.digest(),
                 snapshot_bytes(state),
@@ -99,7 +99,9 @@ def test_a_snapshot_restores_the_state_of_every_protocol(protocol: str) -> None:
             if simulation.state.mode == HandMode.ACTIVE:
                 break
             seen.add(simulation.state.mode)
-            again = restore_state(simulation.controller.layout, snapshot_bytes(simulation.state))
+            again = restore_state(
+                simulation.controller.derived.layout, snapshot_bytes(simulation.state)
+            )
             assert plain_bytes(again.decisions) == plain_bytes(simulation.state.decisions)
             assert again.digest() == simulation.state.digest()
     assert {HandMode.SILENT, HandMode.INVENTORY, HandMode.ARMING} <= seen
@@ -210,4 +212,4 @@ def test_a_snapshot_with_other_objects_than_decisions_is_refused(
         state = controller.initial_state()
         head = snapshot_bytes(state)[: 8 + state.block.nbytes]
         with pytest.raises(ValueError, match=r"."):
-            restore_state(controller.layout, head + text.encode())
+            restore_state(controller.derived.layout, head + text.encode())

@@ -175,7 +175,7 @@ def tension_bound(
         seconds: time from the fault until all torques are zero [s].
     """
     if RUNAWAY_FAULT not in (scenario.fault.split()[0], *scenario.second_fault.split()[:1]):
-        return max(*simulation.controller.limits.tension_trip, *start_tension)
+        return max(*simulation.controller.derived.limits.tension_trip, *start_tension)
     return runaway_tension(
         simulation.controller.model,
         start_tension,

@@ -275,7 +275,7 @@ def _tension_bound(
     """
     # Without a runaway drive, the bound is the largest trip tension, or the tension at the start if
     # that tension is larger.
-    limits = simulation.controller.limits
+    limits = simulation.controller.derived.limits
     model = simulation.controller.model
     if not any(step.fault.startswith(RUNAWAY_FAULT) for step in sequence.steps):
         return max(*limits.tension_trip, *start_tension)

@@ -43,7 +43,7 @@ def shutdown_step(
     after = state.copy()
     enabled = []
     after.set_run_integer(s.K, state.k + 1)
-    frames = [controller.sensors.sync(after.k)] if controller.sends_sync else []
+    frames = [controller.sensors.sync(after.k)] if controller.derived.sends_sync else []
     for n, drive in enumerate(controller.drives):
         drive_state = after.drive(n)
         for frame in received:

@@ -48,7 +48,7 @@ from handctl.core.wire import cyclic_frames
 from handctl.core.wire.wire_tables import WireTables
 from handctl.drives.cia404.amplifier import AmplifierState
 from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
-from handctl.drives.frame import ERROR_FLAG, Frame
+from handctl.drives.frame import Frame
 from handctl.drives.frame_records import (
     NO_FRAMES,
     PAYLOAD_WORD,
@@ -83,6 +83,68 @@ SILENT = HandMode.SILENT
 
 
 @dataclass(frozen=True, slots=True)
+class DerivedConstants:
+    """Constants of a run that follow from the configuration of its controller.
+
+    Attributes:
+        limits: thresholds of the safety monitor for the hand.
+        layout: layout of the state block.
+        constants: constants for the compiled code.
+        constant_args: block and places of ``constants``, the arguments of compiled functions.
+        wire: signal tables of the drives' cyclic frames.
+        gather: function that copies the telemetry from the state block.
+        owners: index of the drive, by bus and identifier.
+        amplifier_of: index of the CiA 404 amplifier, by bus and identifier.
+        sends_sync: True if the sensor node needs SYNC. On a bus without this SYNC, the host sends
+            SYNC after the command of a CiA 402 drive.
+        sync_row: SYNC frame of the sensor node as a record.
+    """
+
+    limits: SafetyLimits
+    layout: BlockLayout
+    constants: HandConstants
+    constant_args: tuple[Vector, TablePlaces]
+    wire: WireTables
+    gather: TelemetryGatherer
+    owners: dict[tuple[int, int], int]
+    amplifier_of: dict[tuple[int, int], int]
+    sends_sync: bool
+    sync_row: WordRows
+
+    @staticmethod
+    def from_configuration(
+        model: HandModel,
+        drives: tuple[Drive, ...],
+        sensors: SensorInterface,
+        limits: SafetyLimits,
+        constants: HandConstants,
+    ) -> "DerivedConstants":
+        """Return the constants for a hand, its drives and sensors, and its thresholds."""
+        layout = layout_of_state(model, len(sensors.ids))
+        closes_position_loop = constants.layout.view(constants.block, "servo").astype(bool).tolist()
+        return DerivedConstants(
+            limits=limits,
+            layout=layout,
+            constants=constants,
+            constant_args=(constants.block, constants.layout.places),
+            wire=WireTables(drives, sensors, closes_position_loop, model.torque_gain),
+            gather=TelemetryGatherer(layout),
+            owners={
+                (drive.bus, can_id): n
+                for n, drive in enumerate(drives)
+                for can_id in drive.node_ids
+            },
+            amplifier_of={
+                (one.bus, can_id): i
+                for i, one in enumerate(sensors.amplifiers)
+                for can_id in (*one.service_ids, *one.tpdo_ids)
+            },
+            sends_sync=bool(sensors.ids),
+            sync_row=frames_as_records([sensors.sync(0)]).rows[0],
+        )
+
+
+@dataclass(frozen=True, slots=True)
 class Controller:
     """Constants of a run. ``tick`` is a pure function of controller, state, and ``TickIn``.
 
@@ -97,16 +159,7 @@ class Controller:
         identities: identities of the drives at calibration, empty if unknown.
         other_limits: thresholds that replace those of the hand, None to use those of the hand.
         designs: cache of the designs for gains set during a run.
-        limits: thresholds of the safety monitor for the hand.
-        layout: layout of the state block.
-        constants: constants for the compiled code.
-        wire: signal tables of the drives' cyclic frames.
-        gather: function that copies the telemetry from the state block.
-        owners: index of the drive, by bus and identifier.
-        amplifier_of: index of the CiA 404 amplifier, by bus and identifier.
-        sends_sync: True if the sensor node needs SYNC. On a bus without this SYNC, the host sends
-            SYNC after the command of a CiA 402 drive.
-        sync_row: SYNC frame of the sensor node as a record.
+        derived: constants that follow from the other attributes.
     """
 
     model: HandModel
@@ -121,54 +174,19 @@ class Controller:
     designs: gain_change.DesignCache = field(
         default_factory=gain_change.DesignCache, compare=False, repr=False
     )
-    limits: SafetyLimits = field(init=False)
-    layout: BlockLayout = field(init=False, compare=False, repr=False)
-    constants: HandConstants = field(init=False, compare=False, repr=False)
-    wire: WireTables = field(init=False, compare=False, repr=False)
-    gather: TelemetryGatherer = field(init=False, compare=False, repr=False)
-    amplifier_of: dict[tuple[int, int], int] = field(init=False, compare=False, repr=False)
-    _constants: tuple[Vector, TablePlaces] = field(init=False, compare=False, repr=False)
-    owners: dict[tuple[int, int], int] = field(init=False, compare=False, repr=False)
-    sends_sync: bool = field(init=False, compare=False, repr=False)
-    sync_row: WordRows = field(init=False, compare=False, repr=False)
+    derived: DerivedConstants = field(init=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Compute the attributes that follow from the other attributes."""
+        """Compute the constants that follow from the other attributes."""
         compile_kernels()
         limits = self.other_limits or safety_limits(self.model, self.drives, self.sensors)
-        layout = layout_of_state(self.model, len(self.sensors.ids))
-        owners = {
-            (drive.bus, can_id): n
-            for n, drive in enumerate(self.drives)
-            for can_id in drive.node_ids
-        }
-        amplifiers = {
-            (one.bus, can_id): i
-            for i, one in enumerate(self.sensors.amplifiers)
-            for can_id in (*one.service_ids, *one.tpdo_ids)
-        }
         constants = compiled_constants(
             self.model, self.drives, self.sensors, limits, self.tare, self.zero
         )
-        made = {
-            "limits": limits,
-            "layout": layout,
-            "constants": constants,
-            "_constants": (constants.block, constants.layout.places),
-            "wire": WireTables(
-                self.drives,
-                self.sensors,
-                constants.layout.view(constants.block, "servo").astype(bool).tolist(),
-                self.model.torque_gain,
-            ),
-            "gather": TelemetryGatherer(layout),
-            "owners": owners,
-            "amplifier_of": amplifiers,
-            "sends_sync": bool(self.sensors.ids),
-            "sync_row": frames_as_records([self.sensors.sync(0)]).rows[0],
-        }
-        for name, value in made.items():
-            object.__setattr__(self, name, value)
+        derived = DerivedConstants.from_configuration(
+            self.model, self.drives, self.sensors, limits, constants
+        )
+        object.__setattr__(self, "derived", derived)
 
     def initial_state(self) -> ControllerState:
         """Return the state before the first tick, which follows from the configuration alone."""
@@ -178,10 +196,10 @@ class Controller:
             self.program.initial_progress(self.model),
             amplifiers=tuple(one.initial_state() for one in self.sensors.amplifiers),
         )
-        state = ControllerState(self.layout, self.layout.initial.copy(), decisions)
+        state = ControllerState(self.derived.layout, self.derived.layout.initial.copy(), decisions)
         state.armed = self.arm_at_once
-        state.view("turn_sigma")[...] = self.constants.layout.view(
-            self.constants.block, "range_sigma"
+        state.view("turn_sigma")[...] = self.derived.constants.layout.view(
+            self.derived.constants.block, "range_sigma"
         )
         for n, drive_state in enumerate(drives):
             self.store_drive_state(state, n, drive_state)
@@ -246,7 +264,7 @@ class Controller:
         self._count_refusals(state, request_events)
         if state.decisions.lease is not None:
             events += expire_lease(self.model, state)
-        action, findings = self._judge_faults(before, state, entry, open_tick.signs)
+        action, findings = self._judge_faults(state, entry, open_tick.signs)
         t = entry.t_ns / 1e9
         mode_events = hand_modes.next_mode(
             self.model, self.drives, state, action, operator, open_tick.signs, t, self.identities
@@ -268,7 +286,9 @@ class Controller:
             open_tick.events += self._design_pending_gains(
                 open_tick.unchanged, state, open_tick.action, open_tick.entry.k - open_tick.before.k
             )
-        tick_stages.store_commands(state.block, self.layout.places, *self._constants)
+        tick_stages.store_commands(
+            state.block, self.derived.layout.places, *self.derived.constant_args
+        )
         mode = state.mode
         phase = state.progress.phase if mode == ACTIVE else mode.name.lower()
         out = TickOut(
@@ -276,7 +296,7 @@ class Controller:
             mode,
             phase,
             open_tick.action,
-            self.gather(state.block),
+            self.derived.gather(state.block),
             open_tick.events,
             state.digest(),
         )
@@ -296,7 +316,7 @@ class Controller:
         Returns the signs of a second controller.
         """
         block = state.block
-        places = self.layout.places
+        places = self.derived.layout.places
         missed = tick_input.k - last_state.k - 1
         tick_stages.begin_tick(
             block, places, tick_input.k, tick_input.t_ns, tick_input.late_ns, missed, len(frames)
@@ -304,11 +324,11 @@ class Controller:
         signs = self._receive_frames(
             state, frames, self.sensors.earliest_answer_ns(last_state.run_integer(s.T_NS))
         )
-        tick_stages.observe_tick(block, places, *self._constants)
-        tick_stages.correct_estimate(block, places, *self._constants)
+        tick_stages.observe_tick(block, places, *self.derived.constant_args)
+        tick_stages.correct_estimate(block, places, *self.derived.constant_args)
         if state.started:
-            predict_filter_states(self.model, self.layout, block, missed)
-        if tick_stages.conclude_estimate(block, places, *self._constants):
+            predict_filter_states(self.model, self.derived.layout, block, missed)
+        if tick_stages.conclude_estimate(block, places, *self.derived.constant_args):
             signs += detect_unsolicited_replies(
                 self.drives, self.sensors, last_state, state, tick_input.frames
             )
@@ -327,7 +347,7 @@ class Controller:
         Returns the identifiers of received frames that only this host may send, each identifier
         once.
         """
-        tables = self.wire
+        tables = self.derived.wire
         signs = list[str]()
         at = 0
         rows = frames.rows
@@ -336,18 +356,19 @@ class Controller:
             entries = tables.entries_without(self._groups_not_ready(state.decisions.amplifiers))
         while True:
             at = cyclic_frames.receive_frames(
-                state.block, self.layout.places, *self._constants, rows, tables.keys, entries, tables.wholes,
-                tables.reals, at, fresh_ns,
+                state.block, self.derived.layout.places, *self.derived.constant_args, rows, tables.keys, entries,
+                tables.wholes, tables.reals, at, fresh_ns,
             )  # fmt: skip
             if at >= len(rows):
                 return tuple(dict.fromkeys(signs))
+            # Error frames are counted by receive_frames, so this frame has no error flag.
             frame = frames[at]
-            owner = self.owners.get((frame.bus, frame.can_id & ~ERROR_FLAG))
+            owner = self.derived.owners.get((frame.bus, frame.can_id))
             if owner is not None:
                 self.store_drive_state(
                     state, owner, self.drives[owner].receive(state.drive(owner), frame)
                 )
-            elif (frame.bus, frame.can_id & ~ERROR_FLAG) in self.amplifier_of:
+            elif (frame.bus, frame.can_id) in self.derived.amplifier_of:
                 self._receive_amplifier_frame(state, frame)
             else:
                 signs.append(f"{frame.can_id:#05x}")
@@ -365,7 +386,7 @@ class Controller:
 
     def _receive_amplifier_frame(self, state: ControllerState, frame: Frame) -> None:
         """Pass a frame to the state machine of the amplifier that sent it."""
-        i = self.amplifier_of[frame.bus, frame.can_id]
+        i = self.derived.amplifier_of[frame.bus, frame.can_id]
         before = state.decisions.amplifiers
         after = self.sensors.amplifiers[i].receive(before[i], frame)
         if after != before[i]:
@@ -392,7 +413,7 @@ class Controller:
         before = state.decisions.drives[n]
         drive = self.drives[n]
         tick_stages.store_drive(
-            state.block, self.layout.places, n, *drive_state[1:7], int(drive_state.phase), drive_state.error,
+            state.block, self.derived.layout.places, n, *drive_state[1:7], int(drive_state.phase), drive_state.error,
             int(drive.fault_cause(drive_state.error)) if drive_state.phase == DrivePhase.FAULT else -1,
             drive.steady_status(drive_state), drive.due_ns(drive_state), int(drive_state.misread != before.misread),
         )  # fmt: skip
@@ -424,7 +445,6 @@ class Controller:
 
     def _judge_faults(
         self,
-        last_state: ControllerState,
         state: ControllerState,
         tick_input: TickIn,
         second_controller_signs: tuple[str, ...],
@@ -434,10 +454,13 @@ class Controller:
             s.TARED, state.progress.phase != TARE_PHASE
         )  # before its tare, a load cell may read any value
         demanded, found = tick_stages.find_faults(
-            state.block, self.layout.places, *self._constants, self.layout.initial
+            state.block,
+            self.derived.layout.places,
+            *self.derived.constant_args,
+            self.derived.layout.initial,
         )
         new_findings = (
-            faults_counting_since_now(self.limits, found, state.view("fault_ticks"))
+            faults_counting_since_now(self.derived.limits, found, state.view("fault_ticks"))
             if state.run_integer(s.NEW_FAULTS)
             else []
         )
@@ -496,7 +519,7 @@ class Controller:
         if progress is old:
             return
         if old is None or progress.goals is not old.goals:
-            write_goals(self.model, self.layout, state.block, progress.goals)
+            write_goals(self.model, self.derived.layout, state.block, progress.goals)
         state.view("planned_contact")[...] = progress.contact
         state.view("closing")[...] = progress.closing or 0
         state.set_run_integer(s.GRIPPING, progress.grip is not None)
@@ -512,18 +535,22 @@ class Controller:
         The torques are 0 unless the hand is active or relaxing.
         """
         block = state.block
-        places = self.layout.places
+        places = self.derived.layout.places
         mode = state.mode
         if mode in (ACTIVE, RELAX):
             sample_trajectories(
-                self.model, self.layout, block, state.progress.goals, state.goal_time
+                self.model, self.derived.layout, block, state.progress.goals, state.goal_time
             )
-            write_tension_goals(self.model, self.layout, self.constants, block, int(action))
+            write_tension_goals(
+                self.model, self.derived.layout, self.derived.constants, block, int(action)
+            )
         relaxing = mode == RELAX
         rate, opened = (
             (present_relax_rate(state), is_open_loop(state)) if relaxing else (0.0, False)
         )
-        tick_stages.compute_motor_torques(block, places, *self._constants, rate, int(opened), ticks)
+        tick_stages.compute_motor_torques(
+            block, places, *self.derived.constant_args, rate, int(opened), ticks
+        )
 
     def _design_pending_gains(
         self, unchanged: ControllerState, state: ControllerState, action: SafetyAction, ticks: int
@@ -559,12 +586,12 @@ class Controller:
         mode = state.mode
         if mode in (SILENT, DONE):
             return frames_as_records(hand_modes.shutdown_frames(self.drives, state))
-        out = np.empty((1 + len(self.wire.templates), WORDS_PER_RECORD), dtype=np.uint64)
+        out = np.empty((1 + len(self.derived.wire.templates), WORDS_PER_RECORD), dtype=np.uint64)
         # A hand without sensors has no SYNC, so row 0 is not sent.
-        start = 0 if self.sends_sync else 1
-        if self.sends_sync:
+        start = 0 if self.derived.sends_sync else 1
+        if self.derived.sends_sync:
             counter = self.sensors.counter(state.k)
-            out[0] = self.sync_row
+            out[0] = self.derived.sync_row
             out[0, PAYLOAD_WORD] = counter
             state.set_run_integer(s.SYNC_COUNTER, counter & 0xF)
             # Until the set-up of an amplifier is complete, its answers are not used, and missing
@@ -606,7 +633,7 @@ class Controller:
             torque: (N,) commanded torque [N m].
             t_ns: time of the tick [ns].
         """
-        tables = self.wire
+        tables = self.derived.wire
         parts = list[Frames]()
         first = 0
         pending_row = start
@@ -616,7 +643,7 @@ class Controller:
         while True:
             if target == DriveTarget.ENABLE:
                 first, count = cyclic_frames.encode_commands(
-                    state.block, self.layout.places, frame_words, tables.commands, tables.sent_wholes,
+                    state.block, self.derived.layout.places, frame_words, tables.commands, tables.sent_wholes,
                     tables.sent_reals, tables.templates, torque, tables.servos, tables.servo_templates,
                     tables.servo_wholes, tables.servo_reals, first, count,
                 )  # fmt: skip

@@ -93,7 +93,7 @@ def load_limits(path: Path, controller: Controller) -> SafetyLimits:
         ConfigError: the file cannot be read or names a tendon that the hand does not have.
     """
     new = load_document(path, NewLimits)
-    old = controller.limits
+    old = controller.derived.limits
     period = controller.model.period
     trips = new.tension_trip_N if isinstance(new.tension_trip_N, dict) else {}
     for name in trips.keys() - set(old.tendons):

@@ -184,7 +184,7 @@ class LogRunner:
     ) -> TickDifference | None:
         """Compare the controller's state after a tick with the snapshot in the log, and return the first difference."""
         try:
-            was = restore_state(self.controller.layout, self.snapshots[logged.tick_in.k])
+            was = restore_state(self.controller.derived.layout, self.snapshots[logged.tick_in.k])
         except ValueError:
             return None  # the state of another version has other fields
         return state_difference(self.log.header, logged, was, state)

@@ -157,7 +157,9 @@ def _state_after(runner: LogRunner, index: int) -> ControllerState | None:
         differs from the logged hash.
     """
     try:
-        state = restore_state(runner.controller.layout, runner.snapshots[int(runner.log.k[index])])
+        state = restore_state(
+            runner.controller.derived.layout, runner.snapshots[int(runner.log.k[index])]
+        )
     except ValueError:
         return None
     return state if state.digest() == runner.log.state_hash[index].tobytes() else None
@@ -205,7 +207,7 @@ def _wait_for_result(
         *numbers,
         *(TickDifference(*worker) if worker else None for worker in (first, state, largest)),
     )
-    return restore_state(runner.controller.layout, bytes.fromhex(result["state"])), tally
+    return restore_state(runner.controller.derived.layout, bytes.fromhex(result["state"])), tally
 
 
 def _kill_worker(worker: WorkerProcess) -> None:

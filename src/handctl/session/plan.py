@@ -4,7 +4,7 @@ import math
 import os
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
@@ -81,10 +81,6 @@ class RunPlan:
     def is_simulated(self) -> bool:
         """Return True if the plan has buses, and none of them can have real motors."""
         return bool(self.buses) and not real_buses(self.buses)
-
-    def with_buses(self, buses: tuple[str, ...]) -> "RunPlan":
-        """Return the plan with other bus specifications."""
-        return replace(self, buses=buses)
 
 
 @dataclass(frozen=True)
