@@ -67,6 +67,7 @@ class BaselineLoop:
         torque = pinocchio.rnea(self.model, self.data, np.zeros(self.model.nq), np.zeros(self.model.nv),
                                 np.zeros(self.model.nv))  # fmt: skip
         for node, one in zip(self.nodes, self.filters, strict=True):
+            # The torque law is computed for its time, and multiplied by 0 so that no motor moves.
             data = torque_payload(
                 0.005 * min(max(float(one.x[0, 0]) + float(torque[0]), 0.0), 10.0) * 0.0
             )

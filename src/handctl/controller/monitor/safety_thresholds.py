@@ -30,6 +30,12 @@ Source: spool speed of the packaged hands, divided by their smallest moment arm.
 """
 ROUNDING_NOISE_COUNTS = 6.0
 """Mean squared jerk of a motor position that rounding of the encoder causes [squared encoder counts]."""
+HEALTHY_ACCELERATION_FRACTION = 0.1
+"""RMS acceleration of a healthy motor over 100 ms, as a fraction of the bare rotor's acceleration at full torque.
+
+A motor also accelerates a digit, and never has its full torque for long. In the golden logs of
+jamia and jamia11, the fraction is at most 0.02.
+"""
 
 
 def safety_limits(
@@ -184,14 +190,16 @@ def max_frames_per_tick(drives: Sequence[Drive], sensors: SensorInterface) -> in
 def _noise_limit(model: HandModel) -> float:
     """Return the largest mean squared jerk of a motor's position without encoder noise [rad^2].
 
-    This limit includes the jerk of the bare rotor under full torque in alternating directions, and
-    rounding of the encoder.
+    The jerk is the change of the position step from one tick to the next: acceleration times period
+    squared. This limit includes the jerk of a healthy motor, and rounding of the encoder.
     """
     space = model.space
     period = model.period
     # Acceleration of the bare rotor at full torque [rad/s^2]. Torque / spool radius is a force,
     # force / mass an acceleration along the tendon, and this acceleration / spool radius that of
     # the rotor.
-    torque = float((model.torque_limit / space.spool / space.motor_mass / space.spool).max())
+    acceleration = float((model.torque_limit / space.spool / space.motor_mass / space.spool).max())
     rounding = ROUNDING_NOISE_COUNTS * float((space.encoder_step / space.spool).max()) ** 2
-    return NOISE_FACTOR * ((0.1 * torque * period**2) ** 2 + rounding)
+    return NOISE_FACTOR * (
+        (HEALTHY_ACCELERATION_FRACTION * acceleration * period**2) ** 2 + rounding
+    )
