@@ -61,10 +61,17 @@ def test_summary_without_truth_has_nan() -> None:
         "tension_rmse_n",
         "tension_raw_rmse_n",
         "tension_hold_error_n",
+        "tension_hold_peak_error_n",
         "object_motion_mm",
     ):
         assert math.isnan(result[name]), name
     assert result["tip_equivalent_force_n"] == pytest.approx(dict.fromkeys(JAMIA.digit_names, 0.0))
+
+
+def test_summaries_with_and_without_truth_have_the_same_keys() -> None:
+    log = hold_log()
+    with_truth = summarise_run(log, JAMIA, zero_truth(JAMIA, 400), 0)
+    assert summarise_run(log, JAMIA, None, 0).keys() == with_truth.keys()
 
 
 def test_a_truth_of_another_time_is_no_truth() -> None:

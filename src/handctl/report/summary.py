@@ -27,6 +27,13 @@ MAX_TARGET_CHANGE_N = 1.0
 In a hold with stiffness, the tension targets follow the noise of the encoders and are never exactly
 constant.
 """
+TENSION_ERROR_KEYS = (
+    "tension_rmse_n",
+    "tension_raw_rmse_n",
+    "tension_hold_error_n",
+    "tension_hold_peak_error_n",
+)
+"""Keys of the tension errors in a summary. The values are NaN without true values."""
 
 
 def summarise_run(
@@ -206,9 +213,7 @@ def judge_tension(
         holds: mask (ticks,) for each hold, True where the hold is settled.
     """
     if truth is None:
-        return dict.fromkeys(
-            ("tension_rmse_n", "tension_raw_rmse_n", "tension_hold_error_n"), float("nan")
-        )
+        return dict.fromkeys(TENSION_ERROR_KEYS, float("nan"))
     names = [f"tension/{tendon}" for tendon in log.header.tendons]
     real = truth.columns_at(names, log.t_ns + offset_ns)
     # A reading of a load cell is one control period old when the tick reads it.
@@ -218,18 +223,13 @@ def judge_tension(
     error = np.where(_holding_mask(log, hand), log.field("tension_goal") - real, np.nan)
     columns = [column[~np.isnan(column)] for hold in holds for column in error[hold].T]
     columns = [column for column in columns if len(column)]
-    return {
-        "tension_rmse_n": root_mean_square(np.where(taut, log.field("tension") - real, np.nan)),
-        "tension_raw_rmse_n": root_mean_square(
-            np.where(taut, log.field("tension_raw") - before, np.nan)
-        ),
-        "tension_hold_error_n": max(
-            (abs(float(column.mean())) for column in columns), default=float("nan")
-        ),
-        "tension_hold_peak_error_n": max(
-            (float(np.abs(column).max()) for column in columns), default=float("nan")
-        ),
-    }
+    errors = (
+        root_mean_square(np.where(taut, log.field("tension") - real, np.nan)),
+        root_mean_square(np.where(taut, log.field("tension_raw") - before, np.nan)),
+        max((abs(float(column.mean())) for column in columns), default=float("nan")),
+        max((float(np.abs(column).max()) for column in columns), default=float("nan")),
+    )
+    return dict(zip(TENSION_ERROR_KEYS, errors, strict=True))
 
 
 def _holding_mask(log: RunLog, hand: Hand) -> NDArray[np.bool_]:
