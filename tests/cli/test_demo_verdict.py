@@ -10,7 +10,7 @@ import pytest
 from handctl.cli.main import main
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.hand_loading import hand_content, load_hand
-from handctl.programs.calibration import load_calibration
+from handctl.session.calibration import load_calibration
 from tests.cli.command_refusals import refusal_line
 from tests.runtime.processes import run_handctl, time_scale_options
 
