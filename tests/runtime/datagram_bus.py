@@ -20,7 +20,7 @@ def datagram_bus(index: int) -> Iterator[tuple[SocketCanBus, socket.socket]]:
     far.connect(near.getsockname())
     far.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
     far.settimeout(20.0)
-    bus = SocketCanBus(near, "socketcan:test", index, fd_mode=True, stamp=int)
+    bus = SocketCanBus(near, "socketcan:test", index, stamp=int)
     yield bus, far
     bus.close()
     far.close()

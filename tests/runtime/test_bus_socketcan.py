@@ -48,18 +48,27 @@ def test_sent_frames_have_the_kernels_layout(udp_bus: tuple[SocketCanBus, socket
     assert far.recv(100) == CLASSICAL_FRAME_STRUCT.pack(2, 8, bytes(8))
 
 
-@pytest.mark.parametrize("fd_mode", [False, True])
+@pytest.mark.parametrize(
+    ("long_frame", "short_frames"),
+    [
+        (Frame(1, b"\xff" * 8), [Frame(2, bytes(size)) for size in range(3)]),
+        (Frame(1, b"\xff" * 64, FDF), [Frame(2, bytes(size), FDF) for size in (0, 1, 12)]),
+        (Frame(1, b"\xff" * 64, FDF), [Frame(2, bytes(size)) for size in (0, 1, 7)]),
+    ],
+    ids=["classical", "FD", "classical after FD"],
+)
 def test_a_short_frame_after_a_long_one_has_none_of_its_bytes(
-    udp_bus: tuple[SocketCanBus, socket.socket], fd_mode: bool
+    udp_bus: tuple[SocketCanBus, socket.socket], long_frame: Frame, short_frames: list[Frame]
 ) -> None:
     bus, far = udp_bus
-    bus._fd_mode = fd_mode
-    for number in range(3):
-        far.send(CLASSICAL_FRAME_STRUCT.pack(1, 8, b"\xff" * 8))
-        assert wait_for_frames(bus, 1)[0].data == b"\xff" * 8
-        far.send(CLASSICAL_FRAME_STRUCT.pack(2, number, b""))
-        (frame,) = wait_for_frames(bus, 1)
-        assert frame[:4] == (2, bytes(number), 0, 1)
+    for short_frame in short_frames:
+        for can_id, data, flags, *_ in (long_frame, short_frame):
+            if flags:
+                far.send(FD_FRAME_STRUCT.pack(can_id, len(data), flags, data))
+            else:
+                far.send(CLASSICAL_FRAME_STRUCT.pack(can_id, len(data), data))
+            (frame,) = wait_for_frames(bus, 1)
+            assert frame[:4] == (can_id, data, flags, 1)
 
 
 def test_the_size_of_a_datagram_distinguishes_fd_from_classical(
@@ -178,7 +187,7 @@ def test_frames_that_overflow_the_socket_are_counted(
 
 def test_a_full_queue_refuses_without_waiting() -> None:
     near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
-    bus = SocketCanBus(near, "socketcan:test", 0, fd_mode=False, stamp=int)
+    bus = SocketCanBus(near, "socketcan:test", 0, stamp=int)
     with far:
         far.setblocking(False)
         accepted = bus.send([Frame(number, b"") for number in range(1000)])

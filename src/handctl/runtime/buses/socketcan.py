@@ -66,23 +66,19 @@ short for them.
 class SocketCanBus:
     """Raw CAN socket. This class has the interface ``contract.Bus``."""
 
-    def __init__(
-        self, link: socket.socket, name: str, index: int, fd_mode: bool, stamp: TimeConversion
-    ) -> None:
+    def __init__(self, link: socket.socket, name: str, index: int, stamp: TimeConversion) -> None:
         """Set up an open socket for use as a bus.
 
         Args:
             link: raw CAN socket, or a datagram socket that carries the same structs.
             name: specification of the bus.
             index: index of the bus in the hand's list.
-            fd_mode: True if the socket receives CAN FD frames.
             stamp: function that converts a CLOCK_MONOTONIC time to the run's time [ns].
         """
         _set_socket_options(link)
         self.name = name
         self._socket = link
         self._index = index
-        self._fd_mode = fd_mode
         self._stamp = stamp
         self._events = BusEvents(name)
         self._in = mmsg.DatagramSlots(MAX_FRAMES_PER_CALL, CANFD_FRAME_BYTES, control=True)
@@ -267,7 +263,7 @@ def open_socketcan(
     if problem:
         link.close()
         raise BusError(problem, name, hint)
-    return SocketCanBus(link, name, index, fd_mode, stamp)
+    return SocketCanBus(link, name, index, stamp)
 
 
 def _interface_problem(link: socket.socket, channel: str, fd_mode: bool) -> str:
