@@ -8,6 +8,7 @@ import json
 import pytest
 
 from handctl.runtime.buses.adapter import UsbAdapter, read_adapter
+from handctl.runtime.buses.interface import set_up_commands
 from handctl.runtime.buses.link import parse_link
 from handctl.runtime.diagnostics.link_findings import (
     adapter_findings,
@@ -82,6 +83,15 @@ def test_missing_fd_is_found_where_the_hand_needs_it():
     texts = bad_findings(link_json(), 5 * MEGABIT_PER_S)
     assert ["does not carry CAN FD" in finding.observation for finding in texts] == [True, False]
     assert "dbitrate 5000000 fd on" in texts[0].fix
+
+
+@pytest.mark.parametrize("data_bitrate", [None, 5 * MEGABIT_PER_S])
+def test_the_set_up_of_a_finding_is_that_of_bus_up(data_bitrate):
+    """Regression: the command in a finding left out ``restart-ms``, and the next finding then asked for it."""
+    (finding, *_) = bad_findings(link_json(link={"flags": ["NOARP"]}), data_bitrate)
+    commands = set_up_commands("can0", MEGABIT_PER_S, data_bitrate, exists=True)
+    assert finding.fix.split(" && ") == ["sudo " + " ".join(command) for command in commands]
+    assert "restart-ms 100" in finding.fix
 
 
 def test_lost_arbitration_alone_is_no_fault():

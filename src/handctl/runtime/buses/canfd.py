@@ -29,7 +29,7 @@ CANFD_FRAME_DTYPE = np.dtype(
     ]
 )
 CANFD_FRAME_BYTES = CANFD_FRAME_DTYPE.itemsize
-"""Size of ``struct canfd_frame`` [bytes]."""
+"""Size of ``struct canfd_frame``, and MTU of an interface that carries CAN FD [bytes]."""
 CLASSICAL_FRAME_BYTES = 16
 """Size of ``struct can_frame`` [bytes]."""
 MAX_PAYLOAD_BYTES = 64

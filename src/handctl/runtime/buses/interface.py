@@ -3,9 +3,11 @@
 The module ``link`` reads the state of an interface.
 """
 
+import shlex
 import socket
 
-from handctl.runtime.buses.link import CANFD_MTU_BYTES, CanLinkState, MissingTool, read_link
+from handctl.runtime.buses.canfd import CANFD_FRAME_BYTES
+from handctl.runtime.buses.link import CanLinkState, MissingTool, read_link
 
 CommandWords = tuple[str, ...]
 """A shell command as a list of words."""
@@ -44,12 +46,18 @@ def set_up_commands(
     if channel.startswith("vcan"):
         add: CommandWords = ("ip", "link", "add", channel, "type", "vcan")
         begin = (*link, "down") if exists else add
-        mtu = ((*link, "mtu", str(CANFD_MTU_BYTES)),) if data_bitrate else ()
+        mtu = ((*link, "mtu", str(CANFD_FRAME_BYTES)),) if data_bitrate else ()
         return (begin, *mtu, queue, up)
     timing: CommandWords = (*link, "type", "can", "bitrate", str(bitrate))
     if data_bitrate:
         timing = (*timing, "dbitrate", str(data_bitrate), "fd", "on")
     return ((*link, "down"), (*timing, "restart-ms", str(RESTART_MS)), queue, up)
+
+
+def set_up_text(channel: str, bitrate: int, data_bitrate: int | None, exists: bool) -> str:
+    """Return the commands of ``set_up_commands`` in one line, for a user who is not root."""
+    commands = set_up_commands(channel, bitrate, data_bitrate, exists)
+    return " && ".join(f"sudo {shlex.join(command)}" for command in commands)
 
 
 def wrong_rate_text(channel: str, bitrate: int, data_bitrate: int | None) -> str:

@@ -8,11 +8,8 @@ import subprocess
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-CANFD_MTU_BYTES = 72
-"""MTU of an interface that carries CAN FD [bytes].
+from handctl.runtime.buses.canfd import CANFD_FRAME_BYTES
 
-This MTU is the size of ``struct canfd_frame``.
-"""
 IP_TOOL_TIMEOUT_S = 5.0
 """Longest wait for the program ``ip`` to answer [s]."""
 
@@ -84,7 +81,7 @@ def parse_link(text: str) -> CanLinkState | None:
         is_up="UP" in link.get("flags", ()),
         kind=str(info.get("info_kind", "")),
         tx_queue_frames=int(link.get("txqlen", 0)),
-        is_fd=int(link.get("mtu", 0)) >= CANFD_MTU_BYTES,
+        is_fd=int(link.get("mtu", 0)) >= CANFD_FRAME_BYTES,
         bitrate=data.get("bittiming", {}).get("bitrate"),
         data_bitrate=data.get("data_bittiming", {}).get("bitrate"),
         controller_state=str(data.get("state", "")),

@@ -21,7 +21,7 @@ from handctl.runtime.buses.canfd import CANFD_FRAME_BYTES, FrameStructs
 from handctl.runtime.buses.clock_offset import ClockOffset
 from handctl.runtime.buses.contract import TimeConversion
 from handctl.runtime.buses.events import BusEvent, BusEvents
-from handctl.runtime.buses.interface import wrong_rate_text
+from handctl.runtime.buses.interface import interface_names, set_up_text, wrong_rate_text
 
 MAX_FRAMES_PER_CALL = 128
 """Largest number of frames in one system call."""
@@ -242,8 +242,8 @@ def open_socketcan(
     """
     name = f"socketcan:{channel}"
     fd_mode = data_bitrate is not None
-    exists = channel in [name for _, name in socket.if_nameindex()]
-    hint = "type: " + setup_command(channel, bitrate, data_bitrate, exists)
+    exists = channel in interface_names()
+    hint = "type: " + set_up_text(channel, bitrate, data_bitrate, exists)
     try:
         link = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
     except OSError as error:
@@ -287,16 +287,3 @@ def _read_interface_number(link: socket.socket, channel: str, request: int) -> i
     answer = fcntl.ioctl(link, request, struct.pack("=16sI20x", channel.encode(), 0))
     (number,) = struct.unpack_from("=H" if request == SIOCGIFFLAGS else "=i", answer, 16)
     return int(number)
-
-
-def setup_command(
-    channel: str, bitrate: int, data_bitrate: int | None, exists: bool = False
-) -> str:
-    """Return the shell command that sets up an interface for a hand."""
-    if channel.startswith("vcan"):
-        steps = ["sudo ip link set {0} down" if exists else "sudo ip link add {0} type vcan"]
-        steps += ["sudo ip link set {0} mtu 72"] * bool(data_bitrate) + ["sudo ip link set {0} up"]
-        return " && ".join(steps).format(channel)
-    fd = f" dbitrate {data_bitrate} fd on" if data_bitrate else ""
-    down = f"sudo ip link set {channel} down; "
-    return f"{down}sudo ip link set {channel} up txqueuelen 128 type can bitrate {bitrate}{fd}"

@@ -4,12 +4,13 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from handctl.runtime.buses.adapter import UsbAdapter
+from handctl.runtime.buses.interface import RESTART_MS, TX_QUEUE_FRAMES, set_up_text
 from handctl.runtime.buses.link import CanLinkState
-from handctl.runtime.buses.socketcan import MIN_QUEUE_FRAMES, setup_command
+from handctl.runtime.buses.socketcan import MIN_QUEUE_FRAMES
 
 # Rules for udev. With them, a setting is made again after each restart of the machine. Source: man
 # 7 udev.
-UDEV_QUEUE_RULE = 'SUBSYSTEM=="net", ACTION=="add", KERNEL=="{0}", ATTR{{tx_queue_len}}="128"'
+UDEV_QUEUE_RULE = 'SUBSYSTEM=="net", ACTION=="add", KERNEL=="{0}", ATTR{{tx_queue_len}}="{1}"'
 UDEV_NAME_RULE = 'SUBSYSTEM=="net", ACTION=="add", ATTRS{{serial}}=="THE ADAPTER\'S", NAME="{0}"'
 UDEV_SERIAL_RULE = 'SUBSYSTEM=="net", ACTION=="add", ATTRS{{serial}}=="{1}", NAME="{0}"'
 UDEV_FILE = "/etc/udev/rules.d/90-can.rules"
@@ -51,7 +52,10 @@ def missing_interface_finding(name: str, bitrate: int, data_bitrate: int | None)
     """Return the finding for an interface that does not exist."""
     if name.startswith("vcan"):
         return LinkFinding(
-            f"{name} does not exist", False, setup_command(name, bitrate, data_bitrate), fatal=True
+            f"{name} does not exist",
+            False,
+            set_up_text(name, bitrate, data_bitrate, exists=False),
+            fatal=True,
         )
     fix = (
         f"plug the adapter in and check: sudo dmesg | tail; to give it this name, in {UDEV_FILE}: "
@@ -73,7 +77,7 @@ def interface_findings(
         data_bitrate: bit rate of the data phase in the hand file [bit/s], or None for a classical
             bus.
     """
-    set_up = setup_command(name, bitrate, data_bitrate, exists=True)
+    set_up = set_up_text(name, bitrate, data_bitrate, exists=True)
     result = [
         LinkFinding(
             f"{name} is {'up' if link.is_up else 'down'}", link.is_up, set_up, fatal=not link.is_up
@@ -91,7 +95,10 @@ def interface_findings(
             result.append(
                 _rate_finding("bit rate of the data phase", link.data_bitrate, data_bitrate, set_up)
             )
-    queue = f"sudo ip link set {name} txqueuelen 128; for good, in {UDEV_FILE}: {UDEV_QUEUE_RULE.format(name)}"
+    rule = UDEV_QUEUE_RULE.format(name, TX_QUEUE_FRAMES)
+    queue = (
+        f"sudo ip link set {name} txqueuelen {TX_QUEUE_FRAMES}; for good, in {UDEV_FILE}: {rule}"
+    )
     result.append(
         LinkFinding(
             f"transmit queue of {link.tx_queue_frames} frames",
@@ -163,9 +170,7 @@ def _controller_findings(name: str, link: CanLinkState) -> list[LinkFinding]:
     )
     result = [LinkFinding(counters, good or not link.is_up, restart + WIRING_ADVICE)]
     if link.restart_ms is not None:
-        command = (
-            f"sudo ip link set {name} down; sudo ip link set {name} up type can restart-ms 100"
-        )
+        command = f"sudo ip link set {name} down; sudo ip link set {name} up type can restart-ms {RESTART_MS}"
         result.append(
             LinkFinding(
                 f"restarts {link.restart_ms} ms after bus-off", link.restart_ms > 0, command
