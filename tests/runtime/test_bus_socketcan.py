@@ -161,6 +161,53 @@ def test_stamps_are_right_although_the_wall_clock_was_set(
     assert before - slack <= wait_for_frames(bus, 1)[0].t_ns <= after + slack
 
 
+def overflow_socket(bus: SocketCanBus, far: socket.socket) -> None:
+    """Send more frames than a small receive buffer holds, and then one that brings the count of drops."""
+    with socket.socket(fileno=bus.fileno()) as link:
+        link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        link.detach()
+    for _ in range(2000):
+        far.send(CLASSICAL_FRAME_STRUCT.pack(1, 0, b""))
+    while bus.drain():
+        pass
+    far.send(CLASSICAL_FRAME_STRUCT.pack(1, 0, b""))
+    wait_for_frames(bus, 1)
+
+
+@pytest.mark.parametrize("fd_flag", [0, FDF])
+def test_after_a_loss_frames_are_converted_as_batches_again(
+    udp_bus: tuple[SocketCanBus, socket.socket], monkeypatch: pytest.MonkeyPatch, fd_flag: int
+) -> None:
+    """Regression: after the first loss, every frame of the run took the slow way.
+
+    The kernel adds the counter of lost frames to each later frame.
+    """
+    bus, far = udp_bus
+    time.sleep(KERNEL_STAMPS_S)
+    take_each = bus._take_each
+    slow_batches = []
+    monkeypatch.setattr(
+        bus, "_take_each", lambda *words: slow_batches.append(words) or take_each(*words)
+    )
+    for _ in range(2):
+        overflow_socket(bus, far)
+        assert [kind for kind, _, _ in bus.take_events()] == ["dropped"]
+        slow_batches.clear()
+        for number in range(40):
+            data = bytes([number] * (number % 9))
+            far.send(
+                FD_FRAME_STRUCT.pack(number, len(data), FDF, data)
+                if fd_flag
+                else CLASSICAL_FRAME_STRUCT.pack(number, len(data), data)
+            )
+            (frame,) = wait_for_frames(bus, 1)
+            assert frame[:4] == (number, data, fd_flag, 1)
+            assert frame.t_ns > time.monotonic_ns() - 10**9
+        # A frame that comes more than MAX_STAMP_STEP_NS after the last one is converted alone.
+        assert len(slow_batches) < 20
+        assert bus.take_events() == []
+
+
 def test_frames_that_overflow_the_socket_are_counted(
     udp_bus: tuple[SocketCanBus, socket.socket],
 ) -> None:

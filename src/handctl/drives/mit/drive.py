@@ -308,7 +308,7 @@ class MitDrive:
             return state, ()
         if target == DISABLE or state.phase == ENABLED:
             return self._disable(state, progress, t_ns), self.cut_frames()
-        if state.phase == FAULT and progress.enabled_by_other:
+        if state.phase == FAULT and progress.may_be_enabled:
             return state, self.cut_frames()
         progress = progress._replace(disabling=False)
         if (
@@ -344,7 +344,7 @@ class MitDrive:
 
         A motor that may be enabled counts as enabled until feedback has state 0.
         """
-        phase = ENABLED if progress.enable_sent or progress.enabled_by_other else state.phase
+        phase = ENABLED if progress.may_be_enabled else state.phase
         since = progress.disabling_ns if progress.disabling else t_ns
         return state._replace(
             phase=phase, private=progress._replace(disabling=True, disabling_ns=since)

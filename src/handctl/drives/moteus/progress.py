@@ -61,6 +61,11 @@ class MoteusProgress(NamedTuple):
     check: RecheckCursor = RecheckCursor()
     serial: int = 0
 
+    @property
+    def may_be_enabled(self) -> bool:
+        """Return True if an enable command was sent, or the drive may make torque without one."""
+        return self.enable_sent or self.enabled_by_other
+
 
 def progress_of(state: DriveState) -> MoteusProgress:
     """Return the moteus progress in a drive state."""

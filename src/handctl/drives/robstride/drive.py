@@ -334,7 +334,7 @@ class RobstrideDrive:
 
         A motor that may be enabled counts as enabled until feedback reports reset mode.
         """
-        phase = ENABLED if progress.enable_sent or progress.enabled_by_other else state.phase
+        phase = ENABLED if progress.may_be_enabled else state.phase
         since = progress.disabling_ns if progress.disabling else t_ns
         return state._replace(
             phase=phase, private=progress._replace(disabling=True, disabling_ns=since)

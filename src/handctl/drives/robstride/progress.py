@@ -64,6 +64,11 @@ class RobstrideProgress(NamedTuple):
     check: RecheckCursor = RecheckCursor()
     serial: int = 0
 
+    @property
+    def may_be_enabled(self) -> bool:
+        """Return True if an enable command was sent, or the motor may make torque without one."""
+        return self.enable_sent or self.enabled_by_other
+
 
 def progress_of(state: DriveState) -> RobstrideProgress:
     """Return the RobStride progress in a drive state."""
