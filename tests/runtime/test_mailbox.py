@@ -17,6 +17,7 @@ import pytest
 
 from handctl.cli.main import main
 from handctl.errors import BusError
+from handctl.runtime import mailbox
 from handctl.runtime.confirmed_requests import send_with_confirmation
 from handctl.runtime.mailbox import (
     MAX_REQUEST_BYTES,
@@ -97,6 +98,29 @@ def test_a_second_controller_is_refused_and_disturbs_nothing() -> None:
     again = Mailbox("local:x")
     again.close()
     other.close()
+
+
+@pytest.mark.parametrize("stage", ["unlink", "credentials", "bind"])
+def test_a_mailbox_that_fails_leaves_no_lock_and_no_socket(
+    stage: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Regression: after a failed start, a retry in the same process found its own lock."""
+    path = mailbox_path("local:x")
+    open_before = set(os.listdir("/proc/self/fd"))
+    with monkeypatch.context() as patch:
+        if stage == "unlink":
+            path.mkdir()
+        elif stage == "bind":
+            patch.setattr(Path, "unlink", lambda self, missing_ok: None)
+            path.touch()
+        else:
+            patch.setattr(mailbox, "request_sender_credentials", lambda socket: os.listdir("/no"))
+        with pytest.raises(BusError, match="cannot receive requests"):
+            Mailbox("local:x")
+    assert set(os.listdir("/proc/self/fd")) == open_before
+    if stage == "unlink":
+        path.rmdir()
+    Mailbox("local:x").close()
 
 
 def test_a_further_bus_of_a_hand_is_locked_like_the_first() -> None:

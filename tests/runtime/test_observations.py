@@ -3,6 +3,7 @@
 One process is at both ends.
 """
 
+import errno
 import math
 import os
 import struct
@@ -70,6 +71,19 @@ def write_observation(writer: ObservationWriter, k: int, status: StreamStatus = 
     """Write the record of tick k into the ring of observations."""
     out = TickOut((), HandMode.ACTIVE, "live", SafetyAction.WARN, numbers_of(k), (), bytes(8))
     writer.write_record(TickIn(k, 2_000_000 * k, 7), out, status, time.monotonic_ns())
+
+
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.ENOMEM, errno.EFBIG])
+def test_a_full_disk_is_an_error_and_leaves_no_file(
+    code: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse_space(*_: int) -> None:
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr(os, "posix_fallocate", refuse_space)
+    with pytest.raises(BusError, match="cannot write observations"):
+        ObservationWriter("local:x", AXIS_LENGTHS, {})
+    assert not observations_path("local:x").exists()
 
 
 def test_a_record_comes_back_with_every_field() -> None:

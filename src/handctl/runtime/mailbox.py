@@ -15,7 +15,7 @@ import os
 import socket
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from handctl.errors import BusError
@@ -67,14 +67,18 @@ class Mailbox:
             BusError: another controller of this bus is running, or the socket cannot be created.
         """
         self.path = mailbox_path(name)
-        try:
-            self._lock = _lock_bus(name)
-            self.path.unlink(missing_ok=True)
-            self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-            request_sender_credentials(self.socket)
-            self.socket.bind(str(self.path))
-        except OSError as error:
-            raise _lock_error(name, error) from None
+        with ExitStack() as opened:
+            try:
+                self._lock = _lock_bus(name)
+                opened.callback(os.close, self._lock)
+                self.path.unlink(missing_ok=True)
+                self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+                opened.callback(self.socket.close)
+                request_sender_credentials(self.socket)
+                self.socket.bind(str(self.path))
+            except OSError as error:
+                raise _lock_error(name, error) from None
+            opened.pop_all()
         self.socket.setblocking(False)
         self.watchers: list[str] = []
         self.askers: list[str] = []

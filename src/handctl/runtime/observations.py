@@ -85,6 +85,26 @@ def observation_dtype(axes: Mapping[str, int]) -> np.dtype[np.void]:
     return np.dtype([*LEADING_FIELDS, *numbers])
 
 
+def _create_map(path: Path, size: int) -> mmap.mmap:
+    """Create a file of a size [bytes], and return its mapping. After an error, no file remains.
+
+    Raises:
+        OSError: the file cannot be created, or the disk is full.
+    """
+    path.unlink(missing_ok=True)
+    descriptor = os.open(
+        path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600
+    )
+    try:
+        os.posix_fallocate(descriptor, 0, size)
+        return mmap.mmap(descriptor, 0)
+    except OSError:
+        path.unlink(missing_ok=True)
+        raise
+    finally:
+        os.close(descriptor)
+
+
 class ObservationWriter:
     """Writer of the observations, owned by the controller."""
 
@@ -106,19 +126,11 @@ class ObservationWriter:
         text = json.dumps({"axes": dict(axes), **description}).encode()
         self._ring_at = -(-(HEADER_STRUCT.size + len(text)) // PAGE_BYTES) * PAGE_BYTES
         try:
-            self.path.unlink(missing_ok=True)
-            descriptor = os.open(
-                self.path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600
-            )
+            self._map = _create_map(self.path, self._ring_at + RING_RECORDS * self._size)
         except OSError as error:
             raise BusError(
                 f"cannot write observations: {error}", str(self.path.parent), SHORT_RUN_FOLDER_TEXT
             ) from None
-        try:
-            os.posix_fallocate(descriptor, 0, self._ring_at + RING_RECORDS * self._size)
-            self._map = mmap.mmap(descriptor, 0)
-        finally:
-            os.close(descriptor)
         # All telemetry fields consist of 8-byte numbers without gaps. Together they are written as
         # one vector, at the end of a record.
         count = sum(axes[TELEMETRY_AXES[name]] for name in TELEMETRY_FIELDS)

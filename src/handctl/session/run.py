@@ -19,7 +19,7 @@ from handctl.core.calibration import Calibration
 from handctl.core.tick_types import IoEvent, TickIn, TickOut, TickRequest
 from handctl.errors import BusError, DriveError, PowerError
 from handctl.hand.description import Hand
-from handctl.log.header import TRUTH_OFFSET_KEY
+from handctl.log.header import TRUTH_OFFSET_KEY, RunHeader
 from handctl.log.tick_record import pack_snapshot, pack_tick_record
 from handctl.log.topics.snapshots import SNAPSHOT_PERIOD_NS
 from handctl.log.write.recorder import Recorder
@@ -178,18 +178,23 @@ def run_live(
         priority = prepare_priority()
         stack.callback(restore_priority)
         clock.busy_wait = priority.realtime
-        recorder = Recorder.start(log, run_header(plan, controller, priority, lockstep=False))
-        display = plan.start_display(plan) if plan.start_display else None
-        if live_view:
-            stack.callback(_start_view(log))
-        signals = StopSignals()
-        stack.enter_context(signals.handlers_installed())
-        show = _merge_observers(observer, _status_callback(display, mailbox, plan.rate_hz))
-        request_source = _merge_requests(observer, _request_source(plan, signals, mailbox, targets))
-        loop = _build_loop(plan, controller, clock, buses, recorder, request_source, show)
-        loop.publish_tick = lambda entry, out, state, sent_ns: observations.write_record(
-            entry, out, stream_status(state), sent_ns
-        )
+        with ExitStack() as not_started:
+            recorder, display = _start_recording(
+                plan, log, run_header(plan, controller, priority, lockstep=False), not_started
+            )
+            if live_view:
+                stack.callback(_start_view(log))
+            signals = StopSignals()
+            stack.enter_context(signals.handlers_installed())
+            show = _merge_observers(observer, _status_callback(display, mailbox, plan.rate_hz))
+            request_source = _merge_requests(
+                observer, _request_source(plan, signals, mailbox, targets)
+            )
+            loop = _build_loop(plan, controller, clock, buses, recorder, request_source, show)
+            loop.publish_tick = lambda entry, out, state, sent_ns: observations.write_record(
+                entry, out, stream_status(state), sent_ns
+            )
+            not_started.pop_all()
         outcome = _run_to_end(
             loop,
             controller,
@@ -219,19 +224,45 @@ def run_lockstep(
     clock.restart()
     header = run_header(plan, controller, None, lockstep=True)
     start_offset = {TRUTH_OFFSET_KEY: str(clock.offset_ns)}
-    recorder = Recorder.start(log, replace(header, metadata=header.metadata | start_offset))
-    display = plan.start_display(plan) if plan.start_display else None
-    limit = HoldLimit()
-    request_source = _merge_requests(observer, limit.poll_requests)
-    show = _merge_observers(
-        limit, _merge_observers(observer, display.show_tick if display else _ignore_tick)
-    )
-    loop = _build_loop(
-        plan, controller, clock, [LockstepBus(clock)], recorder, request_source, show
-    )
+    with ExitStack() as not_started:
+        recorder, display = _start_recording(
+            plan, log, replace(header, metadata=header.metadata | start_offset), not_started
+        )
+        limit = HoldLimit()
+        request_source = _merge_requests(observer, limit.poll_requests)
+        show = _merge_observers(
+            limit, _merge_observers(observer, display.show_tick if display else _ignore_tick)
+        )
+        loop = _build_loop(
+            plan, controller, clock, [LockstepBus(clock)], recorder, request_source, show
+        )
+        not_started.pop_all()
     outcome = _run_to_end(loop, controller, recorder, display, None, lambda: clock.offset_ns)
     limit.refuse_stopped(f"{plan.hand.name} in lockstep, log {log}")
     return outcome
+
+
+def _start_recording(
+    plan: RunPlan, log: Path, header: RunHeader, not_started: ExitStack
+) -> tuple[Recorder, OperatorDisplay | None]:
+    """Start the recorder of a run, and the display if the plan has one.
+
+    Args:
+        plan: plan of the run.
+        log: log file to write.
+        header: header of the run.
+        not_started: stack that closes both, if an error occurs before the loop starts. From then
+            on, ``_run_to_end`` closes them.
+
+    Raises:
+        LogError: the log cannot be written.
+    """
+    recorder = Recorder.start(log, header)
+    not_started.callback(recorder.close, "error before the first tick")
+    display = plan.start_display(plan) if plan.start_display else None
+    if display:
+        not_started.callback(display.close)
+    return recorder, display
 
 
 def _open_clock(plan: RunPlan, stack: ExitStack) -> RealClock:
@@ -431,7 +462,9 @@ def _run_to_end(
         reason = "interrupted"
         raise
     finally:
-        if display:
-            display.close()
-        summary = recorder.close(reason, loop.clock.clock_facts())
+        try:
+            if display:
+                display.close()
+        finally:
+            summary = recorder.close(reason, loop.clock.clock_facts())
     return RunOutcome(state, loop.stats, summary, priority, offset_ns())

@@ -55,12 +55,11 @@ def run(args: argparse.Namespace) -> int:
     with ExitStack() as stack:
         for spec in specs:
             stack.enter_context(bus_lock(spec))
-        opened = [
-            open_bus(spec, index, section.bitrate, section.data_bitrate, clock.run_time_of)
-            for index, (spec, section) in enumerate(zip(specs, hand.bus, strict=True))
-        ]
-        for bus in opened:
+        opened = []
+        for index, (spec, section) in enumerate(zip(specs, hand.bus, strict=True)):
+            bus = open_bus(spec, index, section.bitrate, section.data_bitrate, clock.run_time_of)
             stack.callback(bus.close)
+            opened.append(bus)
         watch = BusWatch(drives, make_sensors(hand), opened, clock)
         print_note(
             f"handctl: {hand.name} on {', '.join(specs)}: no drive is enabled. Ctrl-C ends the command."

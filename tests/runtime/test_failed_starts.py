@@ -1,0 +1,160 @@
+"""Test starts of a run that fail: the recorder and the buses that were opened before are closed again."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from handctl.cli.checks import bus_watch
+from handctl.cli.main import main
+from handctl.core.gains.gains import Gains
+from handctl.errors import BusError
+from handctl.hand.hand_loading import load_hand
+from handctl.log.read.record_scan import scan_path
+from handctl.log.write.recorder import Recorder
+from handctl.programs.task import load_task
+from handctl.programs.task_program import TaskProgram
+from handctl.runtime.loop import StopSignals
+from handctl.session import run
+from handctl.session.plan import RunPlan, default_rate
+from handctl.session.simulate import SimulatorSettings
+from tests.drives.protocol_bench import hand_file, move_to_second_bus
+from tests.runtime.processes import MOVE_PHASE, TASK_HEAD
+
+
+class StartError(Exception):
+    """Error that a test raises during the start of a run."""
+
+
+class ClosableBus:
+    """A bus without nodes."""
+
+    def __init__(self):
+        self.closed = False
+
+    def drain(self):
+        return []
+
+    def send(self, frames):
+        return len(frames)
+
+    def take_events(self):
+        return []
+
+    def close(self):
+        self.closed = True
+
+
+class ClosableDisplay:
+    """A display that shows nothing."""
+
+    def __init__(self):
+        self.closed = False
+
+    def show_tick(self, entry, out):
+        return
+
+    def close(self):
+        self.closed = True
+
+
+def raise_error(*words, **options):
+    raise StartError
+
+
+@pytest.fixture
+def recorders(tmp_path, monkeypatch):
+    """Return the list of all recorders that a test starts."""
+    monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path / "h"))
+    started = []
+    start = Recorder.start
+
+    def remember(*words):
+        started.append(start(*words))
+        return started[-1]
+
+    monkeypatch.setattr(run.Recorder, "start", remember)
+    return started
+
+
+def plan_and_controller(tmp_path, start_display):
+    """Return a plan of a short run on a local bus, and its controller."""
+    path = hand_file(tmp_path, ["mit"])
+    task = tmp_path / "short.toml"
+    task.write_text(TASK_HEAD + MOVE_PHASE.format(name="bend", angle=10.0, duration=0.1))
+    hand = load_hand(path)
+    plan = RunPlan(hand, Gains(), default_rate(hand), (0.5,), start_display=start_display)
+    return path, plan, run.make_controller(plan, TaskProgram(load_task(task)), None, True)
+
+
+def check_closed(recorder: Recorder, log: Path) -> None:
+    """Check that a recorder process has ended, and that its log has an end mark."""
+    assert recorder._child.poll() is not None
+    assert scan_path(log).complete
+
+
+@pytest.mark.parametrize("failing", ["display", "view", "handlers"])
+def test_a_live_run_that_does_not_start_closes_its_recorder(
+    failing, recorders, tmp_path, monkeypatch
+):
+    buses = []
+    monkeypatch.setattr(run, "open_bus", lambda *words: buses.append(ClosableBus()) or buses[-1])
+    display = ClosableDisplay()
+    if failing == "view":
+        monkeypatch.setattr(run, "_start_view", raise_error)
+    if failing == "handlers":
+        monkeypatch.setattr(StopSignals, "handlers_installed", raise_error)
+    _, plan, controller = plan_and_controller(
+        tmp_path, raise_error if failing == "display" else lambda plan: display
+    )
+    plan = replace(plan, buses=("local:x",))
+    log = tmp_path / "run.mcap"
+    with pytest.raises(StartError):
+        run.run_live(plan, controller, log, live_view=failing == "view")
+    (recorder,) = recorders
+    check_closed(recorder, log)
+    assert display.closed == (failing != "display")
+    assert [bus.closed for bus in buses] == [True]
+
+
+def test_a_lockstep_run_that_does_not_start_closes_its_recorder(recorders, tmp_path):
+    path, plan, controller = plan_and_controller(tmp_path, raise_error)
+    log = tmp_path / "run.mcap"
+    with (
+        SimulatorSettings(path, homed=True).lockstep_clock(plan.period_ns) as clock,
+        pytest.raises(StartError),
+    ):
+        run.run_lockstep(plan, controller, log, clock)
+    (recorder,) = recorders
+    check_closed(recorder, log)
+
+
+def test_a_display_that_does_not_close_leaves_no_recorder(recorders, tmp_path):
+    display = ClosableDisplay()
+    display.close = raise_error
+    path, plan, controller = plan_and_controller(tmp_path, lambda plan: display)
+    log = tmp_path / "run.mcap"
+    with (
+        SimulatorSettings(path, homed=True).lockstep_clock(plan.period_ns) as clock,
+        pytest.raises(StartError),
+    ):
+        run.run_lockstep(plan, controller, log, clock)
+    (recorder,) = recorders
+    check_closed(recorder, log)
+
+
+def test_bus_watch_closes_the_first_bus_if_the_second_does_not_open(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path / "h"))
+    hand = move_to_second_bus(hand_file(tmp_path, ["mit"]))
+    first = ClosableBus()
+
+    def open_first(spec, index, *words):
+        if index:
+            raise BusError("is missing", spec, "a bus")
+        return first
+
+    monkeypatch.setattr(bus_watch, "open_bus", open_first)
+    words = ["--hand", str(hand), "--bus", "main=local:x", "--bus", "second=local:y"]
+    assert main(["bus", "watch", *words]) == 1
+    assert "is missing" in capsys.readouterr().err
+    assert first.closed
