@@ -1,5 +1,6 @@
 """If a log ends early at any byte, exactly its complete chunks are recovered."""
 
+import random
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -42,6 +43,25 @@ def _scan_log(path: Path) -> RecordScan:
     scan_records(file, scan)
     file.close()
     return scan
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_scan_in_steps_equals_a_scan_at_once(seed: int, small_log: Path, tmp_path: Path) -> None:
+    whole, path, scan = small_log.read_bytes(), tmp_path / "growing.mcap", RecordScan()
+    source = random.Random(seed)
+    for size in sorted(source.randrange(8, len(whole)) for _ in range(20)):
+        path.write_bytes(whole[:size])
+        file = LogFile(path)
+        scan_records(file, scan)
+        file.close()
+        assert scan == _scan_log(path)
+        assert scan.problem.startswith(f"ends at byte {size}") or scan.complete
+    file = LogFile(small_log)
+    scan_records(file, scan)
+    file.close()
+    assert scan == _scan_log(small_log)
+    assert scan.complete
+    assert scan.problem == ""
 
 
 def _recover_bytes(data: bytes, folder: Path) -> tuple[RecoveryReport, Path]:

@@ -9,6 +9,7 @@ from rerun.chunk import Chunk
 from rrd_entities import read_entities, run_info_of
 
 from handctl.errors import LogError
+from handctl.log.read.logfile import LogFile
 from handctl.view.log_tail import LogTail
 from handctl.view.rerun_conversion import log_chunks
 from handctl.view.scene.topic_converters import TopicConverters
@@ -59,6 +60,34 @@ def test_every_byte_of_growth_within_a_chunk_is_safe(jamia_path: Path, tmp_path:
         path.write_bytes(whole[:size])
         parts += tail.write_new_chunks(part) is not None
     assert parts > 1
+
+
+def test_a_call_reads_no_record_again(
+    jamia_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Regression: each call scanned all records from the start of the log, several times per second."""
+    whole, path, part = jamia_path.read_bytes(), tmp_path / "run.mcap", tmp_path / "part.mcap"
+    offsets = list[int]()
+    read_range = LogFile.read_range
+
+    def read_and_note(file: LogFile, offset: int, size: int) -> bytes:
+        offsets.append(offset)
+        return read_range(file, offset, size)
+
+    monkeypatch.setattr(LogFile, "read_range", read_and_note)
+    path.write_bytes(whole[: len(whole) // 2])
+    tail = LogTail(path)
+    assert tail.write_new_chunks(part) is not None
+    assert len(offsets) > 100
+    offsets.clear()
+    assert tail.write_new_chunks(part) is None
+    assert len(offsets) <= 3, "the two magic texts, and the head of the incomplete record"
+    path.write_bytes(whole)
+    assert tail.write_new_chunks(part) is not None
+    assert tail.log_ended
+    offsets.clear()
+    assert tail.write_new_chunks(part) is None
+    assert offsets == []
 
 
 def test_another_file_is_an_error(jamia_path: Path, tmp_path: Path) -> None:

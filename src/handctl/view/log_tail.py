@@ -10,11 +10,7 @@ from handctl.log.read.record_scan import RecordScan, scan_records
 
 
 class LogTail:
-    """Reader of a growing log, from start to end.
-
-    Attributes:
-        log_ended: True if the end mark of the log has been read.
-    """
+    """Reader of a growing log, from start to end. Each call continues where the last one ended."""
 
     def __init__(self, path: Path) -> None:
         """Start before the first chunk of a log.
@@ -23,8 +19,13 @@ class LogTail:
             path: path of the log.
         """
         self._path = path
+        self._scan = RecordScan()
         self._sent_chunks = 0
-        self.log_ended = False
+
+    @property
+    def log_ended(self) -> bool:
+        """Return True if the end mark of the log has been read."""
+        return self._scan.complete
 
     def write_new_chunks(self, path: Path) -> int | None:
         """Write the chunks that are new since the last call into a log file without an end mark.
@@ -39,11 +40,12 @@ class LogTail:
         Raises:
             LogError: the log is damaged.
         """
+        scan = self._scan
+        if scan.complete:
+            return None
         file = LogFile(self._path)
-        scan = RecordScan()
         try:
             scan_records(file, scan)
-            self.log_ended = scan.complete
             # Rerun loses messages of a chunk whose message indexes are not complete. So a chunk is
             # sent only when the record after its message indexes exists.
             ends = [

@@ -65,6 +65,7 @@ class RecordScan:
         complete: True if the data section has an end record with the correct checksum.
         problem: description of a defect of the file, or empty if there is none.
         skipped: (start, end) of every damaged record that the scan has skipped.
+        unknown: number of records with an unknown opcode.
     """
 
     chunks: list[ChunkLocation] = field(default_factory=list)
@@ -75,6 +76,7 @@ class RecordScan:
     complete: bool = False
     problem: str = ""
     skipped: list[tuple[int, int]] = field(default_factory=list)
+    unknown: int = 0
 
 
 class _FieldReader:
@@ -114,7 +116,8 @@ def scan_records(file: LogFile, scan: RecordScan, checked: bool = True, skip: bo
 
     Args:
         file: the MCAP file.
-        scan: empty scan to be filled. After an error, the scan has the records before the damage.
+        scan: empty scan to be filled, or the scan of the same file when it was shorter. Such a scan
+            continues at ``scan.end``. After an error, the scan has the records before the damage.
         checked: True to read the whole file and to check the checksum of the data section.
         skip: True to skip damaged records whose ends are known. False to raise an error at a
             damaged record.
@@ -129,9 +132,11 @@ def scan_records(file: LogFile, scan: RecordScan, checked: bool = True, skip: bo
         file.size >= 2 * len(MCAP_MAGIC)
         and file.read_range(file.size - len(MCAP_MAGIC), len(MCAP_MAGIC)) == MCAP_MAGIC
     )
-    scan.end = len(MCAP_MAGIC)
-    unpacked = 0
-    unknown = 0
+    scan.end = max(scan.end, len(MCAP_MAGIC))
+    # Without skipped records, the only problem of a scan that continues is the end of the shorter
+    # file.
+    scan.problem = scan.problem if scan.skipped else ""
+    unpacked = sum(chunk.size for chunk in scan.chunks)
     while scan.end + _RECORD_STRUCT.size <= file.size:
         at = scan.end
         code, length = _RECORD_STRUCT.unpack(file.read_range(at, _RECORD_STRUCT.size))
@@ -157,9 +162,9 @@ def scan_records(file: LogFile, scan: RecordScan, checked: bool = True, skip: bo
                 raise
             scan.problem = scan.problem or str(error)
             scan.skipped.append((at, end))
-        unknown += code not in Opcode.__members__.values()
+        scan.unknown += code not in Opcode.__members__.values()
         with LogErrorContext(file.position_text(at)):
-            _check_limits(scan, unpacked, unknown)
+            _check_limits(scan, unpacked)
         scan.end = end
     scan.problem = (
         scan.problem
@@ -181,11 +186,14 @@ def scan_path(path: Path) -> RecordScan:
     return scan
 
 
-def _check_limits(scan: RecordScan, unpacked: int, unknown: int) -> None:
+def _check_limits(scan: RecordScan, unpacked: int) -> None:
     """Raise an error if a file has too many records or too much uncompressed data."""
     if unpacked > MAX_COMPRESSION_RATIO * scan.size + MAX_CHUNK_BYTES:
         raise ValueError(f"chunks of more than {unpacked} bytes")
-    if max(unknown, len(scan.attachments), len(scan.metadata), len(scan.skipped)) > MAX_RECORDS:
+    if (
+        max(scan.unknown, len(scan.attachments), len(scan.metadata), len(scan.skipped))
+        > MAX_RECORDS
+    ):
         raise ValueError(f"more than {MAX_RECORDS} records of a kind")
     if sum(len(data) for _, _, data in scan.attachments.values()) > MAX_ALL_ATTACHMENTS_BYTES:
         raise ValueError(f"more than {MAX_ALL_ATTACHMENTS_BYTES} bytes of attachments")
