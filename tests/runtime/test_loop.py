@@ -4,7 +4,6 @@ The loop skips missed ticks, loses no frame, and disables the drives after every
 """
 
 import gc
-import time
 from array import array
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -257,8 +256,11 @@ def raise_error(*_: object) -> None:
         "tick",
         "record_tick",
         "show_tick",
+        "publish_tick",
+        "keep_snapshot",
         "take_requests",
         "take_host_events",
+        "wait",
         "send",
         "drain",
         "take_events",
@@ -268,14 +270,14 @@ def test_any_error_cuts_the_drives_and_is_raised_again(stage: str) -> None:
     left = FakeBus()
     right = FakeBus(1)
     run = RecordedLoop(5, buses=[left, right], frames=(Frame(9, b"torque"),))
-    stages = {"record_tick", "show_tick", "take_requests", "take_host_events"}
     if stage == "tick":
         run.fail = lambda entry: raise_error() if entry.k == 2 else None
-    elif stage in stages:
+    elif hasattr(run.loop, stage):
         setattr(run.loop, stage, raise_error)
     else:
-        whole = getattr(left, stage)
-        setattr(left, stage, lambda *words: raise_error() if run.recorded else whole(*words))
+        owner = run.clock if stage == "wait" else left
+        whole = getattr(owner, stage)
+        setattr(owner, stage, lambda *words: raise_error() if run.recorded else whole(*words))
     with pytest.raises(PowerError if stage == "send" else StageError):  # the cut was not sent
         run.go()
     assert right.sent[-1] == (CUT_FRAMES[1],)
@@ -358,13 +360,38 @@ def test_a_cut_that_finds_a_full_queue_is_sent_until_there_is_room() -> None:
     assert right.sent.count((CUT_FRAMES[1],)) == 1
 
 
-def test_a_bus_that_refuses_every_cut_delays_no_other() -> None:
-    run = RecordedLoop(5, buses=[FakeBus(capacity=0)])
+@pytest.mark.parametrize("refusing", [0, 1])
+def test_a_bus_that_refuses_every_cut_delays_no_other(
+    refusing: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The other bus gets its cut before the first retry, and the retries end."""
+    pauses: list[float] = []
+    monkeypatch.setattr(loop.time, "sleep", pauses.append)
+    tries: list[tuple[int, int]] = []
+    buses = [FakeBus(), FakeBus(1)]
+    buses[refusing].capacity = 0
+    for index, bus in enumerate(buses):
+
+        def send(
+            frames: Sequence[Frame],
+            whole: Callable[[Sequence[Frame]], int] = bus.send,
+            index: int = index,
+        ) -> int:
+            if tuple(frames) == (CUT_FRAMES[index],):
+                tries.append((index, len(pauses)))
+            return whole(frames)
+
+        bus.send = send  # type: ignore[method-assign]
+    run = RecordedLoop(5, buses=buses)
     run.fail = lambda entry: raise_error() if entry.k == 2 else None
-    began = time.monotonic()
     with pytest.raises(StageError):
         run.go()
-    assert time.monotonic() - began < 10.0
+    other = 1 - refusing
+    assert [pause for index, pause in tries if index == other] == [0]
+    assert buses[other].sent[-1] == (CUT_FRAMES[other],)
+    assert [pause for index, pause in tries if index == refusing] == list(
+        range(loop.CUT_SEND_TRIES)
+    )
 
 
 def test_a_failed_tick_sends_nothing_else() -> None:
