@@ -9,9 +9,15 @@ import pytest
 
 from handctl.cli.main import main
 
-GOLDEN = sorted((Path(__file__).parents[2] / "logs" / "golden").glob("*.mcap"))
+GOLDEN_FOLDER = Path(__file__).parents[2] / "logs" / "golden"
+GOLDEN_NAMES = ("jamia-fault", "jamia-grasp", "jamia-lost", "jamia11-grasp")
+"""Names of the golden logs."""
 
 
-@pytest.mark.parametrize("log", GOLDEN, ids=[log.stem for log in GOLDEN])
-def test_a_golden_log_is_re_executed_without_a_difference(log: Path) -> None:
-    assert main(["replay", "execute", str(log)]) == 0
+def test_the_folder_has_the_golden_logs_and_no_others() -> None:
+    assert sorted(log.stem for log in GOLDEN_FOLDER.glob("*.mcap")) == sorted(GOLDEN_NAMES)
+
+
+@pytest.mark.parametrize("name", GOLDEN_NAMES)
+def test_a_golden_log_is_re_executed_without_a_difference(name: str) -> None:
+    assert main(["replay", "execute", str(GOLDEN_FOLDER / f"{name}.mcap")]) == 0
