@@ -44,10 +44,13 @@ class VirtualBench:
         self.origin_ns = self.bench.t_ns
 
     def wait(self, k):
-        """Advance time to tick k, and return 0 missed ticks."""
+        """Advance time to tick k, and return the time since then [ns].
+
+        After ``pass_time``, the host is late.
+        """
         self.bench.advance(self.origin_ns + k * PERIOD_NS)
         self.largest_torque = max(self.largest_torque, abs(self.bench.motors[0].servo.torque))
-        return 0
+        return max(0, self.now_ns() - k * PERIOD_NS)
 
     def now_ns(self):
         """Return the virtual time [ns]."""

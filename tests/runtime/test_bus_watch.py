@@ -80,7 +80,10 @@ class SimulatedBus:
 
 def watched_hand(path):
     place = SimulatedBuses(path)
-    return place, BusWatch(make_drives(place.hand), make_sensors(place.hand), place.buses(), place)
+    watch = BusWatch(
+        make_drives(place.hand), make_sensors(place.hand), place.buses(), place, PERIOD_NS
+    )
+    return place, watch
 
 
 @pytest.mark.parametrize("protocol", PROTOCOL_TRAITS)
@@ -136,6 +139,29 @@ def test_amplifiers_are_set_up_and_read(value, tmp_path):
         is_saturated(reading.value, watch.sensors.cell_range) for reading in watch.tensions.values()
     ]
     assert saturated == [True, False, False, False]
+
+
+@pytest.mark.parametrize("missed", [0, 1, 50])
+def test_missed_ticks_are_skipped_and_not_executed_later(missed):
+    """Regression: after a host stall, all missed requests were sent back to back."""
+    place, watch = watched_hand("jamia")
+    for _ in range(120):
+        watch.run_tick()
+    wait = place.wait
+    waited = []
+
+    def stall_once(k):
+        waited.append(k)
+        late = missed if len(waited) == 1 else 0
+        wait(k + late)
+        return late * PERIOD_NS + 7
+
+    place.wait = stall_once
+    for _ in range(3):
+        watch.run_tick()
+    assert waited == [120, 121 + missed, 122 + missed]
+    assert watch.k == 123 + missed
+    assert watch.silent_motors() == []
 
 
 def test_a_drive_that_falls_silent_is_named_and_its_readings_end():

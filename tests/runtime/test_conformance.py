@@ -3,6 +3,8 @@
 A good drive passes all checks. A broken drive fails the check for its fault.
 """
 
+import random
+
 import pytest
 
 from firmware_sim.faults.faulty_drive import DRIVE_FAULTS
@@ -49,6 +51,29 @@ def test_a_good_drive_passes_every_conformance_check(protocol):
     assert 0.0 < place.largest_torque <= TORQUE_LIMIT_N_M * 1.001
     assert rig.confirm_off(0.05)
     assert place.bench.motors[0].servo.torque == 0.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_good_drive_passes_although_the_host_is_late(protocol, seed, monkeypatch):
+    """Every 40th tick on average, the host misses up to six ticks in a row.
+
+    Such stalls are shorter than the watchdog of the drive.
+    """
+    source = random.Random(seed)
+    wait = VirtualBench.wait
+
+    def wait_and_stall(place, k):
+        late = wait(place, k)
+        if source.random() < 1.0 / 40.0:
+            place.pass_time(source.uniform(0.0, 0.03))
+            late = wait(place, k)
+        return late
+
+    monkeypatch.setattr(VirtualBench, "wait", wait_and_stall)
+    found, place, rig = check_results(protocol)
+    assert [check for check in found.values() if check.verdict is not CheckVerdict.PASSED] == []
+    assert 0.0 < place.largest_torque <= TORQUE_LIMIT_N_M * 1.001
+    assert rig.confirm_off(0.05)
 
 
 def test_a_good_drive_passes_three_times_running(protocol):

@@ -2,6 +2,7 @@
 
 import math
 import struct
+from itertools import pairwise
 
 import pytest
 
@@ -11,8 +12,13 @@ from handctl.drives.drive_modes import DriveMode, MotionLimits
 from handctl.drives.protocol_registry import make_drive, make_mode_drive
 from handctl.errors import ConfigError
 from handctl.runtime.diagnostics.conformance import release_drive
-from handctl.runtime.diagnostics.drive_jog import JogGoal, distance_at, jog_drive
-from handctl.runtime.diagnostics.drive_rig import DriveRig
+from handctl.runtime.diagnostics.drive_jog import (
+    MAX_MISSED_TICKS,
+    JogGoal,
+    distance_at,
+    jog_drive,
+)
+from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
 from tests.drives.protocol_bench import motor_on_bench
 from tests.drives.virtual_bench import DRIVE_NODE_ID, OPTIONS_BY_PROTOCOL, VirtualBench
 
@@ -189,6 +195,78 @@ def test_a_blocked_cia402_drive_reports_its_following_error():
     result = jog_drive(rig, goal_of(DriveMode.POSITION, 3.0, 4.0))
     assert result.failure == "following error"
     assert result.moved_rad == pytest.approx(0.0, abs=0.01)
+
+
+def stall_host(place, rig, after_s, missed):
+    """Let the host miss ticks in a row, ``after_s`` seconds after the drive is enabled.
+
+    Return the list of (time [ns], command) of all ticks with an enabled drive.
+    """
+    wait, advance_drive = place.wait, rig.drive.advance
+    commands = []
+    stalls = [missed]
+
+    class NotedDrive:
+        """Drive that notes the commands of the host."""
+
+        def __getattr__(self, name):
+            return getattr(drive, name)
+
+        def advance(self, state, t_ns, target, command):
+            if state.phase == DrivePhase.ENABLED and target == DriveTarget.ENABLE:
+                commands.append((t_ns, command))
+            return advance_drive(state, t_ns, target, command)
+
+    def wait_and_stall(k):
+        if stalls and commands and (k * PERIOD_NS - commands[0][0]) * 1e-9 >= after_s:
+            # The drive gets its commands from elsewhere, so that its watchdog does not end the jog.
+            for n in range(stalls.pop()):
+                wait(k + n)
+                command = commands[-1][1]
+                place.send(advance_drive(rig.state, rig.t_ns, DriveTarget.ENABLE, command)[1])
+                place.pass_time(PERIOD_NS * 1e-9)
+        return wait(k)
+
+    drive, rig.drive, place.wait = rig.drive, NotedDrive(), wait_and_stall
+    return commands
+
+
+@pytest.mark.parametrize("missed", [1, 5, MAX_MISSED_TICKS])
+@pytest.mark.parametrize("after_s", [0.1, 1.98])
+@pytest.mark.parametrize("mode", [DriveMode.TORQUE, DriveMode.POSITION, DriveMode.VELOCITY])
+def test_a_ramp_keeps_its_time_although_ticks_are_missed(mode, after_s, missed):
+    """Regression: after a host stall, the commands of all missed ticks were sent back to back."""
+    ramps = []
+    for stall in (0, missed):
+        place, rig, _ = bench_of("mit", mode)
+        commands = stall_host(place, rig, after_s, stall)
+        target = {DriveMode.TORQUE: 0.005}.get(mode, 2.0)
+        goal = goal_of(mode, target)._replace(limits=MotionLimits(1e3, 10.0), max_travel_rad=1e4)
+        assert jog_drive(rig, goal).failure == ""
+        ramps.append(commands)
+    whole, ramp = ramps
+    gaps = [after - before for (before, _), (after, _) in pairwise(ramp)]
+    assert min(gaps) == PERIOD_NS, "no two commands in one period"
+    assert max(gaps) == (missed + 1) * PERIOD_NS
+    at_time = dict(whole)
+    late = gaps.index(max(gaps)) + 1
+    # The command of the late tick was computed before the stall. The next ones are on the ramp again.
+    # A stall beyond the end of the motion delays this end.
+    if after_s < 1.0:
+        for t_ns, command in ramp[late + 1 : late + 20]:
+            assert command == pytest.approx(at_time[t_ns], abs=1e-6)
+    assert ramp[-1][1] == pytest.approx(whole[-1][1], abs=1e-6)
+
+
+@pytest.mark.parametrize(("protocol", "mode"), PROTOCOL_MODES)
+def test_a_host_that_misses_too_many_ticks_ends_the_jog(protocol, mode):
+    """The drive gets commands meanwhile, so that its watchdog is not the reason."""
+    place, rig, _ = bench_of(protocol, mode)
+    commands = stall_host(place, rig, 0.5, MAX_MISSED_TICKS + 1)
+    result = jog_drive(rig, goal_of(mode, 1.0))
+    assert f"missed {MAX_MISSED_TICKS + 1} ticks in a row" in result.failure
+    assert 0.4 < (commands[-1][0] - commands[0][0]) * 1e-9 < 0.7
+    assert rig.confirm_off(0.05)
 
 
 @pytest.mark.parametrize(

@@ -2,9 +2,12 @@
 
 import pytest
 
+from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.mit.codec import MotorRanges
 from handctl.drives.mit.drive import MitDrive
 from handctl.runtime.diagnostics import drive_rig
+from handctl.runtime.diagnostics.drive_rig import PERIOD_NS
+from tests.drives.virtual_bench import OPTIONS_BY_PROTOCOL, VirtualBench, drive_rig_on
 
 
 def test_everything_is_compiled_before_the_clock_begins(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -22,3 +25,50 @@ def test_everything_is_compiled_before_the_clock_begins(monkeypatch: pytest.Monk
     drive = MitDrive("m", 0, 1, 0x101, MotorRanges(12.5, 50.0, 0.8), 1, 0.0, 1000)
     drive_rig.DriveRig(drive, None, Clock())  # type: ignore[arg-type]
     assert order == ["prepare", "start"]
+
+
+@pytest.mark.parametrize("protocol", OPTIONS_BY_PROTOCOL)
+@pytest.mark.parametrize("missed", [1, 3, 100])
+def test_missed_ticks_are_skipped_and_not_executed_later(protocol: str, missed: int) -> None:
+    """Regression: after a host stall, the rig sent the commands of all missed ticks back to back."""
+    place = VirtualBench(protocol)
+    rig = drive_rig_on(place, protocol, 0.1)
+    assert rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0)
+    first = rig.k
+    place.pass_time((missed + 0.5) * PERIOD_NS * 1e-9)
+    times = []
+    send = place.send
+    place.send = lambda frames: times.append(place.now_ns()) or send(frames)  # type: ignore[method-assign]
+    for _ in range(5):
+        rig.run_tick(DriveTarget.POLL)
+    # The time before the first tick is the half period after its deadline.
+    assert [t_ns // PERIOD_NS for t_ns in times] == [first - 1 + missed + i for i in range(5)]
+    assert rig.t_ns == (first - 1 + missed + 5) * PERIOD_NS
+    assert rig.missed_ticks == 0
+
+
+@pytest.mark.parametrize("missed", [0, 6, 20])
+@pytest.mark.parametrize("delay_ticks", [0, 1])
+def test_the_velocity_after_missed_ticks_is_that_of_the_shaft(
+    missed: int, delay_ticks: int
+) -> None:
+    """Regression: the positions after a stall counted as those of adjacent ticks, and the shaft as too fast."""
+    place = VirtualBench("mit", delay_ticks=delay_ticks)
+    motor = place.bench.motors[0]
+    wait = place.wait
+
+    def wait_while_shaft_turns(k: int) -> int:
+        late = wait(k)
+        motor.theta, motor.omega = place.now_ns() * 1e-9, 0.0  # a speed of 1 rad/s
+        return int(late)
+
+    place.wait = wait_while_shaft_turns  # type: ignore[method-assign]
+    rig = drive_rig_on(place, "mit", 0.1)
+    assert rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 2.0)
+    rig.run_for(DriveTarget.POLL, 0.1)
+    place.pass_time(missed * PERIOD_NS * 1e-9)
+    speeds = []
+    for _ in range(20):
+        rig.run_tick(DriveTarget.POLL)
+        speeds.append(rig.velocity_rad_s)
+    assert speeds == pytest.approx([1.0] * 20, rel=0.3)

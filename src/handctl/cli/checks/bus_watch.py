@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
             bus = open_bus(spec, index, section.bitrate, section.data_bitrate, clock.run_time_of)
             stack.callback(bus.close)
             opened.append(bus)
-        watch = BusWatch(drives, make_sensors(hand), opened, clock)
+        watch = BusWatch(drives, make_sensors(hand), opened, clock, clock.period_ns)
         print_note(
             f"handctl: {hand.name} on {', '.join(specs)}: no drive is enabled. Ctrl-C ends the command."
         )

@@ -57,6 +57,7 @@ class BusWatch:
         sensors: the sensor node. Such a node may have no frames.
         buses: open buses, in the order of the hand file.
         clock: a started clock. All nodes are polled once in each of its periods.
+        period_ns: period of the clock [ns].
         states: state of each drive.
         amplifiers: state of each measuring amplifier.
         tensions: reading of each load cell, by index of the tendon.
@@ -68,6 +69,7 @@ class BusWatch:
     sensors: SensorInterface
     buses: Sequence[Bus]
     clock: TickClock
+    period_ns: int
     states: list[DriveState] = field(init=False)
     amplifiers: list[AmplifierState] = field(init=False)
     tensions: dict[int, SensorReading] = field(init=False)
@@ -104,8 +106,11 @@ class BusWatch:
         )
 
     def run_tick(self) -> None:
-        """Wait for the next tick, process all received frames, and send the requests of the tick."""
-        self.clock.wait(self.k)
+        """Wait for the next tick, process all received frames, and send the requests of the tick.
+
+        Ticks that a late host has missed are skipped, and not executed later.
+        """
+        self.k += self.clock.wait(self.k) // self.period_ns
         for bus in self.buses:
             for frame in bus.drain():
                 self._receive(frame)

@@ -160,13 +160,15 @@ def _check_single_answers(device: DeviceUnderTest) -> str:
     """
     rig = device.rig
     drive = rig.drive
-    unasked = 0 if drive.one_reply_per_command else _feedback_frames(rig, DriveTarget.LISTEN)
-    answers = _feedback_frames(rig, DriveTarget.POLL)
+    unasked, listened_s = (
+        (0, 1.0) if drive.one_reply_per_command else _feedback_frames(rig, DriveTarget.LISTEN)
+    )
+    answers, polled_s = _feedback_frames(rig, DriveTarget.POLL)
     if drive.feedback_period_s:
-        requests = COUNTED_TICKS * PERIOD_NS * 1e-9 / drive.feedback_period_s
+        requests = polled_s / drive.feedback_period_s
         text = f"{answers} messages in the time of {requests:.0f}"
     else:
-        answers -= unasked
+        answers -= round(unasked * polled_s / listened_s)
         requests = COUNTED_TICKS
         text = f"{answers} answers to {requests} requests"
     if answers > MIN_ANSWERS_OF_TWO_DRIVES * requests:
@@ -176,12 +178,16 @@ def _check_single_answers(device: DeviceUnderTest) -> str:
     return text
 
 
-def _feedback_frames(rig: DriveRig, target: DriveTarget) -> int:
-    """Run COUNTED_TICKS ticks, and return the number of feedback frames received in them."""
+def _feedback_frames(rig: DriveRig, target: DriveTarget) -> tuple[int, float]:
+    """Run COUNTED_TICKS ticks, and return the number of feedback frames received in them, and their time [s].
+
+    The time contains missed ticks.
+    """
     before = rig.state.feedback_count
+    start_ns = rig.t_ns
     for _ in range(COUNTED_TICKS):
         rig.run_tick(target)
-    return rig.state.feedback_count - before
+    return rig.state.feedback_count - before, (rig.t_ns - start_ns) * 1e-9
 
 
 def _check_no_torque_when_ready(device: DeviceUnderTest) -> str:
@@ -213,12 +219,13 @@ def _check_ignores_torque(device: DeviceUnderTest) -> str:
     reported_before = rig.state.torque
     coasting = abs(rig.velocity_rad_s) if math.isfinite(rig.velocity_rad_s) else 0.0
     reported: list[float] = []
+    start_ns = rig.t_ns
     for i in range(COUNTED_TICKS):
         torque = device.torque_limit_N_m * (i + 1) / COUNTED_TICKS
         rig.run_tick(DriveTarget.POLL, extra=rig.drive.torque_frames(torque))
         reported.append(rig.state.torque - reported_before)
         moved = rig.state.position - start
-        if abs(moved) > MIN_MOTION_RAD + coasting * (i + 1) * PERIOD_NS * 1e-9:
+        if abs(moved) > MIN_MOTION_RAD + coasting * (rig.t_ns - start_ns) * 1e-9:
             rig.run_tick(DriveTarget.POLL, extra=rig.drive.torque_frames(0.0))
             raise CheckFailed(
                 f"follows torque commands while disabled: {torque:+.3f} N m turned it by {moved:+.3f} rad"
@@ -245,7 +252,12 @@ def _check_feedback(device: DeviceUnderTest) -> str:
     _enable_drive(rig)
     start = rig.state.feedback_count
     ticks = 100
-    ages = sorted(rig.t_ns - rig.run_tick(DriveTarget.ENABLE).feedback_t_ns for _ in range(ticks))
+    ages = []
+    for _ in range(ticks):
+        state = rig.run_tick(DriveTarget.ENABLE)
+        # After a tick, the time of the rig is already that of the next one.
+        ages.append(rig.t_ns - PERIOD_NS - state.feedback_t_ns)
+    ages.sort()
     count = rig.state.feedback_count - start
     late = ages[-MAX_LATE_TICKS_OF_100]
     seen = f"{count} feedback frames in {ticks} ticks, at most {max(ages[-1], 0) / 1e6:.0f} ms old"

@@ -29,6 +29,11 @@ OVERTORQUE_FACTOR = 1.5
 """Reported torque above which the jog stops, as a multiple of the torque limit."""
 MAX_TICKS_BEYOND_LIMIT = 4
 """Number of consecutive ticks with too much speed or torque after which the jog stops."""
+MAX_MISSED_TICKS = 10
+"""Largest number of ticks in a row that a late host may miss before the jog stops.
+
+After such a gap, the command takes the steps of the missed ticks at once.
+"""
 SILENCE_TIMEOUT_NS = 100_000_000
 """Age of the latest feedback above which the jog stops [ns]."""
 HOLD_TIME_S = 0.2
@@ -108,6 +113,7 @@ class _JogExecution:
         self._goal = goal
         self._start = 0.0
         self._command = 0.0
+        self._command_t_ns = 0
         self._ticks_beyond_limit = 0
         self.max_speed_rad_s = 0.0
         self.max_torque_N_m = math.nan
@@ -162,8 +168,12 @@ class _JogExecution:
 
         Returns the reason for an early stop, empty if there was none.
         """
-        for i in range(round(self._goal.duration_s / PERIOD_S)):
-            if problem := self._run_tick(self._command_at((i + 1) * PERIOD_S)):
+        start_ns = self._command_t_ns = self._rig.t_ns - PERIOD_NS
+        t_s = 0.0
+        while t_s < self._goal.duration_s:
+            # The last command is that of the end of the motion, even if ticks were missed before.
+            t_s = min((self._rig.t_ns - start_ns) / 1e9, self._goal.duration_s)
+            if problem := self._run_tick(self._command_at(t_s)):
                 return problem
         return ""
 
@@ -195,12 +205,15 @@ class _JogExecution:
         )
 
     def _ramped_command(self, target: float) -> float:
-        """Return the next command of a ramp, which is one step closer to a target velocity or torque."""
+        """Return the next command of a ramp to a target velocity or torque.
+
+        The step from the last command depends on the time since then, which contains missed ticks.
+        """
         goal = self._goal
         rate = goal.max_torque_N_m / TORQUE_RAMP_S
         if goal.mode == DriveMode.VELOCITY:
             rate = HOST_LIMIT_FRACTION * goal.limits.acceleration
-        step = rate * PERIOD_S
+        step = rate * (self._rig.t_ns - self._command_t_ns) * 1e-9
         return self._command + min(step, max(-step, target - self._command))
 
     def _run_tick(self, command: float) -> str:
@@ -209,7 +222,10 @@ class _JogExecution:
         Returns the reason to stop, or an empty text.
         """
         self._command = command
+        self._command_t_ns = self._rig.t_ns
         state = self._rig.run_tick(DriveTarget.ENABLE, command)
+        if self._rig.missed_ticks > MAX_MISSED_TICKS:
+            return f"the host missed {self._rig.missed_ticks} ticks in a row, expected at most {MAX_MISSED_TICKS}"
         if state.phase != DrivePhase.ENABLED:
             return state.error_text or f"went to {state.phase.name}"
         # The time of the rig is already that of the next tick. Therefore this age is one period

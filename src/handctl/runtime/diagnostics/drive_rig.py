@@ -27,6 +27,8 @@ class DriveRig:
         drive: immutable description of the drive.
         state: state of the drive after the last tick.
         k: number of the next tick.
+        missed_ticks: number of ticks that were skipped directly before the last tick, because the
+            host was late.
         torque: last commanded torque [N m].
         drive_events: all events of the bus so far.
         inertia: measured inertia of the shaft [kg m2]. NaN before the measurement.
@@ -50,11 +52,12 @@ class DriveRig:
         self._clock = clock
         self.state: DriveState = drive.initial_state()
         self.k = 0
+        self.missed_ticks = 0
         self.torque = 0.0
         self.inertia = math.nan
         self.drive_events: list[tuple[str, str, int]] = []
         self.idle_command: Callable[[DriveState], float] = _no_torque
-        self._positions = [math.nan] * (VELOCITY_TICKS + 1)
+        self._positions = [(0, math.nan)] * (VELOCITY_TICKS + 1)
         clock.start()
 
     def replace_drive(self, drive: Drive) -> None:
@@ -73,12 +76,16 @@ class DriveRig:
 
         The velocity is NaN while there are too few positions.
         """
-        return (self._positions[-1] - self._positions[0]) / (VELOCITY_TICKS * PERIOD_NS * 1e-9)
+        (first_ns, first), *_, (last_ns, last) = self._positions
+        # After missed ticks, the positions are further apart than ticks.
+        return (last - first) / (max(last_ns - first_ns, VELOCITY_TICKS * PERIOD_NS) * 1e-9)
 
     def run_tick(
         self, target: DriveTarget, torque: float | None = None, extra: Sequence[Frame] = ()
     ) -> DriveState:
         """Run one tick and return the state after it.
+
+        If the host is late by whole periods, the missed ticks are skipped, and not executed later.
 
         Args:
             target: requested state of the drive.
@@ -86,7 +93,8 @@ class DriveRig:
                 ``idle_command`` computes the command.
             extra: further frames to send in this tick.
         """
-        self._clock.wait(self.k)
+        self.missed_ticks = self._clock.wait(self.k) // PERIOD_NS
+        self.k += self.missed_ticks
         for frame in self._bus.drain():
             self.state = self.drive.receive(self.state, frame)
         if torque is None:
@@ -95,7 +103,10 @@ class DriveRig:
         self.torque = torque
         self._bus.send((*frames, *extra))
         self.drive_events += self._bus.take_events()
-        self._positions = [*self._positions[1:], self.state.position]
+        self._positions = [
+            *self._positions[1:],
+            (self.state.feedback_t_ns, self.state.position),
+        ]
         self.k += 1
         return self.state
 
@@ -104,7 +115,8 @@ class DriveRig:
     ) -> bool:
         """Run ticks with the idle command until ``reached`` is true for the state of the drive.
 
-        Returns False if this does not happen within the time ``for_s`` [s].
+        Returns False if this does not happen within the time ``for_s`` [s]. Only executed ticks count
+        as time. Otherwise a late host would leave the drive too few ticks for its answers.
         """
         return any(
             reached(self.run_tick(target)) for _ in range(math.ceil(for_s * 1e9 / PERIOD_NS))

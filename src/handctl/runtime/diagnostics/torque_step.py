@@ -62,14 +62,17 @@ def apply_torque_step(rig: DriveRig, sign: int, torque_limit: float) -> TorqueSt
     impulse = 0.0
     ticks = round(TORQUE_RAMP_S / PERIOD_S)
     moved = torque = 0.0
+    start_ns = rig.t_ns
     for i in range(ticks):
+        last_torque = torque
         torque = sign * torque_limit * (i + 1) / ticks
         rig.run_tick(DriveTarget.ENABLE, torque)
-        impulse += torque * PERIOD_S
+        # The drive holds its last torque during the ticks that the host has missed.
+        impulse += (last_torque * rig.missed_ticks + torque) * PERIOD_S
         if rig.state.phase != DrivePhase.ENABLED:
             return TorqueStep(moved, torque, rig.state.torque, False)
         travel = sign * (rig.state.position - start)
-        coasted = abs(coasting) * (i + 1) * PERIOD_S
+        coasted = abs(coasting) * (rig.t_ns - start_ns) * 1e-9
         moved = (
             math.copysign(max(0.0, abs(travel) - coasted), travel)
             if math.isfinite(coasted)
