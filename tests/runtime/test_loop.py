@@ -328,6 +328,24 @@ def test_a_drive_that_does_not_report_off_is_named_with_the_error() -> None:
     assert len(run.clock.waits) == 3 + 501, "half a second of ticks"
 
 
+def test_after_a_stall_drives_are_polled_from_the_present_time_on() -> None:
+    """Regression: the polls began at the missed ticks, all at once, so that no time was left for answers."""
+    run = RecordedLoop(600, clock=ScriptedClock([0, 600 * PERIOD_NS]))
+    times: list[int] = []
+
+    def disable(
+        state: int, t_ns: int, heard: list[Frame]
+    ) -> tuple[int, tuple[Frame, ...], tuple[str, ...]]:
+        times.append(t_ns)
+        return state, (), () if len(times) == 2 else ("index",)
+
+    run.loop.disable_drives = disable
+    run.fail = lambda entry: raise_error() if entry.k == 601 else None
+    with pytest.raises(StageError):
+        run.go()
+    assert times == [602 * PERIOD_NS, 603 * PERIOD_NS]
+
+
 def test_drives_that_cannot_be_polled_do_not_count_as_disabled() -> None:
     run = RecordedLoop(5)
     run.fail = lambda entry: raise_error() if entry.k == 2 else None

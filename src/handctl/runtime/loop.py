@@ -313,6 +313,7 @@ class ControlLoop(Generic[S]):
             late = self.clock.wait(k)
             skipped = late // self.period_ns  # missed ticks are skipped, and not executed later
             k += skipped
+            self._k = k
             entry = self._collect(k, late - skipped * self.period_ns)
             tick = self.begin_tick(last[0], entry)
             if requests := self.take_requests():
