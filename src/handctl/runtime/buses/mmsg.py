@@ -63,7 +63,12 @@ STAMP_CONTROL_BYTES = struct.calcsize("@Niill")
 Control messages with a loss counter but no time stamp are shorter.
 """
 COUNTER_CONTROL_BYTES = struct.calcsize("@NiillNiiI")
-"""Length of the control messages if they have a time stamp and a loss counter [bytes]."""
+"""Shortest length of the control messages if they have a time stamp and a loss counter [bytes].
+
+The kernel also counts the padding after the counter, if it is within the buffer.
+"""
+COUNTER_OFFSET = struct.calcsize("@NiillNii")
+"""Offset of the loss counter in the control messages [bytes]."""
 _HEADER_TAIL_BYTES = (
     ctypes.sizeof(_MultiMessageHeader)
     - _MultiMessageHeader.size.offset
@@ -143,22 +148,36 @@ class DatagramSlots:
         at = STAMP_OFFSET // longs.itemsize
         self._seconds = longs[:, at]
         self._nanoseconds = longs[:, at + 1]
+        counters = np.frombuffer(self.control, np.uint32).reshape(count, -1)
+        self._loss_counters = counters[:, COUNTER_OFFSET // counters.itemsize]
         self._initial_headers = bytes(self._view)
-        self._last_size: tuple[bytes, int] = (b"", 0)
+        self._last_headers = b""
+        self._last_size = 0
+        self._last_has_counters = False
 
-    def common_size(self, count: int) -> int:
+    def common_size(self, count: int, known_losses: int) -> int:
         """Return the common size of the first ``count`` datagrams [bytes], or 0 if each must be read separately.
 
         The result is not 0 if all datagrams have the same length and a time stamp, and none has a
-        loss counter. The kernel usually writes the same bytes into the headers in every tick.
-        Therefore the result for the last bytes is cached.
+        new value of the loss counter. After the first loss, the kernel adds the counter to every
+        datagram. The kernel usually writes the same bytes into the headers in every tick. Therefore
+        the result for the last bytes is cached.
+
+        Args:
+            count: number of received datagrams.
+            known_losses: latest value of the loss counter that the caller has read.
         """
         raw = bytes(self._view[: count * _HEADER_STRUCT.size])
-        if raw != self._last_size[0]:
+        if raw != self._last_headers:
             kinds = set(_HEADER_STRUCT.iter_unpack(raw))
             length, size = kinds.pop()
-            self._last_size = raw, 0 if kinds or length != STAMP_CONTROL_BYTES else size
-        return self._last_size[1]
+            self._last_has_counters = length >= COUNTER_CONTROL_BYTES
+            is_stamped = self._last_has_counters or length == STAMP_CONTROL_BYTES
+            self._last_size = size if is_stamped and not kinds else 0
+            self._last_headers = raw
+        if self._last_has_counters and (self._loss_counters[:count] != known_losses).any():
+            return 0
+        return self._last_size
 
     def datagrams(self, count: int) -> list[Datagram]:
         """Return size, time stamp, and loss counter for each of the first ``count`` datagrams."""

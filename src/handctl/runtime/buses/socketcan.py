@@ -108,11 +108,11 @@ class SocketCanBus:
     def _convert_datagrams(self, count: int) -> Frames:
         """Return the received datagrams as frames.
 
-        Usually all datagrams are of one kind (classical or CAN FD), and their time stamps are close
-        to each other. Such datagrams are converted as one batch. Otherwise each datagram is
-        converted separately.
+        Usually all datagrams are of one kind (classical or CAN FD), their time stamps are close to
+        each other, and no frame was lost before them. Such datagrams are converted as one batch.
+        Otherwise each datagram is converted separately.
         """
-        size = self._in.common_size(count)
+        size = self._in.common_size(count, self._dropped)
         frames = self._take_batch(count, FDF if size == CANFD_FRAME_BYTES else 0) if size else None
         if frames is None:
             self._offset.request_measurement()
