@@ -98,8 +98,6 @@ POSITION = 10
 """Position mode. A torque command selects this mode, with gains 0."""
 TIMED_OUT = 11
 """Mode after the watchdog has fired. The drive leaves this mode only after a stop command."""
-LIMIT_CODES = range(96, 128)
-"""Fault codes in position mode that tell which limit is in effect. These codes are not errors."""
 FAULT_TEXTS = {
     32: "calibration fault",
     33: "motor driver fault",
