@@ -10,6 +10,7 @@ import pytest
 from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.frame import EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
+from handctl.drives.readback import RECHECK_TRIES, RecheckCursor
 from tests.drives.protocol_bench import ProtocolBench, hand_file, servo_torques
 
 
@@ -108,6 +109,23 @@ def test_disabling_is_not_confirmed_by_silence(bench: ProtocolBench) -> None:
         bench.tick(DriveTarget.DISABLE)
     bench.received_frames = []
     assert [state.phase for state in bench.states] == [DrivePhase.ENABLED] * 4
+
+
+@pytest.mark.parametrize("target", [DriveTarget.POLL, DriveTarget.ENABLE])
+def test_an_enabled_drive_is_cut_as_soon_as_a_repeated_read_back_fails(
+    bench: ProtocolBench, target: DriveTarget
+) -> None:
+    """The drive that handctl has enabled may still make torque, although its feedback shows no error."""
+    bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
+    t_ns = bench.k * bench.period_ns
+    for drive, state in zip(bench.drives, bench.states, strict=True):
+        unanswered = RecheckCursor(due_ns=t_ns, waiting=True, tries=RECHECK_TRIES)
+        state = state._replace(private=state.private._replace(check=unanswered))
+        state, _ = drive.advance(state, t_ns, DriveTarget.ENABLE, 0.0)
+        assert state.phase == DrivePhase.FAULT
+        assert "not answered while enabled" in state.error_text
+        _, frames = drive.advance(state, t_ns + bench.period_ns, target, 0.0)
+        assert set(drive.cut_frames()) <= set(frames)
 
 
 @pytest.mark.parametrize("torque", [math.nan, math.inf, -math.inf, 0.801, -1e9])
