@@ -7,6 +7,7 @@ import pytest
 from handctl.campaign.run_stages import homed_run
 from handctl.controller.shutdown import shutdown_step
 from handctl.core.tick_types import HandMode
+from handctl.drives.contract import DrivePhase
 from handctl.drives.frame import Frame
 from handctl.hand.hand_loading import load_hand
 from tests.drives.protocol_bench import OPTIONS_TEXT_BY_PROTOCOL, hand_file
@@ -41,3 +42,35 @@ def test_shutdown_waits_until_each_motor_reports_off(
         assert enabled == (("index_motor",) if broken else ())
         torques = course.simulated_hand.truth()["torque"]
         assert torques[1:] == [0.0] * 3
+
+
+@pytest.mark.parametrize("phase", [DrivePhase.SILENT, DrivePhase.CONFIGURING])
+@pytest.mark.parametrize("protocol", ["mit", "cia402"])
+def test_shutdown_after_arming_waits_for_a_drive_that_is_being_set_up_again(
+    protocol: str, phase: DrivePhase, tmp_path: Path
+) -> None:
+    """Only a report of the drive confirms that it is off, as in the mode DISARM."""
+    hand = load_hand(str(hand_file(tmp_path, [protocol])))
+    with homed_run(hand, 500.0, 1) as course:
+        assert course.run_until(lambda out: out.mode == HandMode.ARMING, 3.0), course.state.failure
+        state = course.state.copy()
+        drive = course.controller.drives[0]
+        restarted = drive.initial_state()._replace(phase=phase)
+        course.controller.store_drive_state(state, 0, restarted)
+        _, _, enabled = shutdown_step(course.controller, state, course.k * PERIOD_NS, [])
+        assert drive.name in enabled
+
+
+@pytest.mark.parametrize("mode", [HandMode.SILENT, HandMode.INVENTORY, HandMode.DONE])
+@pytest.mark.parametrize("protocol", sorted(OPTIONS_TEXT_BY_PROTOCOL))
+def test_shutdown_does_not_wait_for_drives_that_were_never_set_up(
+    protocol: str, mode: HandMode, tmp_path: Path
+) -> None:
+    hand = load_hand(str(hand_file(tmp_path, [protocol])))
+    with homed_run(hand, 500.0, 1) as course:
+        state = course.controller.initial_state()
+        state.mode = mode
+        state, _, enabled = shutdown_step(course.controller, state, PERIOD_NS, [])
+        assert enabled == ()
+        _, _, enabled = shutdown_step(course.controller, state, 2 * PERIOD_NS, [])
+        assert enabled == ()

@@ -20,7 +20,13 @@ from handctl.controller.relaxing import (
 from handctl.core import state_block as s
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import BEFORE_ARMING, TORQUE_MODES, HandMode, TickEvent
-from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
+from handctl.drives.contract import (
+    Drive,
+    DrivePhase,
+    DriveState,
+    DriveTarget,
+    is_confirmed_off,
+)
 from handctl.drives.frame import Frame
 from handctl.errors import REMOVE_POWER
 from handctl.safety.action import SafetyAction
@@ -347,7 +353,7 @@ def _after_disarm(state: ControllerState, inputs: ModeInputs) -> NextMode:
     pulling = _pulling_motors(inputs.model, state, inputs.names)
     if pulling:
         return HandMode.DONE, f"{REMOVE_POWER}: still pulling after the cut: {', '.join(pulling)}"
-    enabled = _enabled_motors(state, inputs.names)
+    enabled = motors_not_confirmed_off(state, inputs.names)
     if not enabled:
         # A drive may report that it is disabled, and pull nevertheless.
         ticks_without_torque = state.run_integer(s.CUT_TICKS) - RELEASE_CHECK_TICKS
@@ -383,11 +389,22 @@ def _named_drives(state: ControllerState, inputs: ModeInputs) -> Iterator[tuple[
     return zip(inputs.names, state.drives, strict=True)
 
 
-def _enabled_motors(state: ControllerState, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the names of motors whose drives have not confirmed that they are disabled."""
-    disabled = (DrivePhase.READY, DrivePhase.FAULT)
+def motors_not_confirmed_off(state: ControllerState, names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the names of motors that may be enabled, because their drives have not confirmed that they are off.
+
+    Before arming, handctl has enabled no motor, so a drive without a confirmation does not count.
+    After the end of a run, it counts only if it had not confirmed at the end. A drive that reports
+    the state enabled always counts.
+    """
+    in_doubt = names
+    if state.mode in BEFORE_ARMING:
+        in_doubt = ()
+    elif state.mode == HandMode.DONE:
+        in_doubt = state.unconfirmed
     return tuple(
-        name for name, drive in zip(names, state.drives, strict=True) if drive.phase not in disabled
+        name
+        for name, drive in zip(names, state.drives, strict=True)
+        if drive.phase == DrivePhase.ENABLED or (name in in_doubt and not is_confirmed_off(drive))
     )
 
 
@@ -410,15 +427,7 @@ def _motors_possibly_on(
 ) -> tuple[str, ...]:
     """Return the names of motors that may make torque at the end of a run.
 
-    If the run ends before arming, handctl has enabled no motor. In this case, only motors that
-    report the state enabled are returned.
+    If the run ends before arming, a tendon may have tension without torque of its motor.
     """
-    if state.mode not in BEFORE_ARMING:
-        return tuple(
-            dict.fromkeys((*_enabled_motors(state, names), *_pulling_motors(model, state, names)))
-        )
-    return tuple(
-        name
-        for name, drive in zip(names, state.drives, strict=True)
-        if drive.phase == DrivePhase.ENABLED
-    )
+    pulling = () if state.mode in BEFORE_ARMING else _pulling_motors(model, state, names)
+    return tuple(dict.fromkeys((*motors_not_confirmed_off(state, names), *pulling)))

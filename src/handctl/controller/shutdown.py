@@ -4,9 +4,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from handctl.controller.controller_state import ControllerState
+from handctl.controller.hand_modes import motors_not_confirmed_off
 from handctl.controller.tick import Controller
 from handctl.core import state_block as s
-from handctl.drives.contract import DrivePhase, DriveTarget
+from handctl.drives.contract import DriveTarget
 from handctl.drives.frame import Frame
 
 
@@ -16,7 +17,7 @@ class ShutdownStep(NamedTuple):
     Attributes:
         state: state with the latest replies of the drives.
         frames: frames to send.
-        enabled: names of motors whose drives have not confirmed that they are disabled.
+        enabled: names of motors that may be enabled, see ``hand_modes.motors_not_confirmed_off``.
     """
 
     state: ControllerState
@@ -41,7 +42,6 @@ def shutdown_step(
         The next state, the frames to send, and the motors that are not confirmed as disabled.
     """
     after = state.copy()
-    enabled = []
     after.set_run_integer(s.K, state.k + 1)
     frames = [controller.sensors.sync(after.k)] if controller.derived.sends_sync else []
     for n, drive in enumerate(controller.drives):
@@ -52,6 +52,5 @@ def shutdown_step(
         drive_state, new_frames = drive.advance(drive_state, t_ns, DriveTarget.DISABLE, 0.0)
         controller.store_drive_state(after, n, drive_state)
         frames += new_frames
-        if drive_state.phase == DrivePhase.ENABLED:
-            enabled.append(drive.name)
-    return ShutdownStep(after, tuple(frames), tuple(enabled))
+    names = tuple(drive.name for drive in controller.drives)
+    return ShutdownStep(after, tuple(frames), motors_not_confirmed_off(after, names))

@@ -119,6 +119,16 @@ class DriveState(NamedTuple):
         )  # fmt: skip
 
 
+def is_confirmed_off(state: DriveState) -> bool:
+    """Return True if a drive with target DISABLE has reported that it makes no torque.
+
+    SILENT and CONFIGURING are no confirmation, because no report of the drive led to these phases.
+    The phase FAULT is a confirmation only after a call of ``advance`` with DISABLE. This call
+    changes the phase of a drive in fault that may still make torque to ENABLED.
+    """
+    return state.phase in (DrivePhase.READY, DrivePhase.FAULT)
+
+
 class Drive(Protocol):
     """One motor with the protocol of its drive. Implementations are immutable.
 
