@@ -125,7 +125,7 @@ def test_compiled_code_and_state_machine_give_equal_results(name: str, seed: int
             wired.receive([frame])
             steady += not wired.frames_for_drives
             assert are_states_equal(wired.drive_state(0), state, drive), frame
-        torque = chance.uniform(-drive.torque_limit, drive.torque_limit)
+        torque = chance.uniform(-drive.command_limit, drive.command_limit)
         state, frames = drive.advance(state, t_ns, target, torque)
         assert wired.send(target, [torque], t_ns) == list(frames)
         assert are_states_equal(wired.drive_state(0), state, drive)
@@ -149,13 +149,13 @@ def enabled_now(state: DriveState, t_ns: int) -> DriveState:
 @pytest.mark.parametrize("name", DRIVE_VARIANTS)
 def test_invalid_torque_is_never_sent(name: str) -> None:
     drive, state, t_ns, _ = enable_drive(name)
-    beyond = math.nextafter(drive.torque_limit, math.inf)
+    beyond = math.nextafter(drive.command_limit, math.inf)
     for torque in (math.nan, math.inf, -math.inf, beyond, -beyond):
         wired = WiredDrives([drive], NO_SENSORS)
         wired.store_drive_state(0, state)
         with pytest.raises(ValueError, match="expected at most"):
             wired.send(DriveTarget.ENABLE, [torque], t_ns)
-    for torque in (drive.torque_limit, -drive.torque_limit, 5e-324, -0.0):
+    for torque in (drive.command_limit, -drive.command_limit, 5e-324, -0.0):
         wired = WiredDrives([drive], NO_SENSORS)
         wired.store_drive_state(0, state)
         assert wired.send(DriveTarget.ENABLE, [torque], t_ns) == list(

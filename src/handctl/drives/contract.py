@@ -135,7 +135,8 @@ class Drive(Protocol):
     Attributes:
         name: name of the motor in the hand file.
         bus: index of the bus of the drive.
-        torque_limit: largest torque command [N m at the spool].
+        command_limit: largest command at the spool, in the unit of the drive's mode: a torque [N m], or
+            in the modes of ``drive_modes`` a position [rad] or velocity [rad/s].
         frames_per_tick: all frames that one tick can have at most, in both directions, as (payload
             bytes, CAN FD?). The bus load is computed from them.
         background_frames: frames whose rate is not the control rate, as (payload bytes, CAN FD?,
@@ -166,8 +167,8 @@ class Drive(Protocol):
         ...
 
     @property
-    def torque_limit(self) -> float:
-        """Return the largest torque command [N m at the spool]."""
+    def command_limit(self) -> float:
+        """Return the largest command at the spool [N m, in the modes of ``drive_modes`` rad or rad/s]."""
         ...
 
     @property
@@ -244,7 +245,7 @@ class Drive(Protocol):
         ...
 
     def advance(
-        self, state: DriveState, t_ns: int, target: DriveTarget, torque: float
+        self, state: DriveState, t_ns: int, target: DriveTarget, command: float
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state of the drive, and the frames to send at time t_ns [ns].
 
@@ -252,10 +253,11 @@ class Drive(Protocol):
             state: state of the drive.
             t_ns: time of the tick [ns].
             target: requested drive state.
-            torque: command [N m at the spool], used only if the target is ENABLE.
+            command: command at the spool, in the unit of ``command_limit``, used only if the target
+                is ENABLE.
 
         Raises:
-            ValueError: the torque is not finite, or larger than ``torque_limit``.
+            ValueError: the command is not finite, or larger than ``command_limit``.
         """
         ...
 

@@ -1,8 +1,7 @@
 """Drive modes in which the drive itself controls its position or velocity: controlled quantity and limits.
 
 A drive in such a mode is a ``contract.Drive`` whose command is a position [rad] or a velocity
-[rad/s] at the spool instead of a torque. The attribute ``torque_limit`` of such a drive is the
-largest command in that unit. The drive keeps the torque limit, the watchdog and the read-back of
+[rad/s] at the spool instead of a torque. Its ``command_limit`` has the same unit. The drive keeps the torque limit, the watchdog and the read-back of
 the torque mode.
 """
 

@@ -59,7 +59,7 @@ class Cia402Drive:
         name: name of the motor in the hand file.
         bus: index of the bus of the drive.
         node_id: node number, from 1 to 0x7e.
-        torque_limit: largest torque command [N m at the spool].
+        command_limit: largest torque command [N m at the spool].
         ratio: turns of the motor's shaft per turn of the spool, negative if positive torque of the
             motor unwinds the tendon.
         zero: angle of the shaft at spool angle zero [rad].
@@ -76,7 +76,7 @@ class Cia402Drive:
     name: str
     bus: int
     node_id: int
-    torque_limit: float
+    command_limit: float
     ratio: float
     zero: float
     rated: float
@@ -90,7 +90,7 @@ class Cia402Drive:
 
     def __post_init__(self) -> None:
         """Build the signal tables of the cyclic frames."""
-        sent = codec.command_message(self.node_id, self.ratio, self.rated, self.torque_limit)
+        sent = codec.command_message(self.node_id, self.ratio, self.rated, self.command_limit)
         feedback = codec.feedback_message(
             self.node_id, self.counts, self.ratio, self.rated, self.zero
         )
@@ -154,7 +154,7 @@ class Cia402Drive:
             name=motor.name,
             bus=bus,
             node_id=motor.node_id,
-            torque_limit=motor.torque_max_N_m,
+            command_limit=motor.torque_max_N_m,
             ratio=motor.direction * ratio,
             zero=motor.zero_rad,
             rated=rated,
@@ -340,7 +340,7 @@ class Cia402Drive:
         )
 
     def advance(
-        self, state: DriveState, t_ns: int, target: DriveTarget, torque: float
+        self, state: DriveState, t_ns: int, target: DriveTarget, command: float
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state and the frames to send, see ``contract.Drive``."""
         if target == LISTEN:
@@ -353,7 +353,7 @@ class Cia402Drive:
             < t_ns - self.life_sign_timeout_ns
         ):
             state = state_after_timeout(state)
-        state, frames = self._follow_target(state, t_ns, target, torque)
+        state, frames = self._follow_target(state, t_ns, target, command)
         progress = progress_of(state)
         if t_ns - progress.heartbeat_sent_ns >= self.heartbeat_period_ns:
             frames = (*frames, Frame(_HOST_HEARTBEAT, bytes((codec.OPERATIONAL,)), 0, self.bus))
@@ -361,7 +361,7 @@ class Cia402Drive:
         return state, (*frames, Frame(codec.SYNC, b"", 0, self.bus)) if self.sync else frames
 
     def _follow_target(
-        self, state: DriveState, t_ns: int, target: DriveTarget, torque: float
+        self, state: DriveState, t_ns: int, target: DriveTarget, command: float
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state and the frames for the requested drive state.
 
@@ -374,7 +374,7 @@ class Cia402Drive:
             return self._disable(state, progress, t_ns)
         if state.phase == ENABLED:
             state, recheck = self._next_recheck(state, progress, t_ns)
-            return state, (self._rpdo_frame(codec.ENABLE_OPERATION, torque), *recheck)
+            return state, (self._rpdo_frame(codec.ENABLE_OPERATION, command), *recheck)
         if state.phase == FAULT:
             return state, self.cut_frames() if progress.may_be_enabled else ()
         progress = progress._replace(disabling_ns=-1)
@@ -476,10 +476,10 @@ class Cia402Drive:
             self._nmt_frame(codec.START_NODE),
         )
 
-    def _rpdo_frame(self, control: int, torque: float) -> Frame:
-        """Return RPDO1 with the given control word and torque [N m at the spool]."""
+    def _rpdo_frame(self, control: int, command: float) -> Frame:
+        """Return RPDO1 with the given control word and command, in the unit of ``command_limit``."""
         try:
-            data = struct.pack("<H", control) + self.command.pack(torque)[2:]
+            data = struct.pack("<H", control) + self.command.pack(command)[2:]
         except ValueError as error:
             raise ValueError(f"{self.name}: {error}") from None
         return Frame(codec.RPDO + self.node_id, data, 0, self.bus)

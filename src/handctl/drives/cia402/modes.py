@@ -43,7 +43,7 @@ RAD_S_PER_RPM = math.tau / 60.0
 class Cia402ModeDrive(Cia402Drive):
     """Motor on a CiA 402 drive whose command is a position [rad] or a velocity [rad/s] at the spool.
 
-    ``torque_limit`` is the largest command in this unit.
+    ``command_limit`` has the same unit.
 
     Attributes:
         mode: quantity that the drive controls.
@@ -58,10 +58,10 @@ class Cia402ModeDrive(Cia402Drive):
         """Build the signal tables of the cyclic frames."""
         Cia402Drive.__post_init__(self)
         if self.mode == DriveMode.VELOCITY:
-            message = codec.velocity_message(self.node_id, self.velocity_unit, self.torque_limit)
+            message = codec.velocity_message(self.node_id, self.velocity_unit, self.command_limit)
         else:
             message = codec.position_message(
-                self.node_id, self.counts, self.ratio, self.zero, self.torque_limit
+                self.node_id, self.counts, self.ratio, self.zero, self.command_limit
             )
         object.__setattr__(self, "command", SignalTable(message))
 
@@ -102,7 +102,7 @@ def make_mode_drive(
     speed = math.ceil(limits.speed * ratio / RAD_S_PER_RPM)
     window = math.ceil(FOLLOWING_ERROR_RAD * ratio / math.tau * fields["counts"])
     fields["steps"] = (*_motion_steps(mode, speed, window), *fields["steps"])
-    fields["torque_limit"] = (
+    fields["command_limit"] = (
         limits.speed if mode == DriveMode.VELOCITY else motor.position_range_rad
     )
     one = (RAD_S_PER_RPM if unit == "rev_min" else math.tau / fields["counts"]) / fields["ratio"]

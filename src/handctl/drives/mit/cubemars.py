@@ -130,7 +130,7 @@ class CubemarsDrive:
         bus: index of the bus of the motor.
         node_id: node number, and identifier of commands and feedback.
         ranges: full scale of the motor model.
-        torque_limit: largest torque command [N m at the spool].
+        command_limit: largest torque command [N m at the spool].
         direction: 1 if positive torque of the motor winds the tendon, else -1.
         zero: motor angle at spool angle zero [rad].
         temperature_offset: temperature at count 0 in byte 6 of the feedback [degC].
@@ -142,7 +142,7 @@ class CubemarsDrive:
     bus: int
     node_id: int
     ranges: codec.MotorRanges
-    torque_limit: float
+    command_limit: float
     direction: int
     zero: float
     temperature_offset: float
@@ -171,7 +171,7 @@ class CubemarsDrive:
             ),
             Signal("error", SignalQuantity.STATUS, 63, 8, True),
         )
-        object.__setattr__(self, "command", SignalTable(command._replace(limit=self.torque_limit)))
+        object.__setattr__(self, "command", SignalTable(command._replace(limit=self.command_limit)))
         object.__setattr__(self, "feedback", SignalTable(feedback._replace(signals=signals)))
 
     @staticmethod
@@ -200,14 +200,14 @@ class CubemarsDrive:
             )
         refuse_unknown_options(options, f"{where}.options", "motor_type or temperature_offset_C")
         check_full_scale(motor, ranges)
-        torque_limit = motor.torque_max_N_m
+        command_limit = motor.torque_max_N_m
         zero = motor.zero_rad
         return CubemarsDrive(
             motor.name,
             bus,
             motor.node_id,
             ranges,
-            torque_limit,
+            command_limit,
             motor.direction,
             zero,
             float(temperature_offset),
@@ -268,7 +268,7 @@ class CubemarsDrive:
     def cyclic_messages(self) -> CyclicMessages:
         """Return the signal tables of the commands and of the feedback."""
         position = codec.impedance_message(self.node_id, self.ranges, self.direction, self.zero)
-        position = position._replace(limit=self.torque_limit)
+        position = position._replace(limit=self.command_limit)
         return CyclicMessages((self.feedback.message,), (self.command.message,), position=position)
 
     def steady_status(self, state: DriveState) -> int:
@@ -340,12 +340,12 @@ class CubemarsDrive:
         return state._replace(phase=phase, private=progress._replace(enable_sent=False))
 
     def advance(
-        self, state: DriveState, t_ns: int, target: DriveTarget, torque: float
+        self, state: DriveState, t_ns: int, target: DriveTarget, command: float
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state and the frames to send, see ``contract.Drive``."""
         progress: CubemarsProgress = state.private
         if state.phase == ENABLED and target == ENABLE and progress.command_sent == ENABLE:
-            return state, (self._frame_to_motor(self._torque_payload(torque)),)
+            return state, (self._frame_to_motor(self._torque_payload(command)),)
         if target == LISTEN:
             return state, ()
         if (

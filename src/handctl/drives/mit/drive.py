@@ -115,7 +115,7 @@ class MitDrive:
         )
 
     @property
-    def torque_limit(self) -> float:
+    def command_limit(self) -> float:
         """Return TMAX, the largest torque command [N m]."""
         return self.ranges.torque
 
@@ -293,17 +293,17 @@ class MitDrive:
         return apply_status(updated, nibble)
 
     def advance(
-        self, state: DriveState, t_ns: int, target: DriveTarget, torque: float
+        self, state: DriveState, t_ns: int, target: DriveTarget, command: float
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state and the frames to send, see ``contract.Drive``."""
         progress: MitProgress = state.private
         if target == ENABLE and state.phase == ENABLED and not progress.disabling:
-            command = self._command_frame(torque)
+            sent = self._command_frame(command)
             # In a running hand this is the usual case: one command, and no change of the state.
             if t_ns < progress.check.due_ns:
-                return state, (command,)
+                return state, (sent,)
             state, question = self._next_recheck(state, progress, t_ns)
-            return state, (command, question)
+            return state, (sent, question)
         if target == LISTEN:
             return state, ()
         if target == DISABLE or state.phase == ENABLED:
@@ -394,17 +394,17 @@ class MitDrive:
         updated = state._replace(error_text=text, private=progress._replace(cursor=cursor))
         return updated, (self._register_frame(data),) if data else ()
 
-    def _command_payload(self, torque: float) -> bytes:
+    def _command_payload(self, command: float) -> bytes:
         """Return the payload of a command.
 
         Args:
-            torque: torque to command [N m at the spool].
+            command: command, in the unit of ``command_limit``.
 
         Raises:
-            ValueError: the torque is not finite, or exceeds TMAX.
+            ValueError: the command is not finite, or exceeds ``command_limit``.
         """
         try:
-            return self.command.pack(torque)
+            return self.command.pack(command)
         except ValueError as error:
             raise ValueError(f"{self.name}: {error}") from None
 
@@ -415,9 +415,9 @@ class MitDrive:
         """
         return (self._command_frame(torque),)
 
-    def _command_frame(self, torque: float) -> Frame:
-        """Return the frame of a command [N m at the spool]."""
-        return self._frame_to_motor(self._command_payload(torque))
+    def _command_frame(self, command: float) -> Frame:
+        """Return the frame of a command, in the unit of ``command_limit``."""
+        return self._frame_to_motor(self._command_payload(command))
 
     def cut_frames(self) -> tuple[Frame, ...]:
         """Return the frame of the disable command."""

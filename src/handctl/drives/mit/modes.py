@@ -60,7 +60,7 @@ class MitModeDrive(MitDrive):
         return codec.force_position_message(self.node_id, self.ranges, limits, *last)
 
     @property
-    def torque_limit(self) -> float:
+    def command_limit(self) -> float:
         """Return the largest command [rad or rad/s at the spool]."""
         return self.command.message.limit
 
@@ -91,10 +91,10 @@ class MitModeDrive(MitDrive):
         """Return no frames, because the motor takes no torque commands in position and velocity modes."""
         return ()
 
-    def _command_frame(self, torque: float) -> Frame:
+    def _command_frame(self, command: float) -> Frame:
         """Return the frame of a command [rad or rad/s at the spool]."""
         message = self.command.message
-        return Frame(message.can_id, self._command_payload(torque), self.flags, self.bus)
+        return Frame(message.can_id, self._command_payload(command), self.flags, self.bus)
 
 
 def make_mode_drive(

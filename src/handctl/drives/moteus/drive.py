@@ -54,7 +54,7 @@ class MoteusDrive:
         name: name of the motor in the hand file.
         bus: index of the bus of the drive.
         node_id: node number, from 1 to 0x7e.
-        torque_limit: largest torque command, and torque limit in the drive [N m at the spool].
+        command_limit: largest torque command, and torque limit in the drive [N m at the spool].
         direction: 1 if positive torque of the motor winds the tendon, else -1.
         zero: motor angle at spool angle zero [rad].
         timeout_s: timeout of the watchdog [s].
@@ -71,7 +71,7 @@ class MoteusDrive:
     name: str
     bus: int
     node_id: int
-    torque_limit: float
+    command_limit: float
     direction: int
     zero: float
     timeout_s: float
@@ -85,7 +85,7 @@ class MoteusDrive:
     def __post_init__(self) -> None:
         """Build the signal tables of the cyclic frames."""
         command = codec.command_message(
-            self.node_id, self.torque_limit, self.timeout_s, self.direction
+            self.node_id, self.command_limit, self.timeout_s, self.direction
         )
         object.__setattr__(self, "command", SignalTable(command))
         object.__setattr__(
@@ -98,7 +98,7 @@ class MoteusDrive:
             if self.gains is None
             else items.position_configuration(self.gains)
         )
-        required = items.required_settings(self.torque_limit, self.timeout_s, configuration)
+        required = items.required_settings(self.command_limit, self.timeout_s, configuration)
         object.__setattr__(self, "configuration", configuration)
         object.__setattr__(self, "required", required)
 
@@ -121,7 +121,7 @@ class MoteusDrive:
             name=motor.name,
             bus=bus,
             node_id=motor.node_id,
-            torque_limit=motor.torque_max_N_m,
+            command_limit=motor.torque_max_N_m,
             direction=motor.direction,
             zero=motor.zero_rad,
             timeout_s=motor.watchdog_ms * 1e-3,
@@ -342,17 +342,17 @@ class MoteusDrive:
         return _ready_state(state, progress, t_ns, words[2] << 64 | words[1] << 32 | words[0])
 
     def advance(
-        self, state: DriveState, t_ns: int, target: DriveTarget, torque: float
+        self, state: DriveState, t_ns: int, target: DriveTarget, command: float
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state and the frames to send, see ``contract.Drive``."""
         progress: MoteusProgress = state.private
         if target == ENABLE and state.phase == ENABLED and not progress.disabling:
-            command = self._frame_to_drive(self._torque_payload(torque))
+            sent = self._frame_to_drive(self._torque_payload(command))
             # In a running hand this is the usual case: one command, and no change of the state.
             if t_ns < progress.check.due_ns and not progress.check.waiting:
-                return state, (command,)
+                return state, (sent,)
             state, requests = self._next_recheck(state, progress, t_ns)
-            return state, (command, *requests)
+            return state, (sent, *requests)
         if target == LISTEN:
             return state, ()
         if target == DISABLE or state.phase == ENABLED:
@@ -436,7 +436,7 @@ class MoteusDrive:
         if (
             setting.register and progress.cursor.writing
         ):  # the drive answers this write only with feedback
-            limits = self._frame_to_drive(codec.limits_request(self.torque_limit, self.timeout_s))
+            limits = self._frame_to_drive(codec.limits_request(self.command_limit, self.timeout_s))
             return state._replace(
                 private=progress._replace(cursor=progress.cursor.after_write())
             ), (limits,)

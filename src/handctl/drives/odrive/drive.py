@@ -57,7 +57,7 @@ class OdriveDrive:
         name: name of the motor in the hand file.
         bus: index of the bus of the drive.
         node_id: node number, from 1 to 0x3e.
-        torque_limit: largest torque command [N m at the spool].
+        command_limit: largest torque command [N m at the spool].
         ratio: turns of the motor's shaft per turn of the spool, negative if positive torque of the
             motor unwinds the tendon.
         zero: angle of the shaft at spool angle zero [rad].
@@ -76,7 +76,7 @@ class OdriveDrive:
     name: str
     bus: int
     node_id: int
-    torque_limit: float
+    command_limit: float
     ratio: float
     zero: float
     limits: bytes
@@ -94,7 +94,7 @@ class OdriveDrive:
         object.__setattr__(
             self,
             "command",
-            SignalTable(codec.torque_message(self.node_id, self.ratio, self.torque_limit)),
+            SignalTable(codec.torque_message(self.node_id, self.ratio, self.command_limit)),
         )
         encoder = codec.encoder_message(
             self.node_id, self.ratio, self.zero, requested=not self.cyclic_s
@@ -126,7 +126,7 @@ class OdriveDrive:
             name=motor.name,
             bus=bus,
             node_id=motor.node_id,
-            torque_limit=motor.torque_max_N_m,
+            command_limit=motor.torque_max_N_m,
             ratio=motor.direction * parsed.ratio,
             zero=motor.zero_rad,
             limits=codec.encode_floats(
@@ -349,7 +349,7 @@ class OdriveDrive:
         return enter_fault(updated, SETTING_MISMATCH_ERROR, problem) if problem else updated
 
     def advance(
-        self, state: DriveState, t_ns: int, target: DriveTarget, torque: float
+        self, state: DriveState, t_ns: int, target: DriveTarget, command: float
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state and the frames to send, see ``contract.Drive``."""
         progress = progress_of(state)
@@ -369,7 +369,7 @@ class OdriveDrive:
         if state.phase == ENABLED:
             state, requests = self._feedback_requests(state, t_ns)
             state, recheck = self._next_recheck(state, t_ns)
-            return state, (self._command_frame(torque), *requests, *recheck)
+            return state, (self._command_frame(command), *requests, *recheck)
         if state.phase == FAULT:
             return state, self.cut_frames() if progress.may_be_enabled else ()
         state = state._replace(private=progress._replace(disabling_ns=-1))
@@ -451,9 +451,14 @@ class OdriveDrive:
         The drive does not confirm them, so both are sent before each enable command.
         """
         mode = self._data_frame(
-            codec.SET_MODE, codec.encode_integers(codec.TORQUE_MODE, codec.PASSTHROUGH_INPUT_MODE)
+            codec.SET_MODE, codec.encode_integers(self._control_mode, codec.PASSTHROUGH_INPUT_MODE)
         )
         return mode, self._data_frame(codec.SET_LIMITS, self.limits)
+
+    @property
+    def _control_mode(self) -> int:
+        """Return the control mode in the message Set_Controller_Mode."""
+        return codec.TORQUE_MODE
 
     def _request_version(
         self, state: DriveState, progress: OdriveProgress, t_ns: int
@@ -514,10 +519,10 @@ class OdriveDrive:
             self._data_frame(codec.RX_SDO, codec.sdo_request(codec.SDO_READ, setting.endpoint)),
         )
 
-    def _command_frame(self, torque: float) -> Frame:
-        """Return the frame of a torque command [N m at the spool]."""
+    def _command_frame(self, command: float) -> Frame:
+        """Return the frame of a command, in the unit of ``command_limit``."""
         try:
-            return self._data_frame(codec.SET_TORQUE, self.command.pack(torque))
+            return Frame(self.command.message.can_id, self.command.pack(command), 0, self.bus)
         except ValueError as error:
             raise ValueError(f"{self.name}: {error}") from None
 

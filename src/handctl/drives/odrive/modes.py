@@ -25,7 +25,7 @@ _CONTROL_MODES = {DriveMode.POSITION: codec.POSITION_MODE, DriveMode.VELOCITY: c
 class OdriveModeDrive(OdriveDrive):
     """Motor on an ODrive whose command is a position [rad] or a velocity [rad/s] at the spool.
 
-    ``torque_limit`` is the largest command in this unit.
+    ``command_limit`` has the same unit.
 
     Attributes:
         mode: quantity that the drive controls.
@@ -37,28 +37,15 @@ class OdriveModeDrive(OdriveDrive):
         """Build the signal tables of the cyclic frames."""
         OdriveDrive.__post_init__(self)
         if self.mode == DriveMode.VELOCITY:
-            message = codec.velocity_message(self.node_id, self.ratio, self.torque_limit)
+            message = codec.velocity_message(self.node_id, self.ratio, self.command_limit)
         else:
-            message = codec.position_message(self.node_id, self.ratio, self.zero, self.torque_limit)
+            message = codec.position_message(self.node_id, self.ratio, self.zero, self.command_limit)
         object.__setattr__(self, "command", SignalTable(message))
 
-    def _setup_frames(self) -> tuple[Frame, ...]:
-        """Return the frames that set control mode and limits.
-
-        The drive does not confirm these frames, as in torque control.
-        """
-        mode = self._data_frame(
-            codec.SET_MODE,
-            codec.encode_integers(_CONTROL_MODES[self.mode], codec.PASSTHROUGH_INPUT_MODE),
-        )
-        return mode, self._data_frame(codec.SET_LIMITS, self.limits)
-
-    def _command_frame(self, torque: float) -> Frame:
-        """Return the frame of a command [rad or rad/s at the spool]."""
-        try:
-            return Frame(self.command.message.can_id, self.command.pack(torque), 0, self.bus)
-        except ValueError as error:
-            raise ValueError(f"{self.name}: {error}") from None
+    @property
+    def _control_mode(self) -> int:
+        """Return the control mode in the message Set_Controller_Mode."""
+        return _CONTROL_MODES[self.mode]
 
     def _rest_command(self, state: DriveState) -> float:
         """Return the command that causes no motion: the present position, or zero velocity."""
@@ -82,7 +69,7 @@ def make_mode_drive(
     fields = constructor_arguments(OdriveDrive.from_motor(motor, bus))
     _, current = codec.decode_float_pair(fields["limits"]) or (0.0, 0.0)
     fields["limits"] = codec.encode_floats(limits.speed * abs(fields["ratio"]) / math.tau, current)
-    fields["torque_limit"] = (
+    fields["command_limit"] = (
         limits.speed if mode == DriveMode.VELOCITY else motor.position_range_rad
     )
     return OdriveModeDrive(**fields, mode=mode)

@@ -55,7 +55,7 @@ class RobstrideDrive:
         node_id: number of the motor, from 1 to 0x7f.
         host: number of this host.
         ranges: full scale of the motor model.
-        torque_limit: largest torque command, and torque limit in the motor [N m at the spool].
+        command_limit: largest torque command, and torque limit in the motor [N m at the spool].
         direction: 1 if positive torque of the motor winds the tendon, else -1.
         zero: motor angle at spool angle zero [rad].
         watchdog_ms: timeout of the motor's watchdog [ms].
@@ -70,7 +70,7 @@ class RobstrideDrive:
     node_id: int
     host: int
     ranges: codec.ModelRanges
-    torque_limit: float
+    command_limit: float
     direction: int
     zero: float
     watchdog_ms: float
@@ -84,7 +84,7 @@ class RobstrideDrive:
     def __post_init__(self) -> None:
         """Build the signal tables of the cyclic frames, the required parameters, and the identifiers."""
         command = codec.command_message(
-            self.node_id, self.ranges, self.torque_limit, self.direction
+            self.node_id, self.ranges, self.command_limit, self.direction
         )
         feedback = codec.feedback_message(
             self.node_id, self.host, self.ranges, self.direction, self.zero
@@ -92,7 +92,7 @@ class RobstrideDrive:
         object.__setattr__(self, "command", SignalTable(command))
         object.__setattr__(self, "feedback", SignalTable(feedback))
         object.__setattr__(
-            self, "required", parameters.required_parameters(self.torque_limit, self.watchdog_ms)
+            self, "required", parameters.required_parameters(self.command_limit, self.watchdog_ms)
         )
         object.__setattr__(self, "node_ids", codec.motor_ids(self.node_id, self.host))
 
@@ -125,7 +125,7 @@ class RobstrideDrive:
             node_id=motor.node_id,
             host=host,
             ranges=ranges,
-            torque_limit=motor.torque_max_N_m,
+            command_limit=motor.torque_max_N_m,
             direction=motor.direction,
             zero=motor.zero_rad,
             watchdog_ms=motor.watchdog_ms,
@@ -180,7 +180,7 @@ class RobstrideDrive:
     def cyclic_messages(self) -> CyclicMessages:
         """Return the signal tables of the commands and of the feedback."""
         position = codec.impedance_message(
-            self.node_id, self.ranges, self.torque_limit, self.direction, self.zero
+            self.node_id, self.ranges, self.command_limit, self.direction, self.zero
         )
         return CyclicMessages((self.feedback.message,), (self.command.message,), position=position)
 
@@ -280,17 +280,17 @@ class RobstrideDrive:
         return enter_fault(updated, SETTING_MISMATCH_ERROR, problem) if problem else updated
 
     def advance(
-        self, state: DriveState, t_ns: int, target: DriveTarget, torque: float
+        self, state: DriveState, t_ns: int, target: DriveTarget, command: float
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state and the frames to send, see ``contract.Drive``."""
         progress: RobstrideProgress = state.private
         if target == ENABLE and state.phase == ENABLED and not progress.disabling:
-            command = self._torque_frame(torque)
+            sent = self._torque_frame(command)
             # In a running hand this is the usual case: one command, and no change of the state.
             if t_ns < progress.check.due_ns:
-                return state, (command,)
+                return state, (sent,)
             state, question = self._next_recheck(state, progress, t_ns)
-            return state, (command, question)
+            return state, (sent, question)
         if target == LISTEN:
             return state, ()
         if target == DISABLE or state.phase == ENABLED:

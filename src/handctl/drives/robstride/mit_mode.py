@@ -109,7 +109,7 @@ class RobstrideMitDrive(CubemarsDrive):
         )
         # Byte 0 of this feedback is the whole number of the motor, without a state nibble.
         signals = (state._replace(name="node"), position, velocity, torque, winding)
-        object.__setattr__(self, "command", SignalTable(command._replace(limit=self.torque_limit)))
+        object.__setattr__(self, "command", SignalTable(command._replace(limit=self.command_limit)))
         object.__setattr__(self, "feedback", SignalTable(feedback._replace(signals=signals)))
 
     @staticmethod
@@ -137,7 +137,7 @@ class RobstrideMitDrive(CubemarsDrive):
             bus=bus,
             node_id=motor.node_id,
             ranges=ranges,
-            torque_limit=motor.torque_max_N_m,
+            command_limit=motor.torque_max_N_m,
             direction=motor.direction,
             zero=motor.zero_rad,
             temperature_offset=0.0,
@@ -190,14 +190,14 @@ class RobstrideMitDrive(CubemarsDrive):
         return state._replace(phase=DrivePhase.FAULT, error=error, error_text=fault_text(error))
 
     def advance(
-        self, state: DriveState, t_ns: int, target: DriveTarget, torque: float
+        self, state: DriveState, t_ns: int, target: DriveTarget, command: float
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state and the frames to send, see ``contract.Drive``.
 
         To a disabled motor, the host sends a read of the faults instead of every eighth stop
         command.
         """
-        updated, frames = CubemarsDrive.advance(self, state, t_ns, target, torque)
+        updated, frames = CubemarsDrive.advance(self, state, t_ns, target, command)
         progress: CubemarsProgress = updated.private
         disabled = (
             updated.phase in (DrivePhase.READY, DrivePhase.FAULT) and not progress.enable_sent

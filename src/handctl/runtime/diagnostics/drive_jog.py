@@ -151,8 +151,8 @@ class _JogExecution:
         if not math.isfinite(self._start):
             return "reports no position"
         furthest = abs(self._start) + abs(self._goal.target)
-        if self._position_mode and furthest > rig.drive.torque_limit:
-            return f"is at {self._start:+.2f} rad, the target is beyond its range of {rig.drive.torque_limit:g} rad"
+        if self._position_mode and furthest > rig.drive.command_limit:
+            return f"is at {self._start:+.2f} rad, the target is beyond its range of {rig.drive.command_limit:g} rad"
         self._command = self._start if self._position_mode else 0.0
         if not rig.run_until(
             DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 2.0

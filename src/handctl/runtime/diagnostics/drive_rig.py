@@ -29,7 +29,6 @@ class DriveRig:
         k: number of the next tick.
         missed_ticks: number of ticks that were skipped directly before the last tick, because the
             host was late.
-        torque: last commanded torque [N m].
         drive_events: all events of the bus so far.
         inertia: measured inertia of the shaft [kg m2]. NaN before the measurement.
         idle_command: function that takes the state of the drive, and returns the command that does
@@ -53,7 +52,6 @@ class DriveRig:
         self.state: DriveState = drive.initial_state()
         self.k = 0
         self.missed_ticks = 0
-        self.torque = 0.0
         self.inertia = math.nan
         self.drive_events: list[tuple[str, str, int]] = []
         self.idle_command: Callable[[DriveState], float] = _no_torque
@@ -81,7 +79,7 @@ class DriveRig:
         return (last - first) / (max(last_ns - first_ns, VELOCITY_TICKS * PERIOD_NS) * 1e-9)
 
     def run_tick(
-        self, target: DriveTarget, torque: float | None = None, extra: Sequence[Frame] = ()
+        self, target: DriveTarget, command: float | None = None, extra: Sequence[Frame] = ()
     ) -> DriveState:
         """Run one tick and return the state after it.
 
@@ -89,18 +87,17 @@ class DriveRig:
 
         Args:
             target: requested state of the drive.
-            torque: command to the enabled drive [N m in torque mode]. If it is None,
-                ``idle_command`` computes the command.
+            command: command to the enabled drive, in the unit of ``Drive.command_limit``. If it is
+                None, ``idle_command`` computes the command.
             extra: further frames to send in this tick.
         """
         self.missed_ticks = self._clock.wait(self.k) // PERIOD_NS
         self.k += self.missed_ticks
         for frame in self._bus.drain():
             self.state = self.drive.receive(self.state, frame)
-        if torque is None:
-            torque = self.idle_command(self.state)
-        self.state, frames = self.drive.advance(self.state, self.t_ns, target, torque)
-        self.torque = torque
+        if command is None:
+            command = self.idle_command(self.state)
+        self.state, frames = self.drive.advance(self.state, self.t_ns, target, command)
         self._bus.send((*frames, *extra))
         self.drive_events += self._bus.take_events()
         self._positions = [

@@ -1,0 +1,219 @@
+"""Steps that the state machines of several protocols share: fault, repeated read-back, enable and disable.
+
+Each protocol has its own progress, a named tuple in ``DriveState.private``. A function here uses
+only those fields of ``EnablingProgress`` that its text names, and returns the next drive state.
+"""
+
+from typing import Any, Protocol, Self
+
+from handctl.drives import readback
+from handctl.drives.contract import DrivePhase, DriveState
+from handctl.drives.readback import ReadbackCursor, RecheckCursor
+
+SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
+
+SILENCE_TIMEOUT_NS = 250_000_000
+"""Time without a frame after which a disabled drive may have lost power, and therefore its settings [ns]."""
+
+
+class EnablingProgress(Protocol):
+    """Fields of a progress that the functions of this module use.
+
+    Attributes:
+        cursor: position in the list of settings to read back.
+        configured: True if all settings have their required values.
+        enabled_by_other: True if the drive may make torque without a command of this host.
+        enable_sent: True from the enable command until the drive reports that it is off.
+        disabling: True while the drive is being disabled.
+        disabling_ns: time of the first disable command [ns].
+        clearing: number of feedback frames with an error still to be ignored.
+        ready_ns: time at which the last setting was verified [ns].
+        check: position in the repeated read-back of the enabled drive.
+        serial: serial number of the drive, 0 if unknown.
+    """
+
+    cursor: ReadbackCursor
+    configured: bool
+    enabled_by_other: bool
+    enable_sent: bool
+    disabling: bool
+    disabling_ns: int
+    clearing: int
+    ready_ns: int
+    check: RecheckCursor
+    serial: int
+
+    @property
+    def may_be_enabled(self) -> bool:
+        """Return True if the drive may make torque."""
+        ...
+
+    def _replace(self, **changes: Any) -> Self: ...
+
+
+def enter_fault(state: DriveState, error_code: int, text: str) -> DriveState:
+    """Return the state in phase FAULT, with the given error code and text."""
+    return state._replace(phase=FAULT, error=error_code, error_text=text)
+
+
+def after_recheck_request(
+    state: DriveState, error_code: int, name: str, node_id: int, t_ns: int
+) -> DriveState:
+    """Return the state after a request that reads a setting of the enabled drive again. Uses ``check``.
+
+    Args:
+        state: state of the drive.
+        error_code: error code of a setting that the drive does not answer.
+        name: name of the setting.
+        node_id: node number of the drive.
+        t_ns: time of the tick [ns].
+    """
+    progress: EnablingProgress = state.private
+    check, problem = readback.next_recheck(progress.check, name, node_id, t_ns)
+    state = state._replace(private=progress._replace(check=check))
+    return enter_fault(state, error_code, problem) if problem else state
+
+
+def after_recheck_reply(
+    state: DriveState,
+    error_code: int,
+    setting_count: int,
+    is_equal: bool,
+    name: str,
+    answer: str,
+    expected: str,
+) -> DriveState:
+    """Return the state after a setting of the enabled drive was read again. Uses ``check``.
+
+    Args:
+        state: state of the drive.
+        error_code: error code of a setting with a wrong value.
+        setting_count: number of settings in the repeated read-back.
+        is_equal: True if the setting has the required value.
+        name: name of the setting.
+        answer: answer of the drive in words, such as ``reads 3``.
+        expected: required value, as text.
+    """
+    progress: EnablingProgress = state.private
+    check, problem = readback.on_recheck_reply(
+        progress.check, setting_count, is_equal, name, answer, expected
+    )
+    state = state._replace(private=progress._replace(check=check))
+    return enter_fault(state, error_code, problem) if problem else state
+
+
+def is_steady(state: DriveState) -> bool:
+    """Return True if this host has enabled the drive, and no answer is open.
+
+    Uses ``enable_sent``, ``disabling`` and ``check``.
+    """
+    progress: EnablingProgress = state.private
+    return (
+        state.phase == ENABLED
+        and progress.enable_sent
+        and not progress.disabling
+        and not progress.check.waiting
+    )
+
+
+def may_have_lost_power(state: DriveState, t_ns: int) -> bool:
+    """Return True if a disabled drive has sent no frame for SILENCE_TIMEOUT_NS.
+
+    Uses ``enable_sent`` and ``ready_ns``.
+    """
+    progress: EnablingProgress = state.private
+    return (
+        state.phase == READY
+        and not progress.enable_sent
+        and t_ns - max(state.feedback_t_ns, progress.ready_ns) > SILENCE_TIMEOUT_NS
+    )
+
+
+def after_configuration(state: DriveState, t_ns: int, serial: int) -> DriveState:
+    """Return the state in phase READY of a drive whose settings have all been verified.
+
+    With serial number 0, the serial number is unknown.
+    """
+    progress: EnablingProgress = state.private
+    ready = progress._replace(
+        cursor=ReadbackCursor(), configured=True, ready_ns=t_ns, serial=serial
+    )
+    return state._replace(phase=READY, private=ready)
+
+
+def start_enabling(state: DriveState, node_id: int, t_ns: int) -> DriveState:
+    """Return the state of a drive to which an enable command is sent. Uses ``enable_sent`` and ``check``."""
+    progress: EnablingProgress = state.private
+    if progress.enable_sent:
+        return state
+    check = readback.first_recheck(node_id, t_ns)
+    return state._replace(private=progress._replace(enable_sent=True, check=check))
+
+
+def start_disabling(state: DriveState, t_ns: int) -> DriveState:
+    """Return the state of a drive to which a disable command is sent.
+
+    A drive that may be enabled counts as enabled until its feedback reports that it is off. Uses
+    ``may_be_enabled``, ``disabling`` and ``disabling_ns``.
+    """
+    progress: EnablingProgress = state.private
+    phase = ENABLED if progress.may_be_enabled else state.phase
+    since = progress.disabling_ns if progress.disabling else t_ns
+    return state._replace(
+        phase=phase, private=progress._replace(disabling=True, disabling_ns=since)
+    )
+
+
+def state_when_off(
+    state: DriveState, has_dropped_out: bool, error_code: int, text: str
+) -> DriveState:
+    """Return the state after the drive has reported that it is off, without an error.
+
+    Uses ``enable_sent``, ``enabled_by_other``, ``clearing``, ``disabling`` and ``disabling_ns``.
+
+    Args:
+        state: state of the drive, with the values of this feedback.
+        has_dropped_out: True if the drive was on, so that without a disable command it has
+            disabled itself.
+        error_code: error code of a drive that has disabled itself.
+        text: text of this error.
+    """
+    progress: EnablingProgress = state.private
+    off = progress._replace(enable_sent=False, enabled_by_other=False, clearing=0)
+    if progress.disabling:
+        # Feedback from before the disable command does not show the effect of this command.
+        if state.feedback_t_ns < progress.disabling_ns:
+            return state
+        return state._replace(phase=FAULT if state.error else READY, private=off)
+    if has_dropped_out:
+        return enter_fault(state._replace(private=off), error_code, text)
+    off = off._replace(enable_sent=progress.enable_sent)
+    return state._replace(phase=CONFIGURING if state.phase == SILENT else state.phase, private=off)
+
+
+def state_when_on(state: DriveState, error_code: int, text: str) -> DriveState:
+    """Return the state after the drive has reported that it is on. Uses ``enable_sent``.
+
+    Args:
+        state: state of the drive.
+        error_code: error code of a drive that this host has not enabled.
+        text: text of this error.
+    """
+    progress: EnablingProgress = state.private
+    if progress.enable_sent and state.phase != FAULT:
+        return state if state.phase == ENABLED else state._replace(phase=ENABLED)
+    return state_when_on_by_other(state, error_code, text)
+
+
+def state_when_on_by_other(state: DriveState, error_code: int, text: str) -> DriveState:
+    """Return the state of a drive that may make torque without a command of this host.
+
+    Uses ``enabled_by_other`` and ``disabling``. Arguments as in ``state_when_on``.
+    """
+    progress: EnablingProgress = state.private
+    on = state._replace(private=progress._replace(enabled_by_other=True))
+    if progress.disabling:
+        return on._replace(phase=ENABLED)
+    if state.phase in (READY, ENABLED):
+        return enter_fault(on, error_code, text)
+    return on._replace(phase=CONFIGURING) if state.phase == SILENT else on
