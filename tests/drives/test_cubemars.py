@@ -12,8 +12,7 @@ import pytest
 from firmware_sim.nodes.cubemars import FULL_SCALE, CubemarsNode, FeedbackError
 from firmware_sim.programs.drive import SimulatedDriveBench as DriveBench
 from firmware_sim.programs.drive_types import drive_spec
-from handctl.drives.contract import DrivePhase, DriveTarget
-from handctl.drives.fault_causes import DriveFaultCause
+from handctl.drives.contract import DriveFaultCause, DrivePhase, DriveTarget
 from handctl.drives.frame import Frame
 from handctl.drives.mit.cubemars import MOTOR_MODEL_RANGES, CubemarsDrive
 from handctl.drives.protocol_registry import make_drive

@@ -10,9 +10,9 @@ from handctl.drives.frame import Frame
 from handctl.drives.mit.progress import (
     DROPPED_OUT_ERROR,
     ENABLED_BY_OTHER_HOST_ERROR,
-    SILENCE_TIMEOUT_NS,
     UNKNOWN_STATUS_ERROR,
 )
+from handctl.drives.state_machine import SILENCE_TIMEOUT_NS
 from tests.drives.conftest import PERIOD_NS, MotorRig
 
 DISABLE_PAYLOAD = b"\xff" * 7 + b"\xfd"

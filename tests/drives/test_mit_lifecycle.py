@@ -9,9 +9,9 @@ from handctl.drives.frame import Frame
 from handctl.drives.mit.progress import (
     DROPPED_OUT_ERROR,
     SETTING_MISMATCH_ERROR,
-    SILENCE_TIMEOUT_NS,
     MitProgress,
 )
+from handctl.drives.state_machine import SILENCE_TIMEOUT_NS
 from tests.drives.conftest import MotorRig, mit_drive_of
 
 ENABLE_PAYLOAD = b"\xff" * 7 + b"\xfc"

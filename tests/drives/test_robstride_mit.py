@@ -8,8 +8,7 @@ import pytest
 from firmware_sim.bus.frame import Frame as SimFrame
 from firmware_sim.nodes.robstride import node as simulated
 from firmware_sim.nodes.robstride.mit_mode import RobstrideMitNode
-from handctl.drives.contract import DrivePhase, DriveTarget
-from handctl.drives.fault_causes import DriveFaultCause
+from handctl.drives.contract import DriveFaultCause, DrivePhase, DriveTarget
 from handctl.drives.frame import Frame
 from handctl.drives.protocol_registry import make_drive
 from handctl.drives.robstride.mit_mode import READ_FAULTS, RobstrideMitDrive

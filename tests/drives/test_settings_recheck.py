@@ -12,8 +12,7 @@ from handctl.campaign.fault_matrix import ALL_PROTOCOLS, FREE_STAGE
 from handctl.campaign.run_stages import advance_to_stage, hand_with_protocol, homed_run
 from handctl.core.tick_types import HandMode
 from handctl.drives import readback
-from handctl.drives.contract import DrivePhase, DriveTarget
-from handctl.drives.fault_causes import DriveFaultCause
+from handctl.drives.contract import DriveFaultCause, DrivePhase, DriveTarget
 from handctl.drives.frame import Frame
 from handctl.drives.mit import codec
 from handctl.drives.mit.drive import MitDrive

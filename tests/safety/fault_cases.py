@@ -16,8 +16,7 @@ from handctl.core.detectors.residuals import (
     TENSION,
 )
 from handctl.core.tick_types import HandMode
-from handctl.drives.contract import DrivePhase
-from handctl.drives.fault_causes import DriveFaultCause
+from handctl.drives.contract import DriveFaultCause, DrivePhase
 from handctl.safety.action import SafetyAction
 from handctl.safety.tick_verdict import EventReport, filter_error_frames, second_controller_reports
 from tests.safety.synthetic_monitor import (

@@ -15,7 +15,6 @@ import enum
 import math
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
-from handctl.drives.fault_causes import DriveFaultCause
 from handctl.drives.frame import Frame
 
 if TYPE_CHECKING:  # imported for types only: signals imports numba, which programs that only read a log do not need
@@ -64,6 +63,30 @@ class DrivePhase(enum.IntEnum):
     """The drive reports an error, or a setting reads back wrong.
 
     ``DriveState.error`` has the code.
+    """
+
+
+class DriveFaultCause(enum.IntEnum):
+    """Cause of a drive fault. Each protocol maps its own error codes to these eight causes."""
+
+    OTHER = 0
+    """The protocol documents the error, but none of the other causes fits."""
+    DROPPED_OUT = 1
+    """The drive disabled itself or restarted."""
+    WATCHDOG = 2
+    """The drive's watchdog fired, because commands of the host were missing."""
+    VOLTAGE = 3
+    """The supply voltage is too low or too high."""
+    HOT = 4
+    """The motor or the power stage is too hot."""
+    MISMATCH = 5
+    """A setting of the drive reads back wrong, or another host has enabled the drive."""
+    LOST = 6
+    """The drive has sent no frame for longer than its timeout."""
+    UNKNOWN = 7
+    """The error code of the drive has no documented meaning.
+
+    The controller assumes the worst cause.
     """
 
 

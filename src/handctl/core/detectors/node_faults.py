@@ -61,7 +61,7 @@ _ROW_BY_CAUSE = {
     DriveFaultCause.UNKNOWN: N11B,
 }
 ROW_OF_CAUSE = tuple(_ROW_BY_CAUSE[cause] for cause in sorted(DriveFaultCause))
-"""Fault for each value of ``drives.fault_causes.DriveFaultCause``."""
+"""Fault for each value of ``drives.contract.DriveFaultCause``."""
 FAULT_PHASE = int(DrivePhase.FAULT)
 """Value of ``drives.contract.DrivePhase.FAULT``."""
 

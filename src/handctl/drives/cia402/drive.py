@@ -24,13 +24,17 @@ from handctl.drives.cia402.progress import (
     SETTING_MISMATCH_ERROR,
     Cia402Progress,
     apply_power_state,
-    enter_fault,
     on_heartbeat,
     progress_of,
     state_after_timeout,
 )
-from handctl.drives.contract import NO_STEADY_STATUS, DrivePhase, DriveState, DriveTarget
-from handctl.drives.fault_causes import DriveFaultCause
+from handctl.drives.contract import (
+    NO_STEADY_STATUS,
+    DriveFaultCause,
+    DrivePhase,
+    DriveState,
+    DriveTarget,
+)
 from handctl.drives.frame import Frame
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.option_checks import (
@@ -40,6 +44,12 @@ from handctl.drives.option_checks import (
     refuse_unknown_options,
 )
 from handctl.drives.signals import CyclicMessage, CyclicMessages, SignalTable
+from handctl.drives.state_machine import (
+    after_recheck_reply,
+    after_recheck_request,
+    enter_fault,
+    start_enabling,
+)
 from handctl.errors import ConfigError
 
 LISTEN, POLL, ENABLE, DISABLE = DriveTarget
@@ -307,16 +317,15 @@ class Cia402Drive:
         answer = (
             f"answers {codec.abort_text(reply.abort)!r}" if reply.abort else f"reads {value:#x}"
         )
-        check, problem = readback.on_recheck_reply(
-            progress.check,
+        return after_recheck_reply(
+            state,
+            SETTING_MISMATCH_ERROR,
             len(self.rechecked_settings),
             same,
             step.name,
             answer,
             f"{step.value:#x}",
         )
-        updated = state._replace(private=progress._replace(check=check))
-        return enter_fault(updated, SETTING_MISMATCH_ERROR, problem) if problem else updated
 
     def _on_feedback(self, state: DriveState, frame: Frame) -> DriveState:
         """Return the state after a TPDO, with the values and the power state.
@@ -384,14 +393,8 @@ class Cia402Drive:
             return self._start_node(state, progress, t_ns)
         if target == ENABLE:
             control_word = codec.NEXT_CONTROLWORD.get(progress.power, codec.DISABLE_VOLTAGE)
-            check = (
-                progress.check
-                if progress.enable_sent
-                else readback.first_recheck(self.node_id, t_ns)
-            )
-            return state._replace(private=progress._replace(enable_sent=True, check=check)), (
-                self._rpdo_frame(control_word, self._rest_command(state)),
-            )
+            enabling = start_enabling(state._replace(private=progress), self.node_id, t_ns)
+            return enabling, (self._rpdo_frame(control_word, self._rest_command(state)),)
         return state._replace(private=progress), ()
 
     def _next_recheck(
@@ -401,10 +404,8 @@ class Cia402Drive:
         if t_ns < progress.check.due_ns:
             return state, ()
         step = self.rechecked_settings[progress.check.step]
-        check, problem = readback.next_recheck(progress.check, step.name, self.node_id, t_ns)
-        state = state._replace(private=progress._replace(check=check))
-        if problem:
-            state = enter_fault(state, SETTING_MISMATCH_ERROR, problem)
+        name = step.name
+        state = after_recheck_request(state, SETTING_MISMATCH_ERROR, name, self.node_id, t_ns)
         return state, (
             Frame(
                 codec.SDO_REQUEST + self.node_id,

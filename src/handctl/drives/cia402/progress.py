@@ -3,10 +3,10 @@
 from typing import NamedTuple, cast
 
 from handctl.drives.cia402 import codec
-from handctl.drives.contract import DrivePhase, DriveState
-from handctl.drives.fault_causes import DriveFaultCause
+from handctl.drives.contract import DriveFaultCause, DrivePhase, DriveState
 from handctl.drives.frame import Frame
 from handctl.drives.readback import ReadbackCursor, RecheckCursor
+from handctl.drives.state_machine import enter_fault
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
 
@@ -74,11 +74,6 @@ class Cia402Progress(NamedTuple):
 def progress_of(state: DriveState) -> Cia402Progress:
     """Return the CiA 402 progress in a drive state."""
     return cast(Cia402Progress, state.private)
-
-
-def enter_fault(state: DriveState, error_code: int, text: str) -> DriveState:
-    """Return the state in phase FAULT, with the given error code and text."""
-    return state._replace(phase=FAULT, error=error_code, error_text=text)
 
 
 def apply_power_state(state: DriveState, progress: Cia402Progress) -> DriveState:

@@ -24,11 +24,11 @@ from typing import NamedTuple
 from handctl.drives.contract import (
     END_OF_TIME_NS,
     NO_STEADY_STATUS,
+    DriveFaultCause,
     DrivePhase,
     DriveState,
     DriveTarget,
 )
-from handctl.drives.fault_causes import DriveFaultCause
 from handctl.drives.frame import Frame
 from handctl.drives.mit import codec
 from handctl.drives.motor_description import MotorDescription

@@ -12,8 +12,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from handctl.drives import readback
-from handctl.drives.contract import NO_STEADY_STATUS, DrivePhase, DriveState, DriveTarget
-from handctl.drives.fault_causes import DriveFaultCause
+from handctl.drives.contract import (
+    NO_STEADY_STATUS,
+    DriveFaultCause,
+    DrivePhase,
+    DriveState,
+    DriveTarget,
+)
 from handctl.drives.frame import BRS, FDF, Frame
 from handctl.drives.mit import codec
 from handctl.drives.mit import settings as registers
@@ -22,16 +27,23 @@ from handctl.drives.mit.progress import (
     CLEAR_TRIES,
     FIRES_WHILE_DISABLED_TEXT,
     SETTING_MISMATCH_ERROR,
-    SILENCE_TIMEOUT_NS,
     MitProgress,
     apply_status,
-    enter_fault,
     progress_of,
 )
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.option_checks import checked_boolean, refuse_unknown_options
-from handctl.drives.readback import ReadbackCursor
 from handctl.drives.signals import CyclicMessages, SignalTable
+from handctl.drives.state_machine import (
+    after_configuration,
+    after_recheck_reply,
+    after_recheck_request,
+    enter_fault,
+    is_steady,
+    may_have_lost_power,
+    start_disabling,
+    start_enabling,
+)
 from handctl.errors import ConfigError
 
 LISTEN, POLL, ENABLE, DISABLE = DriveTarget
@@ -195,13 +207,7 @@ class MitDrive:
 
     def steady_status(self, state: DriveState) -> int:
         """Return byte 0 of feedback from an enabled motor without an error: state and node number."""
-        progress = progress_of(state)
-        if (
-            state.phase != ENABLED
-            or not progress.enable_sent
-            or progress.disabling
-            or progress.check.waiting
-        ):
+        if not is_steady(state):
             return NO_STEADY_STATUS
         return codec.ENABLED << 4 | self.node_id & 0xF
 
@@ -250,7 +256,7 @@ class MitDrive:
         if progress.cursor.step >= len(self.required):
             updated = reply[:2] == (codec.READ, codec.SERIAL_NUMBER)
             return (
-                _ready_state(state, progress, t_ns, int.from_bytes(reply.raw, "little"))
+                after_configuration(state, t_ns, int.from_bytes(reply.raw, "little"))
                 if updated
                 else state
             )
@@ -266,16 +272,15 @@ class MitDrive:
         register, value = self.rechecked_settings[progress.check.step]
         same = reply.raw == codec.register_bytes(register, value)
         answer = f"reads {reply.value:g}"
-        check, problem = readback.on_recheck_reply(
-            progress.check,
+        return after_recheck_reply(
+            state,
+            SETTING_MISMATCH_ERROR,
             len(self.rechecked_settings),
             same,
             registers.register_name(register),
             answer,
             f"{value:g}",
         )
-        updated = state._replace(private=progress._replace(check=check))
-        return enter_fault(updated, SETTING_MISMATCH_ERROR, problem) if problem else updated
 
     def _on_feedback(self, state: DriveState, data: bytes, t_ns: int) -> DriveState:
         """Return the state after a feedback frame, with the values and the effect of the state nibble."""
@@ -307,15 +312,11 @@ class MitDrive:
         if target == LISTEN:
             return state, ()
         if target == DISABLE or state.phase == ENABLED:
-            return self._disable(state, progress, t_ns), self.cut_frames()
+            return start_disabling(state, t_ns), self.cut_frames()
         if state.phase == FAULT and progress.may_be_enabled:
             return state, self.cut_frames()
         progress = progress._replace(disabling=False)
-        if (
-            state.phase == READY
-            and not progress.enable_sent
-            and t_ns - max(state.feedback_t_ns, progress.ready_ns) > SILENCE_TIMEOUT_NS
-        ):
+        if may_have_lost_power(state, t_ns):
             return state._replace(phase=SILENT, private=MitProgress()), (self._refresh_frame(),)
         # This motor has a watchdog that runs even while the motor is disabled. Commands restart the
         # watchdog.
@@ -327,40 +328,20 @@ class MitDrive:
             updated, requests = self._configure(state._replace(phase=CONFIGURING), progress, t_ns)
             return updated, (*(clear or self.cut_frames()), *requests) if fed else requests
         if state.phase == READY and target == ENABLE and not (fed and progress.clearing):
-            check = (
-                progress.check
-                if progress.enable_sent
-                else readback.first_recheck(self.node_id, t_ns)
-            )
-            enabling = state._replace(private=progress._replace(enable_sent=True, check=check))
+            enabling = start_enabling(state._replace(private=progress), self.node_id, t_ns)
             return enabling, (self._frame_to_motor(codec.special_command(codec.ENABLE)),)
         if fed and not clear:
             return state._replace(private=progress), self.cut_frames()
         # The manual does not say if the clear command has an answer, so feedback is requested too.
         return state._replace(private=progress), (*clear, self._refresh_frame())
 
-    def _disable(self, state: DriveState, progress: MitProgress, t_ns: int) -> DriveState:
-        """Return the state of a motor that is being disabled.
-
-        A motor that may be enabled counts as enabled until feedback has state 0.
-        """
-        phase = ENABLED if progress.may_be_enabled else state.phase
-        since = progress.disabling_ns if progress.disabling else t_ns
-        return state._replace(
-            phase=phase, private=progress._replace(disabling=True, disabling_ns=since)
-        )
-
     def _next_recheck(
         self, state: DriveState, progress: MitProgress, t_ns: int
     ) -> tuple[DriveState, Frame]:
         """Return the next state and the request to read a protection register of the enabled motor."""
         register, _ = self.rechecked_settings[progress.check.step]
-        check, problem = readback.next_recheck(
-            progress.check, registers.register_name(register), self.node_id, t_ns
-        )
-        state = state._replace(private=progress._replace(check=check))
-        if problem:
-            state = enter_fault(state, SETTING_MISMATCH_ERROR, problem)
+        name = registers.register_name(register)
+        state = after_recheck_request(state, SETTING_MISMATCH_ERROR, name, self.node_id, t_ns)
         return state, self._register_frame(
             codec.register_request(self.node_id, codec.READ, register)
         )
@@ -380,7 +361,7 @@ class MitDrive:
                 progress.cursor, self.node_id, t_ns
             )
             updated = state._replace(private=progress._replace(cursor=cursor))
-            return _ready_state(updated, progress, t_ns, 0) if unanswered else updated, (
+            return after_configuration(updated, t_ns, 0) if unanswered else updated, (
                 self._register_frame(data),
             ) if data else ()
         cursor, data, problem = registers.next_request(
@@ -456,14 +437,3 @@ class MitDrive:
     def _refresh_frame(self) -> Frame:
         """Return the frame to request feedback from the motor."""
         return self._register_frame(codec.register_request(self.node_id, codec.REFRESH))
-
-
-def _ready_state(state: DriveState, progress: MitProgress, t_ns: int, serial: int) -> DriveState:
-    """Return the state in phase READY of a motor whose registers have all been verified.
-
-    With serial number 0, the serial number is unknown.
-    """
-    ready = progress._replace(
-        cursor=ReadbackCursor(), configured=True, ready_ns=t_ns, serial=serial
-    )
-    return state._replace(phase=READY, private=ready)

@@ -2,10 +2,10 @@
 
 from typing import NamedTuple
 
-from handctl.drives.contract import DrivePhase, DriveState
-from handctl.drives.fault_causes import DriveFaultCause
+from handctl.drives.contract import DriveFaultCause, DrivePhase, DriveState
 from handctl.drives.mit import codec
 from handctl.drives.readback import ReadbackCursor, RecheckCursor
+from handctl.drives.state_machine import enter_fault, state_when_off, state_when_on
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
 
@@ -36,8 +36,6 @@ CLEAR_TRIES = 6
 
 While the error is being cleared, the motor sends two frames per tick.
 """
-SILENCE_TIMEOUT_NS = 250_000_000
-"""Time without a frame after which the motor may have lost power, and therefore its register values [ns]."""
 
 
 class MitProgress(NamedTuple):
@@ -82,11 +80,6 @@ def progress_of(state: DriveState) -> MitProgress:
     return progress
 
 
-def enter_fault(state: DriveState, error_code: int, text: str) -> DriveState:
-    """Return the state in phase FAULT, with the given error code and text."""
-    return state._replace(phase=FAULT, error=error_code, error_text=text)
-
-
 def apply_status(state: DriveState, nibble: int) -> DriveState:
     """Return the state after feedback with a state nibble.
 
@@ -94,36 +87,11 @@ def apply_status(state: DriveState, nibble: int) -> DriveState:
     """
     progress = progress_of(state)
     if nibble == codec.ENABLED:
-        return _state_when_enabled(state, progress)
+        return state_when_on(state, ENABLED_BY_OTHER_HOST_ERROR, "enabled, but not by this host")
     if nibble == codec.DISABLED:
-        return _state_when_disabled(state, progress)
+        dropped_out = state.phase == ENABLED
+        return state_when_off(state, dropped_out, DROPPED_OUT_ERROR, "disabled by itself")
     return _state_after_error(state, progress, nibble)
-
-
-def _state_when_disabled(state: DriveState, progress: MitProgress) -> DriveState:
-    """Return the state after the motor has reported the state disabled."""
-    off = progress._replace(enable_sent=False, enabled_by_other=False, clearing=0)
-    if progress.disabling:
-        # Feedback from before the disable command does not show the effect of this command.
-        if state.feedback_t_ns < progress.disabling_ns:
-            return state._replace(private=progress)
-        return state._replace(phase=FAULT if state.error else READY, private=off)
-    if state.phase == ENABLED:
-        return enter_fault(state._replace(private=off), DROPPED_OUT_ERROR, "disabled by itself")
-    off = off._replace(enable_sent=progress.enable_sent)
-    return state._replace(phase=CONFIGURING if state.phase == SILENT else state.phase, private=off)
-
-
-def _state_when_enabled(state: DriveState, progress: MitProgress) -> DriveState:
-    """Return the state after the motor has reported the state enabled."""
-    if progress.enable_sent and state.phase != FAULT:
-        return state if state.phase == ENABLED else state._replace(phase=ENABLED)
-    enabled = state._replace(private=progress._replace(enabled_by_other=True))
-    if progress.disabling:
-        return enabled._replace(phase=ENABLED)
-    if state.phase == READY:
-        return enter_fault(enabled, ENABLED_BY_OTHER_HOST_ERROR, "enabled, but not by this host")
-    return enabled._replace(phase=CONFIGURING) if state.phase == SILENT else enabled
 
 
 def _state_after_error(state: DriveState, progress: MitProgress, nibble: int) -> DriveState:

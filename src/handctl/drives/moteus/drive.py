@@ -12,8 +12,13 @@ import math
 from dataclasses import dataclass, field
 
 from handctl.drives import readback
-from handctl.drives.contract import NO_STEADY_STATUS, DrivePhase, DriveState, DriveTarget
-from handctl.drives.fault_causes import DriveFaultCause
+from handctl.drives.contract import (
+    NO_STEADY_STATUS,
+    DriveFaultCause,
+    DrivePhase,
+    DriveState,
+    DriveTarget,
+)
 from handctl.drives.frame import Frame
 from handctl.drives.moteus import codec
 from handctl.drives.moteus import settings as items
@@ -22,16 +27,22 @@ from handctl.drives.moteus.progress import (
     CLEAR_TRIES,
     SERIAL_NUMBER_TRIES,
     SETTING_MISMATCH_ERROR,
-    SILENCE_TIMEOUT_NS,
     MoteusProgress,
     apply_mode,
-    enter_fault,
     progress_of,
 )
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.option_checks import refuse_unknown_options
-from handctl.drives.readback import ReadbackCursor
 from handctl.drives.signals import CyclicMessages, SignalTable
+from handctl.drives.state_machine import (
+    after_configuration,
+    after_recheck_reply,
+    enter_fault,
+    is_steady,
+    may_have_lost_power,
+    start_disabling,
+    start_enabling,
+)
 from handctl.errors import ConfigError
 
 LISTEN, POLL, ENABLE, DISABLE = DriveTarget
@@ -197,13 +208,7 @@ class MoteusDrive:
 
     def steady_status(self, state: DriveState) -> int:
         """Return the status of feedback in position mode without a fault code, or NO_STEADY_STATUS."""
-        progress = progress_of(state)
-        if (
-            state.phase != ENABLED
-            or not progress.enable_sent
-            or progress.disabling
-            or progress.check.waiting
-        ):
+        if not is_steady(state):
             return NO_STEADY_STATUS
         return codec.joined_status(codec.POSITION, 0)
 
@@ -311,16 +316,15 @@ class MoteusDrive:
         shown = text if value is None else f"{value:g}"
         expected = f"{setting.value:g}"
         if state.phase == ENABLED:
-            check, problem = readback.on_recheck_reply(
-                progress.check,
+            return after_recheck_reply(
+                state,
+                SETTING_MISMATCH_ERROR,
                 len(self.configuration),
                 same,
                 setting.name,
                 f"reads {shown}",
                 expected,
             )
-            updated = state._replace(private=progress._replace(check=check))
-            return enter_fault(updated, SETTING_MISMATCH_ERROR, problem) if problem else updated
         if progress.cursor.writing:
             return state
         if same:
@@ -339,7 +343,7 @@ class MoteusDrive:
         if state.phase != CONFIGURING or progress.cursor.step < len(self.required):
             return state
         words = [int(values.get(codec.SERIAL_NUMBER + i, 0)) & 0xFFFFFFFF for i in range(3)]
-        return _ready_state(state, progress, t_ns, words[2] << 64 | words[1] << 32 | words[0])
+        return after_configuration(state, t_ns, words[2] << 64 | words[1] << 32 | words[0])
 
     def advance(
         self, state: DriveState, t_ns: int, target: DriveTarget, command: float
@@ -356,27 +360,18 @@ class MoteusDrive:
         if target == LISTEN:
             return state, ()
         if target == DISABLE or state.phase == ENABLED:
-            return self._disable(state, progress, t_ns), self.cut_frames()
+            return start_disabling(state, t_ns), self.cut_frames()
         if state.phase == FAULT and progress.may_be_enabled:
             return state, self.cut_frames()
         progress = progress._replace(disabling=False)
-        if (
-            state.phase == READY
-            and not progress.enable_sent
-            and t_ns - max(state.feedback_t_ns, progress.ready_ns) > SILENCE_TIMEOUT_NS
-        ):
+        if may_have_lost_power(state, t_ns):
             return state._replace(phase=SILENT, private=MoteusProgress()), (
                 self._frame_to_drive(codec.QUERY_SUBFRAMES),
             )
         if state.phase == CONFIGURING or (state.phase == READY and not progress.configured):
             return self._configure(state._replace(phase=CONFIGURING), progress, t_ns)
         if state.phase == READY and target == ENABLE:
-            check = (
-                progress.check
-                if progress.enable_sent
-                else readback.first_recheck(self.node_id, t_ns)
-            )
-            enabling = state._replace(private=progress._replace(enable_sent=True, check=check))
+            enabling = start_enabling(state._replace(private=progress), self.node_id, t_ns)
             return enabling, (self._frame_to_drive(self._torque_payload(0.0)),)
         question = (
             self.cut_frames()[0]
@@ -384,17 +379,6 @@ class MoteusDrive:
             else self._frame_to_drive(codec.QUERY_SUBFRAMES)
         )
         return state._replace(private=progress), (question,)
-
-    def _disable(self, state: DriveState, progress: MoteusProgress, t_ns: int) -> DriveState:
-        """Return the state of a drive that is being stopped.
-
-        A drive that may be enabled counts as enabled until feedback reports the state stopped.
-        """
-        phase = ENABLED if progress.may_be_enabled else state.phase
-        since = progress.disabling_ns if progress.disabling else t_ns
-        return state._replace(
-            phase=phase, private=progress._replace(disabling=True, disabling_ns=since)
-        )
 
     def _next_recheck(
         self, state: DriveState, progress: MoteusProgress, t_ns: int
@@ -484,7 +468,7 @@ class MoteusDrive:
         )
         updated = state._replace(private=progress._replace(cursor=cursor))
         if unanswered:
-            return _ready_state(updated, progress, t_ns, 0), ()
+            return after_configuration(updated, t_ns, 0), ()
         return updated, (self._frame_to_drive(SERIAL_REQUEST),) if send else ()
 
     def _torque_payload(self, torque: float) -> bytes:
@@ -554,14 +538,3 @@ def _position_gains(motor: MotorDescription) -> codec.PositionGains | None:
     return codec.PositionGains(
         *(items.gain_of_drive(value) for value in given.values() if value is not None)
     )
-
-
-def _ready_state(state: DriveState, progress: MoteusProgress, t_ns: int, serial: int) -> DriveState:
-    """Return the state in phase READY of a drive whose settings have all been verified.
-
-    With serial number 0, the serial number is unknown.
-    """
-    ready = progress._replace(
-        cursor=ReadbackCursor(), configured=True, ready_ns=t_ns, serial=serial
-    )
-    return state._replace(phase=READY, private=ready)

@@ -2,11 +2,16 @@
 
 from typing import NamedTuple
 
-from handctl.drives.contract import DrivePhase, DriveState
-from handctl.drives.fault_causes import DriveFaultCause
+from handctl.drives.contract import DriveFaultCause, DrivePhase, DriveState
 from handctl.drives.moteus import codec
 from handctl.drives.moteus.settings import DiagnosticChannel
 from handctl.drives.readback import ReadbackCursor, RecheckCursor
+from handctl.drives.state_machine import (
+    enter_fault,
+    state_when_off,
+    state_when_on,
+    state_when_on_by_other,
+)
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
 
@@ -23,8 +28,6 @@ CAUSE_BY_ERROR = {
 """Cause of each error, by the fault code, the mode, or the error code added by handctl."""
 CLEAR_TRIES = 3
 """Number of feedback frames that may still show an error after the clear command."""
-SILENCE_TIMEOUT_NS = 250_000_000
-"""Time without a frame after which the drive may have lost power, and therefore its settings [ns]."""
 SERIAL_NUMBER_TRIES = 3
 """Number of requests for the serial number. Safety does not depend on the serial number."""
 
@@ -73,11 +76,6 @@ def progress_of(state: DriveState) -> MoteusProgress:
     return progress
 
 
-def enter_fault(state: DriveState, error_code: int, text: str) -> DriveState:
-    """Return the state in phase FAULT, with the given error code and text."""
-    return state._replace(phase=FAULT, error=error_code, error_text=text)
-
-
 def apply_mode(state: DriveState, mode: int, fault: int) -> DriveState:
     """Return the state after feedback with a mode and a fault code.
 
@@ -89,43 +87,18 @@ def apply_mode(state: DriveState, mode: int, fault: int) -> DriveState:
         progress = progress._replace(mode=mode)
         state = state._replace(private=progress)
     if mode == codec.STOPPED:
-        return _state_when_stopped(state, progress, was_preparing)
+        # If this host had enabled the drive, or was enabling it, the drive has stopped by itself.
+        dropped_out = state.phase == ENABLED or (was_preparing and progress.enable_sent)
+        return state_when_off(state, dropped_out, DROPPED_OUT_ERROR, "stopped by itself")
     if mode in (codec.FAULT_MODE, codec.TIMED_OUT):
         return _state_after_error(
             state, progress, fault if mode == codec.FAULT_MODE and fault else mode
         )
     if mode == codec.POSITION:
-        return _state_when_enabled(state, progress)
+        return state_when_on(state, ENABLED_BY_OTHER_HOST_ERROR, "enabled, but not by this host")
     if mode in codec.PREPARING_MODES and progress.enable_sent and state.phase == READY:
         return state
     return _state_when_in_other_mode(state, progress)
-
-
-def _state_when_stopped(
-    state: DriveState, progress: MoteusProgress, was_preparing: bool
-) -> DriveState:
-    """Return the state after the drive has reported the state stopped.
-
-    If this host had enabled the drive, or was enabling it, the drive has stopped by itself. Such a
-    stop is a fault.
-    """
-    off = progress._replace(enable_sent=False, enabled_by_other=False, clearing=0)
-    if progress.disabling:
-        # Feedback from before the stop command does not show the effect of this command.
-        if state.feedback_t_ns < progress.disabling_ns:
-            return state
-        return state._replace(phase=FAULT if state.error else READY, private=off)
-    if state.phase == ENABLED or (was_preparing and progress.enable_sent):
-        return enter_fault(state._replace(private=off), DROPPED_OUT_ERROR, "stopped by itself")
-    off = off._replace(enable_sent=progress.enable_sent)
-    return state._replace(phase=CONFIGURING if state.phase == SILENT else state.phase, private=off)
-
-
-def _state_when_enabled(state: DriveState, progress: MoteusProgress) -> DriveState:
-    """Return the state after the drive has reported position mode."""
-    if progress.enable_sent and state.phase != FAULT:
-        return state if state.phase == ENABLED else state._replace(phase=ENABLED)
-    return _state_when_enabled_by_other(state, progress, "enabled, but not by this host")
 
 
 def _state_when_in_other_mode(state: DriveState, progress: MoteusProgress) -> DriveState:
@@ -136,21 +109,10 @@ def _state_when_in_other_mode(state: DriveState, progress: MoteusProgress) -> Dr
     if state.phase == ENABLED and progress.enable_sent and not progress.disabling:
         enabled = state._replace(private=progress._replace(enabled_by_other=True))
         return enter_fault(enabled, DROPPED_OUT_ERROR, f"went to mode {progress.mode} by itself")
-    return _state_when_enabled_by_other(
-        state, progress, f"in mode {progress.mode}, but not by this host"
+    # Another host or a restart has caused this mode.
+    return state_when_on_by_other(
+        state, ENABLED_BY_OTHER_HOST_ERROR, f"in mode {progress.mode}, but not by this host"
     )
-
-
-def _state_when_enabled_by_other(
-    state: DriveState, progress: MoteusProgress, text: str
-) -> DriveState:
-    """Return the state after a mode that another host or a restart has caused."""
-    enabled = state._replace(private=progress._replace(enabled_by_other=True))
-    if progress.disabling:
-        return enabled._replace(phase=ENABLED)
-    if state.phase == READY:
-        return enter_fault(enabled, ENABLED_BY_OTHER_HOST_ERROR, text)
-    return enabled._replace(phase=CONFIGURING) if state.phase == SILENT else enabled
 
 
 def _state_after_error(state: DriveState, progress: MoteusProgress, error_code: int) -> DriveState:

@@ -14,11 +14,11 @@ from handctl.drives import readback
 from handctl.drives.contract import (
     END_OF_TIME_NS,
     NO_STEADY_STATUS,
+    DriveFaultCause,
     DrivePhase,
     DriveState,
     DriveTarget,
 )
-from handctl.drives.fault_causes import DriveFaultCause
 from handctl.drives.frame import REMOTE_FLAG, Frame
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.odrive import codec
@@ -34,7 +34,6 @@ from handctl.drives.odrive.progress import (
     VERSION_TRIES,
     OdriveProgress,
     cause_of_error,
-    enter_fault,
     on_heartbeat,
     progress_of,
     start_disabling,
@@ -43,6 +42,11 @@ from handctl.drives.odrive.progress import (
 from handctl.drives.option_checks import refuse_unknown_options
 from handctl.drives.readback import ReadbackCursor
 from handctl.drives.signals import CyclicMessages, SignalTable
+from handctl.drives.state_machine import (
+    after_recheck_reply,
+    after_recheck_request,
+    enter_fault,
+)
 from handctl.errors import ConfigError
 
 LISTEN, POLL, ENABLE, DISABLE = DriveTarget
@@ -342,11 +346,15 @@ class OdriveDrive:
         same = raw[: len(setting.raw)] == setting.raw
         answer = f"reads {endpoints.value_as_text(raw, setting)}"
         expected = endpoints.value_as_text(setting.raw, setting)
-        check, problem = readback.on_recheck_reply(
-            progress.check, len(self.settings), same, setting.name, answer, expected
+        return after_recheck_reply(
+            state,
+            SETTING_MISMATCH_ERROR,
+            len(self.settings),
+            same,
+            setting.name,
+            answer,
+            expected,
         )
-        updated = state._replace(private=progress._replace(check=check))
-        return enter_fault(updated, SETTING_MISMATCH_ERROR, problem) if problem else updated
 
     def advance(
         self, state: DriveState, t_ns: int, target: DriveTarget, command: float
@@ -511,10 +519,8 @@ class OdriveDrive:
         if not self.settings or t_ns < progress.check.due_ns:
             return state, ()
         setting = self.settings[progress.check.step]
-        check, problem = readback.next_recheck(progress.check, setting.name, self.node_id, t_ns)
-        state = state._replace(private=progress._replace(check=check))
-        if problem:
-            state = enter_fault(state, SETTING_MISMATCH_ERROR, problem)
+        name = setting.name
+        state = after_recheck_request(state, SETTING_MISMATCH_ERROR, name, self.node_id, t_ns)
         return state, (
             self._data_frame(codec.RX_SDO, codec.sdo_request(codec.SDO_READ, setting.endpoint)),
         )

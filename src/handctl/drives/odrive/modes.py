@@ -39,7 +39,9 @@ class OdriveModeDrive(OdriveDrive):
         if self.mode == DriveMode.VELOCITY:
             message = codec.velocity_message(self.node_id, self.ratio, self.command_limit)
         else:
-            message = codec.position_message(self.node_id, self.ratio, self.zero, self.command_limit)
+            message = codec.position_message(
+                self.node_id, self.ratio, self.zero, self.command_limit
+            )
         object.__setattr__(self, "command", SignalTable(message))
 
     @property

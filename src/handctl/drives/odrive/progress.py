@@ -5,12 +5,12 @@ Only heartbeats report the state of the drive.
 
 from typing import NamedTuple, cast
 
-from handctl.drives.contract import DrivePhase, DriveState
-from handctl.drives.fault_causes import DriveFaultCause
+from handctl.drives.contract import DriveFaultCause, DrivePhase, DriveState
 from handctl.drives.frame import Frame
 from handctl.drives.odrive import codec
 from handctl.drives.odrive import firmware_05 as odrive_05
 from handctl.drives.readback import ReadbackCursor, RecheckCursor
+from handctl.drives.state_machine import enter_fault
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
 (
@@ -99,11 +99,6 @@ class OdriveProgress(NamedTuple):
 def progress_of(state: DriveState) -> OdriveProgress:
     """Return the ODrive progress in a drive state."""
     return cast(OdriveProgress, state.private)
-
-
-def enter_fault(state: DriveState, error_code: int, text: str) -> DriveState:
-    """Return the state in phase FAULT, with the given error code and text."""
-    return state._replace(phase=FAULT, error=error_code, error_text=text)
 
 
 def on_heartbeat(state: DriveState, frame: Frame, firmware_05: bool) -> DriveState:

@@ -10,8 +10,13 @@ request feedback from a disabled motor, because such a motor answers no other re
 from dataclasses import dataclass, field
 
 from handctl.drives import readback
-from handctl.drives.contract import NO_STEADY_STATUS, DrivePhase, DriveState, DriveTarget
-from handctl.drives.fault_causes import DriveFaultCause
+from handctl.drives.contract import (
+    NO_STEADY_STATUS,
+    DriveFaultCause,
+    DrivePhase,
+    DriveState,
+    DriveTarget,
+)
 from handctl.drives.frame import EXTENDED_FLAG, Frame
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.option_checks import (
@@ -20,21 +25,28 @@ from handctl.drives.option_checks import (
     pop_motor_model,
     refuse_unknown_options,
 )
-from handctl.drives.readback import ReadbackCursor
 from handctl.drives.robstride import codec
 from handctl.drives.robstride import settings as parameters
 from handctl.drives.robstride.progress import (
     CLEAR_TRIES,
     SETTING_MISMATCH_ERROR,
-    SILENCE_TIMEOUT_NS,
     RobstrideProgress,
     apply_fault,
     apply_status,
     cause_of_error,
-    enter_fault,
     progress_of,
 )
 from handctl.drives.signals import CyclicMessages, SignalTable
+from handctl.drives.state_machine import (
+    after_configuration,
+    after_recheck_reply,
+    after_recheck_request,
+    enter_fault,
+    is_steady,
+    may_have_lost_power,
+    start_disabling,
+    start_enabling,
+)
 from handctl.errors import ConfigError
 
 LISTEN, POLL, ENABLE, DISABLE = DriveTarget
@@ -186,13 +198,7 @@ class RobstrideDrive:
 
     def steady_status(self, state: DriveState) -> int:
         """Return 0 for an enabled motor, because the status is in the identifier of feedback, not in its payload."""
-        progress = progress_of(state)
-        if (
-            state.phase != ENABLED
-            or not progress.enable_sent
-            or progress.disabling
-            or progress.check.waiting
-        ):
+        if not is_steady(state):
             return NO_STEADY_STATUS
         return 0
 
@@ -258,11 +264,15 @@ class RobstrideDrive:
                 return state
             same = one.is_right(raw) and not failed
             answer = "cannot be read" if failed else f"reads {one.value_text(raw)}"
-            check, problem = readback.on_recheck_reply(
-                progress.check, len(self.required), same, one.name, answer, f"{one.value:g}"
+            return after_recheck_reply(
+                state,
+                SETTING_MISMATCH_ERROR,
+                len(self.required),
+                same,
+                one.name,
+                answer,
+                f"{one.value:g}",
             )
-            updated = state._replace(private=progress._replace(check=check))
-            return enter_fault(updated, SETTING_MISMATCH_ERROR, problem) if problem else updated
         cursor = progress.cursor
         if state.phase != CONFIGURING or not cursor.waiting or cursor.step >= len(self.required):
             return state
@@ -294,27 +304,18 @@ class RobstrideDrive:
         if target == LISTEN:
             return state, ()
         if target == DISABLE or state.phase == ENABLED:
-            return self._disable(state, progress, t_ns), self.cut_frames()
+            return start_disabling(state, t_ns), self.cut_frames()
         if state.phase == FAULT:
             return state, self.cut_frames()
         progress = progress._replace(disabling=False)
-        if (
-            state.phase == READY
-            and not progress.enable_sent
-            and t_ns - max(state.feedback_t_ns, progress.ready_ns) > SILENCE_TIMEOUT_NS
-        ):
+        if may_have_lost_power(state, t_ns):
             return state._replace(phase=SILENT, private=RobstrideProgress()), (
                 self._request_frame(codec.GET_ID),
             )
         if state.phase == CONFIGURING or (state.phase == READY and not progress.configured):
             return self._configure(state._replace(phase=CONFIGURING), progress, t_ns)
         if state.phase == READY and target == ENABLE:
-            check = (
-                progress.check
-                if progress.enable_sent
-                else readback.first_recheck(self.node_id, t_ns)
-            )
-            enabling = state._replace(private=progress._replace(enable_sent=True, check=check))
+            enabling = start_enabling(state._replace(private=progress), self.node_id, t_ns)
             return enabling, (self._request_frame(codec.ENABLE),)
         return state._replace(private=progress), (self._idle_request(state, progress),)
 
@@ -329,26 +330,12 @@ class RobstrideDrive:
             return self._request_frame(codec.STOP, codec.CLEAR_FAULT_DATA)
         return self._request_frame(codec.GET_ID)
 
-    def _disable(self, state: DriveState, progress: RobstrideProgress, t_ns: int) -> DriveState:
-        """Return the state of a motor that is being stopped.
-
-        A motor that may be enabled counts as enabled until feedback reports reset mode.
-        """
-        phase = ENABLED if progress.may_be_enabled else state.phase
-        since = progress.disabling_ns if progress.disabling else t_ns
-        return state._replace(
-            phase=phase, private=progress._replace(disabling=True, disabling_ns=since)
-        )
-
     def _next_recheck(
         self, state: DriveState, progress: RobstrideProgress, t_ns: int
     ) -> tuple[DriveState, Frame]:
         """Return the next state, and the request to read the next parameter of the enabled motor again."""
         one = self.required[progress.check.step]
-        check, problem = readback.next_recheck(progress.check, one.name, self.node_id, t_ns)
-        state = state._replace(private=progress._replace(check=check))
-        if problem:
-            state = enter_fault(state, SETTING_MISMATCH_ERROR, problem)
+        state = after_recheck_request(state, SETTING_MISMATCH_ERROR, one.name, self.node_id, t_ns)
         return state, self._request_frame(codec.READ, codec.parameter_request(one.number))
 
     def _configure(
@@ -363,8 +350,8 @@ class RobstrideDrive:
             return updated, self.cut_frames()
         cursor = progress.cursor
         if cursor.step >= len(self.required):
-            ready = progress._replace(cursor=ReadbackCursor(), configured=True, ready_ns=t_ns)
-            return state._replace(phase=READY, private=ready), self.cut_frames()
+            updated = state._replace(private=progress)
+            return after_configuration(updated, t_ns, progress.serial), self.cut_frames()
         one = self.required[cursor.step]
         if cursor.writing:
             updated = state._replace(private=progress._replace(cursor=cursor.after_write()))

@@ -28,8 +28,7 @@ Source: docs/facts/robstride.md, section MIT mode.
 
 from dataclasses import dataclass
 
-from handctl.drives.contract import DrivePhase, DriveState, DriveTarget
-from handctl.drives.fault_causes import DriveFaultCause
+from handctl.drives.contract import DriveFaultCause, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import Frame
 from handctl.drives.mit import codec as mit
 from handctl.drives.mit.cubemars import (

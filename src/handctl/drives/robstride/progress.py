@@ -2,10 +2,15 @@
 
 from typing import NamedTuple
 
-from handctl.drives.contract import DrivePhase, DriveState
-from handctl.drives.fault_causes import DriveFaultCause
+from handctl.drives.contract import DriveFaultCause, DrivePhase, DriveState
 from handctl.drives.readback import ReadbackCursor, RecheckCursor
 from handctl.drives.robstride import codec
+from handctl.drives.state_machine import (
+    enter_fault,
+    state_when_off,
+    state_when_on,
+    state_when_on_by_other,
+)
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
 
@@ -30,8 +35,6 @@ CAUSE_BY_FAULT_BIT = {
 """Cause of fault bits of the motor. All other bits have the cause OTHER."""
 CLEAR_TRIES = 3
 """Number of feedback frames that may still show a fault after the clear command."""
-SILENCE_TIMEOUT_NS = 250_000_000
-"""Time without a frame after which the motor may have lost power, and therefore its parameters [ns]."""
 WATCHDOG_TEXT = "disabled by itself: it restarted, or its watchdog fired"
 """Error text for a motor that has left the running mode without reporting a reason."""
 
@@ -76,24 +79,20 @@ def progress_of(state: DriveState) -> RobstrideProgress:
     return progress
 
 
-def enter_fault(state: DriveState, error_code: int, text: str) -> DriveState:
-    """Return the state in phase FAULT, with the given error code and text."""
-    return state._replace(phase=FAULT, error=error_code, error_text=text)
-
-
 def apply_status(state: DriveState, mode: int, fault: int) -> DriveState:
     """Return the state after feedback with a mode and faults.
 
     ``state`` already has the values of the same feedback.
     """
-    progress = progress_of(state)
     if fault:
         return apply_fault(state, mode, fault)
     if mode == codec.RESET_MODE:
-        return _state_when_stopped(state, progress)
+        return state_when_off(state, state.phase == ENABLED, DROPPED_OUT_ERROR, WATCHDOG_TEXT)
     if mode == codec.RUNNING_MODE:
-        return _state_when_running(state, progress)
-    return _state_when_enabled_by_other(state, progress, "calibrating, but not by this host")
+        return state_when_on(state, ENABLED_BY_OTHER_HOST_ERROR, "enabled, but not by this host")
+    return state_when_on_by_other(
+        state, ENABLED_BY_OTHER_HOST_ERROR, "calibrating, but not by this host"
+    )
 
 
 def apply_fault(state: DriveState, mode: int, fault: int) -> DriveState:
@@ -110,39 +109,6 @@ def apply_fault(state: DriveState, mode: int, fault: int) -> DriveState:
     )
     in_error = enter_fault(state._replace(private=updated), fault, fault_text(fault))
     return in_error._replace(phase=ENABLED) if progress.disabling and not off else in_error
-
-
-def _state_when_stopped(state: DriveState, progress: RobstrideProgress) -> DriveState:
-    """Return the state after the motor has reported reset mode without a fault."""
-    off = progress._replace(enable_sent=False, enabled_by_other=False, clearing=0)
-    if progress.disabling:
-        # Feedback from before the stop command does not show the effect of this command.
-        if state.feedback_t_ns < progress.disabling_ns:
-            return state
-        return state._replace(phase=FAULT if state.error else READY, private=off)
-    if state.phase == ENABLED:
-        return enter_fault(state._replace(private=off), DROPPED_OUT_ERROR, WATCHDOG_TEXT)
-    off = off._replace(enable_sent=progress.enable_sent)
-    return state._replace(phase=CONFIGURING if state.phase == SILENT else state.phase, private=off)
-
-
-def _state_when_running(state: DriveState, progress: RobstrideProgress) -> DriveState:
-    """Return the state after the motor has reported running mode."""
-    if progress.enable_sent and state.phase != FAULT:
-        return state if state.phase == ENABLED else state._replace(phase=ENABLED)
-    return _state_when_enabled_by_other(state, progress, "enabled, but not by this host")
-
-
-def _state_when_enabled_by_other(
-    state: DriveState, progress: RobstrideProgress, text: str
-) -> DriveState:
-    """Return the state after the motor has reported a mode that another host has caused."""
-    enabled = state._replace(private=progress._replace(enabled_by_other=True))
-    if progress.disabling:
-        return enabled._replace(phase=ENABLED)
-    if state.phase in (READY, ENABLED):
-        return enter_fault(enabled, ENABLED_BY_OTHER_HOST_ERROR, text)
-    return enabled._replace(phase=CONFIGURING) if state.phase == SILENT else enabled
 
 
 def fault_text(fault: int) -> str:
