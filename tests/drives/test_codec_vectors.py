@@ -5,6 +5,7 @@ import struct
 
 import pytest
 
+from handctl.drives.canopen import codec as canopen
 from handctl.drives.cia402 import codec as cia402
 from handctl.drives.mit import codec as mit
 from handctl.drives.odrive import codec as odrive
@@ -55,12 +56,12 @@ def test_a_command_is_a_control_word_and_a_torque() -> None:
 
 
 def test_sdo_requests_have_the_bytes_of_cia_301() -> None:
-    assert cia402.upload_request(0x6041, 2).hex(" ") == "40 41 60 02 00 00 00 00"
-    assert cia402.upload_request(0x9041, 0xFE).hex(" ") == "40 41 90 fe 00 00 00 00"
-    assert cia402.download_request(0x9041, 0xFE, b"\1").hex(" ") == "2f 41 90 fe 01 00 00 00"
-    assert cia402.download_request(0x1017, 0, b"\x64\x00").hex(" ") == "2b 17 10 00 64 00 00 00"
-    assert cia402.download_request(0x6060, 0, b"\x04").hex(" ") == "2f 60 60 00 04 00 00 00"
-    assert cia402.download_request(0x1016, 1, b"\1\2\3\4").hex(" ") == "23 16 10 01 01 02 03 04"
+    assert canopen.upload_request(0x6041, 2).hex(" ") == "40 41 60 02 00 00 00 00"
+    assert canopen.upload_request(0x9041, 0xFE).hex(" ") == "40 41 90 fe 00 00 00 00"
+    assert canopen.download_request(0x9041, 0xFE, b"\1").hex(" ") == "2f 41 90 fe 01 00 00 00"
+    assert canopen.download_request(0x1017, 0, b"\x64\x00").hex(" ") == "2b 17 10 00 64 00 00 00"
+    assert canopen.download_request(0x6060, 0, b"\x04").hex(" ") == "2f 60 60 00 04 00 00 00"
+    assert canopen.download_request(0x1016, 1, b"\1\2\3\4").hex(" ") == "23 16 10 01 01 02 03 04"
 
 
 SDO_REPLIES = {
@@ -75,7 +76,7 @@ SDO_REPLIES = {
 
 @pytest.mark.parametrize("data", SDO_REPLIES)
 def test_sdo_replies_are_decoded(data: str) -> None:
-    assert cia402.decode_sdo_reply(bytes.fromhex(data)) == SDO_REPLIES[data]
+    assert canopen.decode_sdo_reply(bytes.fromhex(data)) == SDO_REPLIES[data]
 
 
 @pytest.mark.parametrize(
@@ -83,15 +84,15 @@ def test_sdo_replies_are_decoded(data: str) -> None:
 )
 def test_no_other_specifier_is_a_reply(specifier: int) -> None:
     assert (
-        cia402.decode_sdo_reply(bytes([specifier]) + bytes.fromhex("41 60 02 00 00 00 00")) is None
+        canopen.decode_sdo_reply(bytes([specifier]) + bytes.fromhex("41 60 02 00 00 00 00")) is None
     )
 
 
 def test_error_codes_have_texts() -> None:
     assert cia402.error_text(0x8130).startswith("heartbeat of the master lost")
     assert cia402.error_text(0x12) == "error 0x0012"
-    assert cia402.abort_text(0x06010002) == "read-only"
-    assert cia402.abort_text(0x12) == "abort 0x00000012"
+    assert canopen.abort_text(0x06010002) == "read-only"
+    assert canopen.abort_text(0x12) == "abort 0x00000012"
     assert odrive.error_text(1 << 24 | 1 << 5) == "gate driver fault, watchdog expired"
     assert odrive.error_text(1 | 1 << 31) == "initializing, unknown error bit 31"
     assert odrive.error_text(0) == ""

@@ -12,6 +12,7 @@ from firmware_sim.bus.frame import REMOTE_FLAG, Frame
 from firmware_sim.nodes.cia402.object_dictionary import EDS_PATH, ObjectDictionary
 from firmware_sim.programs.drive import SimulatedDriveBench
 from firmware_sim.programs.drive_types import drive_spec
+from handctl.drives.canopen.setup import ObjectCheck
 from handctl.drives.cia402 import settings as setup
 from handctl.drives.odrive import codec
 
@@ -139,5 +140,5 @@ def test_canopen_reads_the_shipped_eds_as_the_drive_does() -> None:
         assert len(variable) == 8 * step.size == 8 * ours.size((step.number, step.sub))
         assert variable.default == ours[step.number, step.sub] or step.number == 0x6076
         assert variable.writable == (
-            step.check in (setup.ObjectCheck.WRITE, setup.ObjectCheck.WRITE_IF_PRESENT)
+            step.check in (ObjectCheck.WRITE, ObjectCheck.WRITE_IF_PRESENT)
         )

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 from handctl.controller.run_setup import make_drives, make_sensors
-from handctl.drives.cia402.codec import SYNC
+from handctl.drives.canopen.codec import SYNC
 from handctl.drives.cia402.drive import Cia402Drive
 from handctl.drives.contract import Drive
 from handctl.drives.frame_time import MAX_BUS_LOAD, frame_time_s

@@ -13,7 +13,7 @@ from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
 from handctl.core.identified_parameters import identified_hand, torque_gain
 from handctl.document import Document
-from handctl.drives.cia402.codec import SYNC
+from handctl.drives.canopen.codec import SYNC
 from handctl.drives.cia402.drive import Cia402Drive
 from handctl.drives.cia404.load_cells import Cia404LoadCells
 from handctl.drives.contract import Drive

@@ -6,7 +6,7 @@ The registry adds the code to each protocol in ``motor_description.PROTOCOL_TRAI
 from collections.abc import Callable
 from typing import NamedTuple
 
-from handctl.drives.cia402 import discovery as cia402_discovery
+from handctl.drives.canopen import discovery as canopen_discovery
 from handctl.drives.cia402 import modes as cia402_modes
 from handctl.drives.cia402.drive import Cia402Drive
 from handctl.drives.contract import Drive
@@ -51,7 +51,7 @@ PROTOCOL_ENTRIES: dict[str, ProtocolEntry] = {
     ),
     "mit": ProtocolEntry(MitDrive.from_motor, mit_discovery.DISCOVERY, mit_modes.make_mode_drive),
     "cia402": ProtocolEntry(
-        Cia402Drive.from_motor, cia402_discovery.DISCOVERY, cia402_modes.make_mode_drive
+        Cia402Drive.from_motor, canopen_discovery.DISCOVERY, cia402_modes.make_mode_drive
     ),
     "moteus": ProtocolEntry(MoteusDrive.from_motor, moteus_discovery.DISCOVERY),
     "robstride": ProtocolEntry(RobstrideDrive.from_motor, robstride_discovery.DISCOVERY),

@@ -1,48 +1,26 @@
-"""CANopen frames of a CiA 402 drive: identifiers, SDO transfers of up to four bytes, PDOs, states, and errors.
+"""CANopen frames of a CiA 402 drive: PDOs, power states, and errors.
 
-All fields are little-endian. Most identifiers are the base of the service plus the node number n.
-An empty field (-) means that the frame has no payload.
+All fields are little-endian. The identifier is a base plus the node number n. ``canopen.codec`` has
+the other frames.
 
     frame      identifier  to     bytes and fields
-    NMT        0x000       drive  0 command | 1 node number
-    SYNC       0x080       all    -
     EMCY       0x080 + n   host   0..1 error code | 2 error register | 3..7 of the maker
     RPDO1      0x200 + n   drive  0..1 control word | 2..3 target torque int16 [1/1000 of rated]
                in mode 8           0..1 control word | 2..5 target position int32 [count]
                in mode 9           0..1 control word | 2..5 target velocity int32 [1/min or count/s]
     TPDO1      0x180 + n   host   0..1 status word | 2..5 position int32 [count] | 6..7 torque int16
                                   [1/1000 of rated]
-    SDO        0x600 + n   drive  0 specifier | 1..2 index | 3 sub-index | 4..7 value
-    SDO reply  0x580 + n   host   0 specifier | 1..2 index | 3 sub-index | 4..7 value or abort code
-    heartbeat  0x700 + n   all    0 NMT state
 
-Torque and position refer to the motor's shaft. RPDO1 carries a torque in mode 10. Source: CiA 301
-4.2 (identifiers, SDO, NMT), CiA 402-2 (control word, status word, objects).
+Torque and position refer to the motor's shaft. RPDO1 carries a torque in mode 10. Source: CiA 402-2
+(control word, status word, objects).
 """
 
 import math
 import struct
-from typing import NamedTuple
 
+from handctl.drives.canopen.codec import RPDO, TPDO
 from handctl.drives.signals import CyclicMessage, Signal, SignalCoding, SignalQuantity
 
-# Identifiers. NMT and SYNC are complete identifiers. The node number is added to all other
-# identifiers.
-NMT = 0x000
-SYNC = 0x080
-EMERGENCY = 0x080
-TPDO = 0x180
-RPDO = 0x200
-SDO_REPLY = 0x580
-SDO_REQUEST = 0x600
-HEARTBEAT = 0x700
-# NMT commands.
-START_NODE = 0x01
-PRE_OPERATIONAL = 0x80
-# NMT states in a heartbeat.
-BOOT_UP = 0x00
-STOPPED = 0x04
-OPERATIONAL = 0x05
 # Values of the control word.
 SHUTDOWN = 0x06
 SWITCH_ON = 0x07
@@ -53,8 +31,6 @@ MAX_TORQUE_COUNT = 0x7FFF
 """Largest target torque in RPDO1 [1/1000 of rated]."""
 MAX_TARGET_COUNT = 0x7FFFFFFF
 """Largest target position or velocity in RPDO1 [count]."""
-OBJECT_MISSING = 0x06020000
-"""SDO abort code for an object missing in the drive."""
 
 # Power states of a drive in words.
 SWITCH_ON_DISABLED = "switch on disabled"
@@ -96,13 +72,6 @@ ERROR_TEXTS = {
     0x8611: "following error",
 }  # fmt: skip
 """Error codes of an emergency in words. Source: CiA 301 and CiA 402-2, error code tables."""
-ABORT_TEXTS = {
-    0x05030000: "toggle bit", 0x05040000: "time-out", 0x06010001: "write-only", 0x06010002: "read-only",
-    OBJECT_MISSING: "no such object", 0x06040041: "cannot be mapped", 0x06040042: "mapping too long",
-    0x06070010: "wrong length", 0x06090011: "no such sub-index", 0x06090030: "out of range",
-    0x08000022: "not in this state",
-}  # fmt: skip
-"""SDO abort codes in words. Source: CiA 301."""
 
 
 ENABLED_STATUS = 0x07 << 2 | 0x01
@@ -232,46 +201,3 @@ def _motion_message(node_id: int, signal: Signal, limit: float, largest: float) 
 def error_text(code: int) -> str:
     """Return the text for the error code of an emergency."""
     return ERROR_TEXTS.get(code, f"error {code:#06x}")
-
-
-def abort_text(code: int) -> str:
-    """Return the text for an SDO abort code."""
-    return ABORT_TEXTS.get(code, f"abort {code:#010x}")
-
-
-def upload_request(index: int, subindex: int) -> bytes:
-    """Return the SDO payload to request the value of an object."""
-    # 0x40 starts an upload from the drive to the host.
-    return struct.pack("<BHB4x", 0x40, index, subindex)
-
-
-def download_request(index: int, subindex: int, value_bytes: bytes) -> bytes:
-    """Return the SDO payload that writes one to four bytes to an object."""
-    # 0x23 starts an expedited download. Bits 2..3 contain the number of unused bytes.
-    return struct.pack("<BHB4s", 0x23 | (4 - len(value_bytes)) << 2, index, subindex, value_bytes)
-
-
-class SdoReply(NamedTuple):
-    """Content of an SDO reply: object, value (empty after a write), and abort code (0 without an abort)."""
-
-    number: int
-    sub: int
-    raw: bytes
-    abort: int
-
-
-def decode_sdo_reply(data: bytes) -> SdoReply | None:
-    """Decode the 8 bytes of an SDO reply.
-
-    Return None if they are not the reply to a read or a write.
-    """
-    specifier, index, sub = struct.unpack_from("<BHB", data)
-    # 0x80 is an abort, 0x60 confirms a write. 0x43 is a value, with the number of unused bytes in
-    # bits 2..3.
-    if specifier == 0x80:
-        return SdoReply(index, sub, b"", int.from_bytes(data[4:], "little"))
-    if specifier == 0x60:
-        return SdoReply(index, sub, b"", 0)
-    if specifier & 0xF3 == 0x43:
-        return SdoReply(index, sub, data[4 : 8 - (specifier >> 2 & 3)], 0)
-    return None

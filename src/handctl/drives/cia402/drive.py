@@ -15,12 +15,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from handctl.drives import readback
-from handctl.drives.cia402 import codec
-from handctl.drives.cia402 import settings as setup
+from handctl.drives.canopen import codec as canopen
+from handctl.drives.canopen import setup
+from handctl.drives.canopen.setup import REPEAT_PERIOD_NS
+from handctl.drives.cia402 import codec, settings
 from handctl.drives.cia402.progress import (
     CAUSE_BY_ERROR,
     CLEAR_TRIES,
-    REPEAT_PERIOD_NS,
     SETTING_MISMATCH_ERROR,
     Cia402Progress,
     apply_power_state,
@@ -112,7 +113,7 @@ class Cia402Drive:
         motor: MotorDescription,
         bus: int,
         options_override: Mapping[str, Any] | None = None,
-        mode: int = setup.TORQUE_MODE,
+        mode: int = settings.TORQUE_MODE,
     ) -> "Cia402Drive":
         """Return the drive for a motor description.
 
@@ -169,7 +170,7 @@ class Cia402Drive:
             zero=motor.zero_rad,
             rated=rated,
             counts=counts,
-            steps=setup.required_steps(
+            steps=settings.required_steps(
                 motor.node_id,
                 round(rated * TORQUE_UNITS[unit]),
                 max_torque,
@@ -207,9 +208,9 @@ class Cia402Drive:
         """Return the identifiers of the frames of the host: NMT, RPDO, SDO requests, and heartbeat."""
         return frozenset(
             (
-                codec.NMT,
-                codec.RPDO + self.node_id,
-                codec.SDO_REQUEST + self.node_id,
+                canopen.NMT,
+                canopen.RPDO + self.node_id,
+                canopen.SDO_REQUEST + self.node_id,
                 _HOST_HEARTBEAT,
             )
         )
@@ -217,7 +218,7 @@ class Cia402Drive:
     @property
     def node_ids(self) -> frozenset[int]:
         """Return the identifiers of the frames of the drive: TPDO, SDO replies, emergency, and heartbeat."""
-        bases = (codec.TPDO, codec.SDO_REPLY, codec.EMERGENCY, codec.HEARTBEAT)
+        bases = (canopen.TPDO, canopen.SDO_REPLY, canopen.EMERGENCY, canopen.HEARTBEAT)
         return frozenset(base + self.node_id for base in bases)
 
     @property
@@ -243,7 +244,7 @@ class Cia402Drive:
     @property
     def cyclic_messages(self) -> CyclicMessages:
         """Return the signal tables of RPDO and TPDO, and also of SYNC if the option ``sync`` is set."""
-        sync = (CyclicMessage("sync", codec.SYNC, 0, answers=False),) if self.sync else ()
+        sync = (CyclicMessage("sync", canopen.SYNC, 0, answers=False),) if self.sync else ()
         return CyclicMessages(
             (self.feedback.message,), (self.command.message, *sync), self.life_sign_timeout_ns
         )
@@ -263,7 +264,7 @@ class Cia402Drive:
     def rechecked_settings(self) -> tuple[setup.SetupStep, ...]:
         """Return the objects read again while the drive is enabled."""
         return tuple(
-            step for step in self.steps if (step.number, step.sub) in setup.PROTECTION_OBJECTS
+            step for step in self.steps if (step.number, step.sub) in settings.PROTECTION_OBJECTS
         )
 
     def initial_state(self) -> DriveState:
@@ -275,13 +276,13 @@ class Cia402Drive:
         if frame.bus != self.bus or frame.can_id not in self.node_ids:
             return state
         service = frame.can_id - self.node_id
-        if len(frame.data) != (1 if service == codec.HEARTBEAT else 8):
+        if len(frame.data) != (1 if service == canopen.HEARTBEAT else 8):
             return state._replace(misread=state.misread + 1)
-        if service == codec.TPDO:
+        if service == canopen.TPDO:
             return self._on_feedback(state, frame)
-        if service == codec.HEARTBEAT:
+        if service == canopen.HEARTBEAT:
             return on_heartbeat(state, frame)
-        if service == codec.SDO_REPLY:
+        if service == canopen.SDO_REPLY:
             return self._on_sdo_reply(state, frame.data)
         # The only service left is the emergency. Code 0 of an emergency reports that all errors
         # have ended.
@@ -291,7 +292,7 @@ class Cia402Drive:
     def _on_sdo_reply(self, state: DriveState, data: bytes) -> DriveState:
         """Return the state after an SDO reply of the drive."""
         progress = progress_of(state)
-        reply = codec.decode_sdo_reply(data)
+        reply = canopen.decode_sdo_reply(data)
         if reply is not None and state.phase == ENABLED and progress.check.waiting:
             return self._on_recheck_reply(state, progress, reply)
         if (
@@ -306,7 +307,7 @@ class Cia402Drive:
         return enter_fault(updated, SETTING_MISMATCH_ERROR, problem) if problem else updated
 
     def _on_recheck_reply(
-        self, state: DriveState, progress: Cia402Progress, reply: codec.SdoReply
+        self, state: DriveState, progress: Cia402Progress, reply: canopen.SdoReply
     ) -> DriveState:
         """Compare an object, read again from the enabled drive, with the required value."""
         step = self.rechecked_settings[progress.check.step]
@@ -315,7 +316,7 @@ class Cia402Drive:
         value = int.from_bytes(reply.raw, "little")
         same = reply.raw == step.raw
         answer = (
-            f"answers {codec.abort_text(reply.abort)!r}" if reply.abort else f"reads {value:#x}"
+            f"answers {canopen.abort_text(reply.abort)!r}" if reply.abort else f"reads {value:#x}"
         )
         return after_recheck_reply(
             state,
@@ -365,9 +366,9 @@ class Cia402Drive:
         state, frames = self._follow_target(state, t_ns, target, command)
         progress = progress_of(state)
         if t_ns - progress.heartbeat_sent_ns >= self.heartbeat_period_ns:
-            frames = (*frames, Frame(_HOST_HEARTBEAT, bytes((codec.OPERATIONAL,)), 0, self.bus))
+            frames = (*frames, Frame(_HOST_HEARTBEAT, bytes((canopen.OPERATIONAL,)), 0, self.bus))
             state = state._replace(private=progress._replace(heartbeat_sent_ns=t_ns))
-        return state, (*frames, Frame(codec.SYNC, b"", 0, self.bus)) if self.sync else frames
+        return state, (*frames, Frame(canopen.SYNC, b"", 0, self.bus)) if self.sync else frames
 
     def _follow_target(
         self, state: DriveState, t_ns: int, target: DriveTarget, command: float
@@ -408,8 +409,8 @@ class Cia402Drive:
         state = after_recheck_request(state, SETTING_MISMATCH_ERROR, name, self.node_id, t_ns)
         return state, (
             Frame(
-                codec.SDO_REQUEST + self.node_id,
-                codec.upload_request(step.number, step.sub),
+                canopen.SDO_REQUEST + self.node_id,
+                canopen.upload_request(step.number, step.sub),
                 0,
                 self.bus,
             ),
@@ -432,7 +433,7 @@ class Cia402Drive:
         start: tuple[Frame, ...] = ()
         if t_ns - max(state.feedback_t_ns, progress.started_ns) > REPEAT_PERIOD_NS:
             progress = progress._replace(started_ns=t_ns)
-            start = (self._nmt_frame(codec.START_NODE),)
+            start = (self._nmt_frame(canopen.START_NODE),)
         return state._replace(phase=phase, private=progress), (
             *start,
             self._rpdo_frame(codec.DISABLE_VOLTAGE, 0.0),
@@ -449,9 +450,9 @@ class Cia402Drive:
         updated = state._replace(private=progress._replace(cursor=cursor))
         if problem:
             return enter_fault(updated, SETTING_MISMATCH_ERROR, problem), ()
-        frames = (Frame(codec.SDO_REQUEST + self.node_id, data, 0, self.bus),) if data else ()
+        frames = (Frame(canopen.SDO_REQUEST + self.node_id, data, 0, self.bus),) if data else ()
         return updated, (
-            self._nmt_frame(codec.PRE_OPERATIONAL),
+            self._nmt_frame(canopen.PRE_OPERATIONAL),
             *frames,
         ) if cursor.step == 0 and data else frames
 
@@ -474,7 +475,7 @@ class Cia402Drive:
         text = f"no TPDO yet: {question}" if progress.started_ns >= 0 else ""
         updated = progress._replace(started_ns=t_ns)
         return state._replace(error_text=text, private=updated), (
-            self._nmt_frame(codec.START_NODE),
+            self._nmt_frame(canopen.START_NODE),
         )
 
     def _rpdo_frame(self, control: int, command: float) -> Frame:
@@ -483,7 +484,7 @@ class Cia402Drive:
             data = struct.pack("<H", control) + self.command.pack(command)[2:]
         except ValueError as error:
             raise ValueError(f"{self.name}: {error}") from None
-        return Frame(codec.RPDO + self.node_id, data, 0, self.bus)
+        return Frame(canopen.RPDO + self.node_id, data, 0, self.bus)
 
     def _rest_command(self, state: DriveState) -> float:
         """Return the command to a drive that is being enabled: zero torque."""
@@ -491,7 +492,7 @@ class Cia402Drive:
 
     def _nmt_frame(self, order: int) -> Frame:
         """Return the frame of an NMT command to the node."""
-        return Frame(codec.NMT, bytes((order, self.node_id)), 0, self.bus)
+        return Frame(canopen.NMT, bytes((order, self.node_id)), 0, self.bus)
 
     def identity(self, state: DriveState) -> str:
         """Return the serial number in object 0x1018:4, or the node number if the drive does not have this object."""
@@ -518,7 +519,7 @@ class Cia402Drive:
         """
         return (
             self._rpdo_frame(codec.DISABLE_VOLTAGE, 0.0),
-            self._nmt_frame(codec.PRE_OPERATIONAL),
+            self._nmt_frame(canopen.PRE_OPERATIONAL),
         )
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
@@ -529,8 +530,8 @@ class Cia402Drive:
         """
         if state.phase != READY:
             return ()
-        data = codec.download_request(*setup.END_OF_SUPERVISION)
-        return (Frame(codec.SDO_REQUEST + self.node_id, data, 0, self.bus),)
+        data = canopen.download_request(*settings.END_OF_SUPERVISION)
+        return (Frame(canopen.SDO_REQUEST + self.node_id, data, 0, self.bus),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the state and the frames that reset the fault.
@@ -546,5 +547,5 @@ class Cia402Drive:
         )
 
 
-_HOST_HEARTBEAT = codec.HEARTBEAT + setup.HOST_NODE
+_HOST_HEARTBEAT = canopen.HEARTBEAT + setup.HOST_NODE
 """Identifier of this host's heartbeat."""

@@ -12,8 +12,8 @@ default, as on EPOS4) or count_s. The unit of object 0x6080 is 1/min. Source: Ci
 import math
 from dataclasses import dataclass
 
-from handctl.drives.cia402 import codec
-from handctl.drives.cia402 import settings as setup
+from handctl.drives.canopen import setup
+from handctl.drives.cia402 import codec, settings
 from handctl.drives.cia402.drive import Cia402Drive
 from handctl.drives.contract import DriveState
 from handctl.drives.drive_modes import DriveMode, MotionLimits, constructor_arguments
@@ -23,8 +23,8 @@ from handctl.drives.signals import SignalTable
 from handctl.errors import ConfigError
 
 _OPERATION_MODES = {
-    DriveMode.POSITION: setup.POSITION_MODE,
-    DriveMode.VELOCITY: setup.VELOCITY_MODE,
+    DriveMode.POSITION: settings.POSITION_MODE,
+    DriveMode.VELOCITY: settings.VELOCITY_MODE,
 }
 """Value of the object with the mode of operation (0x6060), for each mode."""
 VELOCITY_UNITS = ("rev_min", "count_s")

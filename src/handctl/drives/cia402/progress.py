@@ -2,6 +2,8 @@
 
 from typing import NamedTuple, cast
 
+from handctl.drives.canopen.codec import BOOT_UP, OPERATIONAL
+from handctl.drives.canopen.setup import REPEAT_PERIOD_NS
 from handctl.drives.cia402 import codec
 from handctl.drives.contract import DriveFaultCause, DrivePhase, DriveState
 from handctl.drives.frame import Frame
@@ -28,8 +30,6 @@ Other documented codes have the cause OTHER.
 """
 CLEAR_TRIES = 20
 """Number of status words that may still show a fault after the clear command."""
-REPEAT_PERIOD_NS = 20_000_000
-"""Time after which an NMT command is repeated [ns]."""
 
 
 class Cia402Progress(NamedTuple):
@@ -128,13 +128,13 @@ def on_heartbeat(state: DriveState, frame: Frame) -> DriveState:
     """
     progress = progress_of(state)._replace(life_sign_ns=frame.t_ns)
     if (
-        frame.data[0] == codec.OPERATIONAL
+        frame.data[0] == OPERATIONAL
         or state.phase not in (READY, ENABLED)
         or progress.disabling_ns >= 0
     ):
         return state._replace(private=progress)
     if state.phase == ENABLED or progress.enable_sent:
-        problem = "restarted" if frame.data[0] == codec.BOOT_UP else "left the state operational"
+        problem = "restarted" if frame.data[0] == BOOT_UP else "left the state operational"
         return enter_fault(state._replace(private=progress), DROPPED_OUT_ERROR, problem)
     return state._replace(phase=SILENT, private=Cia402Progress())
 

@@ -7,15 +7,17 @@ in the other protocols. TPDO1 has transmission type 1: the drive samples and sen
 the heartbeat of the host is missing, the drive is in fault (objects 0x1016, 0x6007).
 """
 
-import enum
-from typing import NamedTuple
+from handctl.drives.canopen.codec import RPDO, TPDO
+from handctl.drives.canopen.setup import (
+    HOST_NODE,
+    PDO_DISABLED_BIT,
+    SERIAL_NUMBER,
+    ObjectCheck,
+    SetupStep,
+    pdo_steps,
+)
+from handctl.drives.cia402.codec import DISABLE_VOLTAGE
 
-from handctl.drives import readback
-from handctl.drives.cia402 import codec
-from handctl.drives.readback import ReadbackCursor
-
-UNLIMITED_TRIES = 1 << 62
-"""Number of requests for an object without a limit: the object is requested until the drive answers."""
 POSITION_MODE = 8
 """Mode of operation for cyclic synchronous position."""
 VELOCITY_MODE = 9
@@ -24,74 +26,8 @@ TORQUE_MODE = 10
 """Mode of operation for cyclic synchronous torque."""
 TARGET_OBJECTS = {POSITION_MODE: (0x607A, 4), VELOCITY_MODE: (0x60FF, 4), TORQUE_MODE: (0x6071, 2)}
 """Object with the target, and size of the target in bytes, by mode of operation."""
-PDO_DISABLED_BIT = 1 << 31
-"""Bit in the COB-ID of a PDO (its identifier with flags) that disables the PDO."""
-HOST_NODE = 0x7F
-"""Node number of this host. The drives supervise the heartbeat with this number."""
 END_OF_SUPERVISION = 0x1016, 1, (HOST_NODE << 16).to_bytes(4, "little")
 """Object for the supervision of the host's heartbeat: index, sub-index, and the value 0 that ends the supervision."""
-
-
-SERIAL_NUMBER = 0x1018, 4
-"""Index and sub-index of the object with the serial number."""
-
-
-class ObjectCheck(enum.IntEnum):
-    """Rule by which an object is written, and its value compared with the required value."""
-
-    SAME = 0
-    """Read the object. The value must equal the required value."""
-    HAS_BITS = 1
-    """Read the object. The bits of the required value must be set."""
-    WRITE = 2
-    """Write the object, then read it. The value must equal the required value."""
-    WRITE_IF_PRESENT = 3
-    """Write and read the object as in WRITE. A drive without the object is accepted."""
-    READ_IF_PRESENT = 4
-    """Read the object and accept any value. A drive without the object is accepted."""
-    SAME_IF_PRESENT = 5
-    """Read the object.
-
-    The value must equal the required value. A drive without the object is accepted.
-    """
-    LOW_WORD = 6
-    """Read the object. The low 16 bits of the value must equal the required value."""
-    ADJUST = 7
-    """Read the object. If the value differs from the required value, write it and read it again."""
-
-
-OPTIONAL_OBJECT_CHECKS = (
-    ObjectCheck.WRITE_IF_PRESENT,
-    ObjectCheck.READ_IF_PRESENT,
-    ObjectCheck.SAME_IF_PRESENT,
-)
-"""Rules that accept a device without the object."""
-
-
-class SetupStep(NamedTuple):
-    """Object of a drive with its required value, and the rule by which it is checked."""
-
-    check: ObjectCheck
-    number: int
-    sub: int
-    value: int
-    size: int
-
-    @property
-    def raw(self) -> bytes:
-        """Return the required value as little-endian bytes."""
-        return self.value.to_bytes(self.size, "little")
-
-    @property
-    def is_written_first(self) -> bool:
-        """Return True if the object is written before it is read."""
-        return self.check in (ObjectCheck.WRITE, ObjectCheck.WRITE_IF_PRESENT)
-
-    @property
-    def name(self) -> str:
-        """Return the name of the object, for messages to the operator."""
-        return f"object {self.number:#06x}:{self.sub}"
-
 
 PROTECTION_OBJECTS = ((0x1016, 1), (0x6072, 0), (0x6080, 0))
 """Objects of the protections in the drive: supervision of the host's heartbeat, maximum torque, maximum speed.
@@ -120,7 +56,7 @@ def required_steps(
     """
     target, size = TARGET_OBJECTS[mode]
     same, bits, write, write_optional, read, *_ = ObjectCheck
-    bases = ((0x1400, codec.RPDO), (0x1800, codec.TPDO))
+    bases = ((0x1400, RPDO), (0x1800, TPDO))
     # PDOs 2 to 4 are switched off. The records of these PDOs have consecutive indices, and their
     # default identifiers are 0x100 apart.
     others = [
@@ -132,7 +68,7 @@ def required_steps(
         # 0x0192 is 402, the profile number in the low word of the device type.
         SetupStep(bits, 0x1000, 0, 0x0192, 4),
         SetupStep(read, *SERIAL_NUMBER, 0, 4),
-        SetupStep(write, 0x6040, 0, codec.DISABLE_VOLTAGE, 2),
+        SetupStep(write, 0x6040, 0, DISABLE_VOLTAGE, 2),
         # The object has a bit for each mode that the drive supports. Bit 9 is mode 10, cyclic
         # synchronous torque.
         SetupStep(bits, 0x6502, 0, 1 << mode - 1, 4),
@@ -147,96 +83,6 @@ def required_steps(
         SetupStep(write, 0x6060, 0, mode, 1),
         SetupStep(same, 0x6061, 0, mode, 1),
         *others,
-        *pdo_steps(
-            0x1400, 0x1600, codec.RPDO + node_id, 255, (0x6040_00_10, target << 16 | 8 * size)
-        ),
-        *pdo_steps(
-            0x1800, 0x1A00, codec.TPDO + node_id, 1, (0x6041_00_10, 0x6064_00_20, 0x6077_00_10)
-        ),
-    )
-
-
-def pdo_steps(
-    communication: int, mapping: int, cob: int, transmission: int, objects: tuple[int, ...]
-) -> tuple[SetupStep, ...]:
-    """Return the steps that set up one PDO: they disable the PDO, map its objects, and enable it."""
-    write = ObjectCheck.WRITE
-    return (
-        # By CiA 301, the mapping of a PDO can be changed only while the PDO is off and its entry
-        # count is 0.
-        SetupStep(write, communication, 1, PDO_DISABLED_BIT | cob, 4),
-        SetupStep(write, mapping, 0, 0, 1),
-        *(SetupStep(write, mapping, i + 1, entry, 4) for i, entry in enumerate(objects)),
-        SetupStep(write, mapping, 0, len(objects), 1),
-        SetupStep(write, communication, 2, transmission, 1),
-        SetupStep(write, communication, 1, cob, 4),
-    )
-
-
-def is_write_next(cursor: ReadbackCursor, step: SetupStep) -> bool:
-    """Return True if the next request must write the object, by its rule or because its value was wrong."""
-    return cursor.writing or (step.is_written_first and not cursor.written)
-
-
-def _has_required_value(step: SetupStep, value: int) -> bool:
-    """Return True if an object has the required value, by the rule of the step."""
-    if step.check == ObjectCheck.HAS_BITS:
-        return value & step.value == step.value
-    return (value & 0xFFFF if step.check == ObjectCheck.LOW_WORD else value) == step.value
-
-
-def on_reply(
-    cursor: ReadbackCursor, required: tuple[SetupStep, ...], reply: codec.SdoReply
-) -> tuple[ReadbackCursor, int, str]:
-    """Return the position in the read-back after an SDO reply. Replies to other requests have no effect.
-
-    Returns:
-        the new cursor, the value of an object with the rule READ_IF_PRESENT (0 for any other), and
-        the problem in words, empty without a problem.
-    """
-    step = required[cursor.step]
-    if not cursor.waiting or reply[:2] != (step.number, step.sub):
-        return cursor, 0, ""
-    if reply.abort:
-        if (
-            reply.abort in (codec.OBJECT_MISSING, 0x06090011)
-            and step.check in OPTIONAL_OBJECT_CHECKS
-        ):
-            return cursor.next_setting(), 0, ""
-        return cursor, 0, f"{step.name}: {codec.abort_text(reply.abort)}"
-    if is_write_next(cursor, step):
-        return cursor if reply.raw else cursor.after_write(), 0, ""
-    if not reply.raw:
-        return cursor, 0, ""
-    value = int.from_bytes(reply.raw, "little")
-    if step.check == ObjectCheck.READ_IF_PRESENT:
-        return cursor.next_setting(), value, ""
-    if _has_required_value(step, value):
-        return cursor.next_setting(), 0, ""
-    writes = 1 if step.check == ObjectCheck.ADJUST else 0
-    cursor, problem = readback.on_wrong_value(
-        cursor, step.name, f"{value:#x}", f"{step.value:#x}", writes
-    )
-    return cursor, 0, problem
-
-
-def next_request(
-    cursor: ReadbackCursor, required: tuple[SetupStep, ...], t_ns: int
-) -> tuple[ReadbackCursor, bytes, str]:
-    """Return the next request of the read-back: cursor, SDO payload, and problem in words.
-
-    The payload is empty while an answer of the drive is awaited. The problem is empty if all is
-    right. The first object is requested until the drive answers.
-    """
-    step = required[cursor.step]
-    cursor, send, problem = readback.request_setting(
-        cursor, step.name, t_ns, readback.REQUEST_TRIES if cursor.step else UNLIMITED_TRIES
-    )
-    if not send:
-        return cursor, b"", problem
-    download = codec.download_request(step.number, step.sub, step.raw)
-    return (
-        cursor,
-        download if is_write_next(cursor, step) else codec.upload_request(step.number, step.sub),
-        "",
+        *pdo_steps(0x1400, 0x1600, RPDO + node_id, 255, (0x6040_00_10, target << 16 | 8 * size)),
+        *pdo_steps(0x1800, 0x1A00, TPDO + node_id, 1, (0x6041_00_10, 0x6064_00_20, 0x6077_00_10)),
     )

@@ -9,9 +9,8 @@ frame of this module moves a motor.
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from handctl.drives.cia402 import codec
-from handctl.drives.cia402 import settings as setup
-from handctl.drives.cia402.progress import REPEAT_PERIOD_NS
+from handctl.drives.canopen import codec, setup
+from handctl.drives.canopen.setup import REPEAT_PERIOD_NS
 from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.frame import Frame
 from handctl.drives.readback import ReadbackCursor

@@ -16,7 +16,7 @@ frame counts as fresh. Source: docs/facts/cia404.md.
 from dataclasses import dataclass
 from typing import Protocol
 
-from handctl.drives.cia402 import codec
+from handctl.drives.canopen import codec
 from handctl.drives.cia404.amplifier import LoadCellAmplifier
 from handctl.drives.cia404.settings import (
     CHANNEL_BYTES,

@@ -7,9 +7,9 @@ Unit and decimal digits are read first. Each of the two is written only if it di
 required value. Source: docs/facts/cia404.md.
 """
 
-from handctl.drives.cia402 import codec
-from handctl.drives.cia402.discovery import CIA404_PROFILE
-from handctl.drives.cia402.settings import PDO_DISABLED_BIT, ObjectCheck, SetupStep, pdo_steps
+from handctl.drives.canopen import codec
+from handctl.drives.canopen.discovery import CIA404_PROFILE
+from handctl.drives.canopen.setup import PDO_DISABLED_BIT, ObjectCheck, SetupStep, pdo_steps
 from handctl.drives.signals import SignalCoding
 
 NEWTON_UNIT_CODE = 0x0021_0000

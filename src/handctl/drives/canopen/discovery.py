@@ -5,8 +5,8 @@ numbers and numbers of channels. The ``canopen`` library reads all other data of
 controller runs (``runtime.diagnostics.canopen_identity``). Source: CiA 301 4.2.
 """
 
-from handctl.drives.cia402 import codec
-from handctl.drives.cia402.settings import HOST_NODE
+from handctl.drives.canopen import codec
+from handctl.drives.canopen.setup import HOST_NODE, SERIAL_NUMBER
 from handctl.drives.discovery import (
     TWO_DRIVES_WARNING,
     DiscoveredNode,
@@ -29,8 +29,6 @@ CHANNEL_COUNT_OBJECT = (0x6131, 0)
 
 The number of channels is the length of the array of units. Source: CiA 404.
 """
-SERIAL_NUMBER = (0x1018, 4)
-"""Object with the serial number, missing in some drives."""
 NMT_STATES = {0x00: "boot-up", 0x04: "stopped", 0x05: "operational", 0x7F: "pre-operational"}
 """NMT states in words."""
 _RPDO_BASE_IDS = (0x200, 0x300, 0x400, 0x500)

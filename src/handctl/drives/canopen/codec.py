@@ -1,0 +1,88 @@
+"""Frames of a CANopen node that do not depend on its profile: identifiers, NMT, and SDO transfers of up to four bytes.
+
+All fields are little-endian. Most identifiers are the base of the service plus the node number n.
+An empty field (-) means that the frame has no payload.
+
+    frame      identifier  to    bytes and fields
+    NMT        0x000       node  0 command | 1 node number
+    SYNC       0x080       all   -
+    EMCY       0x080 + n   host  0..1 error code | 2 error register | 3..7 of the maker
+    SDO        0x600 + n   node  0 specifier | 1..2 index | 3 sub-index | 4..7 value
+    SDO reply  0x580 + n   host  0 specifier | 1..2 index | 3 sub-index | 4..7 value or abort code
+    heartbeat  0x700 + n   all   0 NMT state
+
+Source: CiA 301 4.2.
+"""
+
+import struct
+from typing import NamedTuple
+
+# Identifiers. NMT and SYNC are complete identifiers. The node number is added to all other
+# identifiers.
+NMT = 0x000
+SYNC = 0x080
+EMERGENCY = 0x080
+TPDO = 0x180
+RPDO = 0x200
+SDO_REPLY = 0x580
+SDO_REQUEST = 0x600
+HEARTBEAT = 0x700
+# NMT commands.
+START_NODE = 0x01
+PRE_OPERATIONAL = 0x80
+# NMT states in a heartbeat.
+BOOT_UP = 0x00
+STOPPED = 0x04
+OPERATIONAL = 0x05
+OBJECT_MISSING = 0x06020000
+"""SDO abort code for an object missing in the node."""
+ABORT_TEXTS = {
+    0x05030000: "toggle bit", 0x05040000: "time-out", 0x06010001: "write-only", 0x06010002: "read-only",
+    OBJECT_MISSING: "no such object", 0x06040041: "cannot be mapped", 0x06040042: "mapping too long",
+    0x06070010: "wrong length", 0x06090011: "no such sub-index", 0x06090030: "out of range",
+    0x08000022: "not in this state",
+}  # fmt: skip
+"""SDO abort codes in words. Source: CiA 301."""
+
+
+def abort_text(code: int) -> str:
+    """Return the text for an SDO abort code."""
+    return ABORT_TEXTS.get(code, f"abort {code:#010x}")
+
+
+def upload_request(index: int, subindex: int) -> bytes:
+    """Return the SDO payload to request the value of an object."""
+    # 0x40 starts an upload from the node to the host.
+    return struct.pack("<BHB4x", 0x40, index, subindex)
+
+
+def download_request(index: int, subindex: int, value_bytes: bytes) -> bytes:
+    """Return the SDO payload that writes one to four bytes to an object."""
+    # 0x23 starts an expedited download. Bits 2..3 contain the number of unused bytes.
+    return struct.pack("<BHB4s", 0x23 | (4 - len(value_bytes)) << 2, index, subindex, value_bytes)
+
+
+class SdoReply(NamedTuple):
+    """Content of an SDO reply: object, value (empty after a write), and abort code (0 without an abort)."""
+
+    number: int
+    sub: int
+    raw: bytes
+    abort: int
+
+
+def decode_sdo_reply(data: bytes) -> SdoReply | None:
+    """Decode the 8 bytes of an SDO reply.
+
+    Return None if they are not the reply to a read or a write.
+    """
+    specifier, index, sub = struct.unpack_from("<BHB", data)
+    # 0x80 is an abort, 0x60 confirms a write. 0x43 is a value, with the number of unused bytes in
+    # bits 2..3.
+    if specifier == 0x80:
+        return SdoReply(index, sub, b"", int.from_bytes(data[4:], "little"))
+    if specifier == 0x60:
+        return SdoReply(index, sub, b"", 0)
+    if specifier & 0xF3 == 0x43:
+        return SdoReply(index, sub, data[4 : 8 - (specifier >> 2 & 3)], 0)
+    return None
