@@ -3,7 +3,7 @@
 import pytest
 
 from handctl.core.detectors.node_faults import ROW_OF_CAUSE
-from handctl.drives.contract import DriveFaultCause, DrivePhase
+from handctl.drives.contract import DriveFaultCause
 from handctl.drives.motor_description import GUARDED_PROTOCOLS, PROTOCOL_TRAITS
 from handctl.safety.action import SafetyAction
 from handctl.safety.faults.fault import CatalogueRow, Fault

@@ -110,7 +110,7 @@ def store_drive(
         feedback_count: number of feedback frames since the start.
         phase: ``drives.contract.DrivePhase`` of the drive.
         fault_code: error code of the drive.
-        fault_cause: ``drives.fault_causes.DriveFaultCause`` of the error code, -1 without a fault.
+        fault_cause: ``drives.contract.DriveFaultCause`` of the error code, -1 without a fault.
         steady_status: drive status at which the drive's state machine has nothing to do.
         due_ns: time at which the drive's state machine must run next [ns].
         misread: 1 if a frame of the drive in this tick had a wrong shape.

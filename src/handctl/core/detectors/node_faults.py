@@ -11,8 +11,7 @@ from handctl.core.detectors.bus_faults import Evidence
 from handctl.core.detectors.frame_losses import cell_ticks_overdue, misses_every_second
 from handctl.core.detectors.tendon_slip import DEG_PER_RAD
 from handctl.core.state_block import StateTables
-from handctl.drives.contract import DrivePhase
-from handctl.drives.fault_causes import DriveFaultCause
+from handctl.drives.contract import DriveFaultCause, DrivePhase
 from handctl.safety.faults.node import (
     N01,
     N02,
