@@ -144,22 +144,22 @@ def test_slack_tendons_do_not_count() -> None:
 
 
 def test_a_hold_is_judged_from_half_a_second_after_its_ramp_to_its_end() -> None:
-    (window,) = hold_windows(hold_log(ramp=20))
+    (window,) = hold_windows(hold_log(ramp=20), JAMIA)
     assert np.flatnonzero(window).tolist() == list(range(119 + 50, 300))
     none = hold_log()
     none.fields["contact"][:] = 0.0
-    assert not np.any(hold_windows(none)), "without a hold there are no windows"
+    assert not np.any(hold_windows(none, JAMIA)), "without a hold there are no windows"
     two = InventedLog(JAMIA, 400, {0: "hold", 150: "move", 200: "hold firmly"})
     two.fields["contact"][:, 0] = 1.0
     two.fields["tension_goal"][:] = 9.0
-    windows = [np.flatnonzero(window).tolist() for window in hold_windows(two)]
+    windows = [np.flatnonzero(window).tolist() for window in hold_windows(two, JAMIA)]
     assert windows == [list(range(50, 150)), list(range(250, 400))]
 
 
 def test_a_hold_with_a_stiffness_is_judged_although_its_goals_follow_every_angle() -> None:
     log = hold_log(ramp=20)
     log.fields["tension_goal"][100:300] += np.where(np.arange(200) % 2, 0.1, -0.1)[:, None]
-    (window,) = hold_windows(log)
+    (window,) = hold_windows(log, JAMIA)
     assert np.flatnonzero(window).tolist()[-1] == 299
     assert 119 + 45 <= np.argmax(window) <= 119 + 50
 

@@ -66,7 +66,7 @@ def summarise_run(
             "max": float(late.max(initial=0.0)),
         },
     }
-    holds = hold_windows(log)
+    holds = hold_windows(log, hand)
     result |= judge_tracking(log, hand, truth, offset_ns, active)
     result |= judge_tension(log, hand, truth, offset_ns, active, holds)
     result |= judge_grasp(log, hand, truth, offset_ns, holds)
@@ -87,12 +87,13 @@ def root_mean_square(values: Array) -> float:
     return float(np.sqrt(np.mean(finite**2))) if finite.size else float("nan")
 
 
-def hold_windows(log: RunLog) -> list[NDArray[np.bool_]]:
+def hold_windows(log: RunLog, hand: Hand) -> list[NDArray[np.bool_]]:
     """Return one mask (ticks,) for each hold phase of a run, True where the hold is settled.
 
-    A hold is settled while a digit is in contact and the targets have been constant for some time.
+    A hold is settled while a digit is in contact and the targets of tension-controlled tendons have
+    been constant for some time. The tension goal of a tendon that keeps an angle follows its load.
     """
-    goal = np.nan_to_num(log.field("tension_goal"))
+    goal = np.where(_holding_mask(log, hand), np.nan_to_num(log.field("tension_goal")), 0.0)
     in_contact = log.field("contact").any(axis=1)
     moving = np.abs(np.diff(goal, axis=0, prepend=goal[:1])).max(axis=1) >= 1e-9
     windows = []
@@ -235,7 +236,8 @@ def judge_tension(
 def _holding_mask(log: RunLog, hand: Hand) -> NDArray[np.bool_]:
     """Return a mask (ticks, N), True where a tendon follows a tension target because the digit is in contact.
 
-    A spool pair for sideways motion is excluded, because such a pair holds a position instead.
+    A spool pair for sideways motion is excluded, because such a pair holds a position instead. So
+    does a digit that carries others.
     """
     slices = [hand.digit_tendons[name] for name in hand.digit_names]
     digit_of = np.repeat(
@@ -245,7 +247,9 @@ def _holding_mask(log: RunLog, hand: Hand) -> NDArray[np.bool_]:
         tendon_directions(DigitModel.from_hand(hand, name), hand.is_pair[hand.digit_tendons[name]])
         for name in hand.digit_names
     ]
-    return np.asarray((log.field("contact") > 0.0)[:, digit_of] & (np.concatenate(side) != 0.0))
+    carries = np.array([name in hand.carrier_digits for name in hand.digit_names])
+    pulls = (np.concatenate(side) != 0.0) & ~carries[digit_of]
+    return np.asarray((log.field("contact") > 0.0)[:, digit_of] & pulls)
 
 
 def judge_grasp(

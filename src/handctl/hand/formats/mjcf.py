@@ -14,7 +14,7 @@ from handctl.hand.description import Hand
 from handctl.hand.file.sections import Digit
 from handctl.hand.formats.link_meshes import LinkMesh
 from handctl.hand.formats.number_text import number_text, numbers_text
-from handctl.hand.formats.urdf import NO_MESHES, palm_box, shape_length
+from handctl.hand.formats.urdf import NO_MESHES, coupled_joints, palm_box, shape_length
 from handctl.hand.link_bodies import centre_of_mass, joint_axes, link_inertia, link_placement
 from handctl.hand.link_frames import quaternion_of_rotation
 
@@ -54,6 +54,7 @@ def mjcf_text(hand: Hand, meshes: Mapping[str, LinkMesh] = NO_MESHES) -> str:
     )
     palm = ET.SubElement(ET.SubElement(root, "worldbody"), "body", name="palm")
     _add_palm(palm, hand, None)
+    _add_couplings(root, hand)
     _add_tendons(root, hand)
     _add_meshes(root, meshes)
     ET.indent(root)
@@ -172,10 +173,27 @@ def _add_meshes(root: ET.Element, meshes: Mapping[str, LinkMesh]) -> None:
         ET.SubElement(bodies[link], "geom", place | free, type="mesh", mesh=link)
 
 
-def _add_tendons(root: ET.Element, hand: Hand) -> None:
-    """Add for each tendon a fixed tendon of MuJoCo with constant moment arms, and a motor that only pulls.
+def _add_couplings(root: ET.Element, hand: Hand) -> None:
+    """Add an equality constraint for each joint that follows another joint, see ``coupled_joints``."""
+    rows = [
+        (digit.joints[follower], digit.joints[leader], ratio)
+        for digit in hand.digit
+        for follower, (leader, ratio) in coupled_joints(hand, digit).items()
+    ]
+    if not rows:
+        return
+    equality = ET.SubElement(root, "equality")
+    for follower, leader, ratio in rows:
+        # follower = 0 + ratio * leader, both from their angles in the model, which are 0.
+        polynomial = numbers_text((0.0, ratio, 0.0, 0.0, 0.0))
+        ET.SubElement(equality, "joint", joint1=follower, joint2=leader, polycoef=polynomial)
 
-    If a moment arm depends on the joint angle, its mean is used.
+
+def _add_tendons(root: ET.Element, hand: Hand) -> None:
+    """Add for each tendon a fixed tendon of MuJoCo with constant moment arms, and a motor.
+
+    The motor of a single tendon only pulls, and the motor of a spool pair pulls both ways. If a
+    moment arm depends on the joint angle, its mean is used.
     """
     tendons = ET.SubElement(root, "tendon")
     actuators = ET.SubElement(root, "actuator")
@@ -185,5 +203,6 @@ def _add_tendons(root: ET.Element, hand: Hand) -> None:
             ET.SubElement(
                 fixed, "joint", joint=joint, coef=number_text(arms[hand.joints.index(joint)])
             )
-        limits = numbers_text((0.0, tendon.tension_max_N))
+        low = 0.0 if tendon.pretension_N is None else -tendon.tension_max_N
+        limits = numbers_text((low, tendon.tension_max_N))
         ET.SubElement(actuators, "motor", name=tendon.motor, tendon=tendon.name, ctrlrange=limits)

@@ -160,6 +160,32 @@ def _add_joint(robot: ET.Element, hand: Hand, digit: Digit, i: int) -> None:
         velocity=number_text(speed),
     )
     ET.SubElement(joint, "dynamics", damping=number_text(damping), friction="0")
+    if i in (coupled := coupled_joints(hand, digit)):
+        leader, ratio = coupled[i]
+        ET.SubElement(joint, "mimic", joint=digit.joints[leader], multiplier=number_text(ratio))
+
+
+def coupled_joints(hand: Hand, digit: Digit) -> dict[int, tuple[int, float]]:
+    """Return joint and ratio that each coupled joint of a digit follows, by index.
+
+    The coupling of a digit with spool pairs is rigid. The coupling of other digits follows from
+    their springs and holds in free motion only, so their joints are independent. A joint that
+    depends on several coordinates follows no single joint and is left out.
+    """
+    if digit.coupling is None or not hand.is_pair[hand.digit_tendons[digit.name]].any():
+        return {}
+    coupling = np.array(digit.coupling)
+    leaders: dict[int, int] = {}
+    found = {}
+    for i, row in enumerate(coupling):
+        columns = np.flatnonzero(row)
+        if len(columns) != 1:
+            continue
+        k = int(columns[0])
+        leader = leaders.setdefault(k, i)
+        if leader != i:
+            found[i] = (leader, float(row[k] / coupling[leader, k]))
+    return found
 
 
 def _shape_elements(mesh: LinkMesh | None) -> tuple[str, ...]:

@@ -1,0 +1,51 @@
+"""Test that URDF and MJCF contain the rigid couplings of joints, and no soft ones."""
+
+from xml.etree import ElementTree as ET
+
+import mujoco
+import numpy as np
+import pytest
+
+from handctl.hand.formats.mjcf import mjcf_text
+from handctl.hand.formats.urdf import urdf_text
+from handctl.hand.hand_loading import load_hand
+from tests.docs.command_blocks import REPOSITORY_ROOT
+
+SHADOW_LIKE = load_hand(REPOSITORY_ROOT / "examples" / "hands" / "shadow_like.toml")
+COUPLED = {
+    "index_j4": "index_j3", "middle_j4": "middle_j3", "ring_j4": "ring_j3", "little_j5": "little_j4",
+}  # fmt: skip
+"""Joint that each coupled joint of ``shadow_like`` follows with the ratio 1."""
+
+
+def test_the_urdf_has_a_mimic_for_each_rigidly_coupled_joint() -> None:
+    robot = ET.fromstring(urdf_text(SHADOW_LIKE))
+    mimics = {
+        str(joint.get("name")): mimic.attrib
+        for joint in robot.iter("joint")
+        if (mimic := joint.find("mimic")) is not None
+    }
+    assert {name: mimic["joint"] for name, mimic in mimics.items()} == COUPLED
+    assert {float(mimic["multiplier"]) for mimic in mimics.values()} == {1.0}
+
+
+def test_mujoco_keeps_rigidly_coupled_joints_together() -> None:
+    model = mujoco.MjModel.from_xml_string(mjcf_text(SHADOW_LIKE))
+    assert model.neq == len(COUPLED)
+    data = mujoco.MjData(model)
+    outer = model.actuator("index_outer").id
+    data.ctrl[outer] = 2.0
+    for _ in range(400):
+        mujoco.mj_step(model, data)
+    turned = data.qpos[[model.joint(name).qposadr[0] for name in ("index_j3", "index_j4")]]
+    assert turned[0] > 0.2
+    assert turned[1] == pytest.approx(turned[0], abs=0.02)
+    # Each motor of a spool pair pulls both ways.
+    assert np.array_equal(model.actuator_ctrlrange[:, 0], -model.actuator_ctrlrange[:, 1])
+
+
+@pytest.mark.parametrize("name", ["jamia", "t42"])
+def test_the_coupling_by_springs_is_no_constraint(name: str) -> None:
+    hand = load_hand(name)
+    assert "<mimic" not in urdf_text(hand)
+    assert "<equality" not in mjcf_text(hand)
