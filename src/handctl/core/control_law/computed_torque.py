@@ -146,8 +146,9 @@ def present_tension_limits(x: StateTables, c: ConstantTables) -> Vector:
 
     The limit of a warm drive falls from the ceiling at the soft temperature to the floor at the
     hard temperature. The limit of a blocked digit is ``MAX_PRESS_N`` above the tension that the
-    trajectory requires, except for tendons that keep a position in a planned hold. During a hold, the limit is ``HOLD_MARGIN_N`` above the tension at the
-    start of the hold. The limit of a spool pair applies to the net tension in both directions.
+    trajectory requires, except for tendons that keep a position in a planned hold. During a hold
+    that safety demands, the limit is ``HOLD_MARGIN_N`` above the tension at its start. The limit of
+    a spool pair applies to the net tension in both directions.
     """
     limit = np.full(x.tendon.shape[1], math.inf)
     pulling = is_hand_pulling(x)
