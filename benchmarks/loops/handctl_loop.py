@@ -137,6 +137,10 @@ class TimedTick:
         self.spent_ns += _now_ns() - began
         return frames
 
+    @property
+    def state(self):
+        return self.step.state
+
     def conclude(self):
         began = _now_ns()
         result = self.step.conclude()

@@ -88,6 +88,7 @@ class WholeTick:
 
     def command(self, requests: tuple[str, ...]) -> Sequence[Frame]:
         self.result = self.tick(self.state, self.entry._replace(requests=requests))
+        self.state = self.result[0]
         return self.result[1].frames
 
     def conclude(self) -> tuple[int, TickOut]:
@@ -303,6 +304,37 @@ def poll_times(run: RecordedLoop, answers: list[tuple[str, ...]]) -> list[int]:
     run.fail = lambda entry: raise_error() if entry.k == 2 else None
     run.go()
     return times
+
+
+@pytest.mark.parametrize("stage", ["send", "publish_tick"])
+def test_an_error_after_the_commands_disables_from_the_state_with_these_commands(
+    stage: str,
+) -> None:
+    """Regression: the loop used the state before the tick, in which drives that were just enabled had no command."""
+    bus = FakeBus()
+    run = RecordedLoop(5, buses=[bus], frames=(Frame(9, b"enable"),))
+    states: list[int] = []
+
+    def disable(
+        state: int, t_ns: int, heard: list[Frame]
+    ) -> tuple[int, tuple[Frame, ...], tuple[str, ...]]:
+        states.append(state)
+        return state, (), ()
+
+    def fail_once(*words: object) -> int:
+        if len(run.recorded) == 2:
+            run.recorded.append(run.recorded[0])
+            raise StageError
+        return 0
+
+    run.loop.disable_drives = disable
+    if stage == "send":
+        bus.send = fail_once  # type: ignore[method-assign]
+    else:
+        run.loop.publish_tick = fail_once  # type: ignore[assignment]
+    with pytest.raises(StageError):
+        run.go()
+    assert states == [3], "the state after the third tick"
 
 
 def test_after_an_error_drives_are_polled_until_each_reports_off() -> None:

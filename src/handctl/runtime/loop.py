@@ -34,6 +34,11 @@ T = TypeVar("T", covariant=True)
 class TickInProgress(Protocol[T]):
     """Interface of a begun tick, as used by the loop. See ``controller.tick.TickInProgress``."""
 
+    @property
+    def state(self) -> T:
+        """Return the state of the controller after the steps so far."""
+        ...
+
     def command(self, requests: tuple[TickRequest, ...]) -> Sequence[Frame]:
         """Apply the requests of operators and programs, and return the frames to send."""
         ...
@@ -304,7 +309,8 @@ class ControlLoop(Generic[S]):
     def _run(self, last: list[S]) -> S:
         """Run ticks from the state in ``last`` to the end of the run.
 
-        ``last`` has a single entry. This entry is always the state after the last complete tick.
+        ``last`` has a single entry: the state after the last commands. After an error, the drives are
+        disabled from this state.
         """
         k = 0
         mode = HandMode.SILENT
@@ -318,7 +324,11 @@ class ControlLoop(Generic[S]):
             tick = self.begin_tick(last[0], entry)
             if requests := self.take_requests():
                 entry = entry._replace(requests=requests)
-            self._send(tick.command(requests))
+            frames = tick.command(requests)
+            # After an error, a drive that may have received an enable command must report that it is
+            # off. So the loop keeps the state with the commands before it sends them.
+            last[0] = tick.state
+            self._send(frames)
             sent_ns = time.monotonic_ns()
             last[0], out = tick.conclude()
             self.publish_tick(entry, out, last[0], sent_ns)

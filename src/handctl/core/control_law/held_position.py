@@ -22,8 +22,8 @@ from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
 from handctl.core.control_law.digit_reference import MOTION, STREAMED, TENSION
-from handctl.core.control_law.servo_commands import ACTIVE_MODE
 from handctl.core.state_block import StateTables
+from handctl.core.tick_types import ACTIVE_MODE
 
 RESET_FACTOR = 8.0
 """Reset time of the integral, times the damping of the motion loop: 7 degrees of phase margin."""
