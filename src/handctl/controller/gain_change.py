@@ -78,7 +78,7 @@ class DesignCache:
             designed = replace(
                 model, gains=gains, motion=design_from_pieces(model.space, designed_pieces)
             )
-            self.controllers[gains] = replace(old, model=designed)
+            self.controllers[gains] = replace(old, model=designed, similar=old.derived)
         made: ControllerT = self.controllers[gains]
         return made
 

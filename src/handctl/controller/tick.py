@@ -17,7 +17,7 @@ Compiled stages (``core.tick_stages``) compute the numbers in the state block. `
 decisions and calls the stages in order. A tick works on a copy of the state.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -111,6 +111,11 @@ class DerivedConstants:
     sends_sync: bool
     sync_row: WordRows
 
+    def with_constants(self, limits: SafetyLimits, constants: HandConstants) -> "DerivedConstants":
+        """Return a copy with the limits and constants of other gains."""
+        args = (constants.block, constants.layout.places)
+        return replace(self, limits=limits, constants=constants, constant_args=args)
+
     @staticmethod
     def from_configuration(
         model: HandModel,
@@ -159,6 +164,8 @@ class Controller:
         identities: identities of the drives at calibration, empty if unknown.
         other_limits: thresholds that replace those of the hand, None to use those of the hand.
         designs: cache of the designs for gains set during a run.
+        similar: constants of a controller that differs from this one only in its gains. Its tables are
+            used again, because gains change during a run.
         derived: constants that follow from the other attributes.
     """
 
@@ -174,17 +181,23 @@ class Controller:
     designs: gain_change.DesignCache = field(
         default_factory=gain_change.DesignCache, compare=False, repr=False
     )
+    similar: DerivedConstants | None = field(default=None, compare=False, repr=False)
     derived: DerivedConstants = field(init=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         """Compute the constants that follow from the other attributes."""
-        compile_kernels()
+        if self.similar is None:
+            compile_kernels()
         limits = self.other_limits or safety_limits(self.model, self.drives, self.sensors)
         constants = compiled_constants(
             self.model, self.drives, self.sensors, limits, self.tare, self.zero
         )
-        derived = DerivedConstants.from_configuration(
-            self.model, self.drives, self.sensors, limits, constants
+        derived = (
+            self.similar.with_constants(limits, constants)
+            if self.similar
+            else DerivedConstants.from_configuration(
+                self.model, self.drives, self.sensors, limits, constants
+            )
         )
         object.__setattr__(self, "derived", derived)
 
