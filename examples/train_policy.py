@@ -6,7 +6,7 @@ All digits use the same policy. The action for a digit is a weighted sum of four
 reference after the horizon, the present reference, the angle of the digit, and 1. The first three
 values have the scale of an action.
 
-pip install 'handctl[gym]'
+pip install '.[gym]' in a copy of the repository
 python train_policy.py [iterations] writes policy.npy and training.png.
 
 Source: Mania, Guy, Recht, "Simple random search of static linear policies is competitive for reinforcement learning",

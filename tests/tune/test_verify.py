@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from handctl.cli.tuning.tune_verify import _gains_label
+from handctl.cli.tuning.tune_verify import _gains_label, return_text
 from handctl.core.gains.gains import Gains, MotionGains, TensionGains
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
@@ -68,3 +68,13 @@ def test_a_report_names_the_gains_of_each_round() -> None:
         "new, then old",
         "old again",
     ]
+
+
+def test_the_page_about_tuning_quotes_the_report() -> None:
+    page = Path(__file__).parents[2] / "docs" / "how-to" / "tuning.md"
+    text = " ".join(page.read_text(encoding="utf-8").split())
+    why = "motor torques oscillate by 60.9 N m/s, limit 60.0"
+    quote = return_text({"t_s": 13.298, "k": 6649, "amplitude": 0.3, "why": why})
+    assert f'"{quote}"' in text
+    later_rounds = {_gains_label(i, {"amplitude": 0.3}) for i in range(2, 5)}
+    assert all(f'"{label}"' in text for label in later_rounds)

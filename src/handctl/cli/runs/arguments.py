@@ -165,7 +165,10 @@ def sim(parser: argparse.ArgumentParser) -> None:
     add_json_option(parser)
     text = "check the arguments, print the command of the simulator, and exit"
     parser.add_argument("--dry-run", action="store_true", help=text)
-    text = "cylinder, sphere, box, none, or a scene file (default: a cylinder of a size that suits the hand)"
+    text = (
+        "cylinder, sphere, box, none, or a scene file (default: a cylinder of a size that suits the hand; "
+        "it blocks the digits)"
+    )
     parser.add_argument("--scene", help=text)
     parser.add_argument("--seed", type=int, default=0, help="random seed of the simulator's noise")
     add_perturb_option(parser)

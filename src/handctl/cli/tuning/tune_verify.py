@@ -191,10 +191,7 @@ def _print_rounds(result: dict[str, Any], rounds: Iterable[Any], args: argparse.
     console.print(table)
     back = result["returned"]
     if back:
-        console.print(
-            f"returned to the old gains at {back['t_s']:.3f} s (tick {back['k']}), "
-            f"amplitude {back['amplitude']:g}: {back['why']}"
-        )
+        console.print(return_text(back))
     if result.get("columns"):
         _print_columns(result)
     if result.get("worse") and not result["verified"]:
@@ -209,6 +206,14 @@ def _print_rounds(result: dict[str, Any], rounds: Iterable[Any], args: argparse.
     if result["failure"]:
         console.print(f"the run failed: {result['failure']}")
     console.print(f"log: {result['log']}\npicture: {result['picture']}", soft_wrap=True)
+
+
+def return_text(back: dict[str, Any]) -> str:
+    """Return the line of the report about a return to the old gains."""
+    return (
+        f"returned to the old gains at {back['t_s']:.3f} s (tick {back['k']}), "
+        f"amplitude {back['amplitude']:g}: {back['why']}"
+    )
 
 
 def _gains_label(number: int, back: dict[str, Any] | None) -> str:
