@@ -40,6 +40,23 @@ class BusError(HandctlError):
     """Error for a bus that cannot be opened or is lost."""
 
 
+class NoSimulatorError(BusError):
+    """Error for a local bus that no simulator serves.
+
+    Args:
+        bus: specification of the bus.
+        why: reason for which the bus cannot be opened.
+        command: command that starts a suitable simulator. The text is empty if no hand is known.
+    """
+
+    def __init__(self, bus: str, why: str, command: str = "") -> None:
+        self.bus, self.why = bus, why
+        start = command or f"handctl sim --bus {bus}"
+        super().__init__(
+            f"no simulator serves this bus: {why}", bus, f"a simulator there; type: {start}"
+        )
+
+
 class DriveError(HandctlError):
     """Error for a motor drive or sensor node that is missing, refuses a command, or differs from the hand file."""
 

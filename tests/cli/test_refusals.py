@@ -3,6 +3,7 @@
 No process serves the bus of these cases. A command that opened this bus would exit with code 1.
 """
 
+import socket
 import tomllib
 
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from handctl.cli.main import VERB_HELP, main
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand, packaged_hands
+from handctl.runtime.paths import mailbox_path
 from tests.cli.command_refusals import refusal_line
 
 ABSENT_BUS_OPTION = ("--bus", "local:does-not-exist")
@@ -294,17 +296,51 @@ def test_unknown_verb_is_refused(capsys):
     )
 
 
-@pytest.mark.parametrize("verb", ["stop", "clear"])
-def test_an_unconfirmed_request_is_reported_as_failed(capsys, verb):
-    """Regression: the command exited with code 0 as soon as it had sent the request."""
-    assert main([verb, *ABSENT_BUS_OPTION]) == 71
-    out, err = capsys.readouterr()
-    expected = (
-        "handctl: bus local:does-not-exist: no confirmation from the controller: switch the power off "
-        f"({verb}: no controller"
+REQUESTS = (("stop",), ("stop", "--cut"), ("clear",), ("gains", "set", "motion.force_N=20"))
+"""Commands that send a request to a running controller."""
+
+
+@pytest.mark.parametrize("words", REQUESTS, ids=" ".join)
+def test_a_local_bus_without_a_controller_needs_no_power_switch(capsys, words):
+    """Regression: exit code 71 asked the user to switch off the power of a simulated hand that does not run."""
+    assert main([*words, *ABSENT_BUS_OPTION]) == 1
+    assert capsys.readouterr() == (
+        "",
+        "handctl: bus local:does-not-exist: no controller runs on this bus; "
+        "expected the first bus of a running handctl run\n",
     )
+
+
+@pytest.mark.parametrize("words", REQUESTS, ids=" ".join)
+@pytest.mark.parametrize("killed", [False, True], ids=["real bus", "killed controller"])
+def test_an_unconfirmed_request_is_reported_as_failed(capsys, words, killed):
+    """Regression: the command exited with code 0 as soon as it had sent the request.
+
+    A killed controller leaves its mailbox.
+    """
+    bus = "local:killed" if killed else "socketcan:does-not-exist"
+    if killed:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as mailbox:
+            mailbox.bind(str(mailbox_path(bus)))
+    assert main([*words, "--bus", bus]) == 71
+    out, err = capsys.readouterr()
+    expected = f"handctl: bus {bus}: no confirmation from the controller: switch the power off ("
     assert (out, err.count("\n")) == ("", 1)
     assert err.startswith(expected)
+
+
+@pytest.mark.parametrize(
+    ("log", "problem"),
+    [
+        ("old.mcap", "old.mcap exists already; expected a new file ending in .mcap"),
+        ("new.log", "new.log has another ending; expected a new file ending in .mcap"),
+        ("none/new.mcap", "none is no folder; expected a file in a folder that exists"),
+    ],
+)
+def test_the_message_about_a_log_names_the_condition(work_folder, capsys, log, problem):
+    (work_folder / "old.mcap").write_text("")
+    for words in (("demo", "--lockstep"), ("run", *GRASP_TASK_OPTION, *ABSENT_BUS_OPTION)):
+        assert refusal_line(capsys, *words, "--log", log) == f"handctl: --log: {problem}\n"
 
 
 @pytest.mark.parametrize("name", packaged_hands())

@@ -1,5 +1,7 @@
 """The advice to slow down time appears only after a run with a simulated hand that the machine simulates too slowly."""
 
+import shutil
+from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
 
@@ -8,13 +10,14 @@ import pytest
 from handctl.cli.main import main
 from handctl.controller.controller_state import ControllerState
 from handctl.core.gains.gains import Gains
-from handctl.hand.hand_loading import load_hand
+from handctl.hand.hand_loading import hand_path, load_hand
 from handctl.runtime.loop import LoopStats
 from handctl.session import time_scale_advice
 from handctl.session.plan import RunPlan
 from handctl.session.run import RunOutcome
 from handctl.session.time_scale_advice import pace_advice
 
+TORQUE_LIMIT = ("--torque-limit-Nm", "0.1")
 LATE_FAULTS, TORN_TENDON_FAULTS = ("B03b", "N02"), ("T01",)
 
 
@@ -103,3 +106,36 @@ def test_simulator_and_controller_share_a_core(monkeypatch: pytest.MonkeyPatch) 
 def test_virtual_time_is_not_slowed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["demo", "--lockstep", "--time-scale", "0.5"]) == 2
     assert "--time-scale: 0.5; expected 1 with --lockstep" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "command"),
+    [
+        (
+            ("commission", "--hand", "ak hand.toml"),
+            "handctl sim --hand 'ak hand.toml' --bus local:nobody",
+        ),
+        (("bus", "watch", "--hand", "jamia11"), "handctl sim --hand jamia11 --bus local:nobody"),
+        (("scan",), "handctl sim --bus local:nobody"),
+        (
+            ("conformance", "--protocol", "odrive", "--node", "3", *TORQUE_LIMIT, "--yes"),
+            "python -m firmware_sim drive odrive --ids 3 --bus local:nobody",
+        ),
+    ],
+    ids=["hand file", "packaged hand", "no hand", "one drive"],
+)
+def test_a_missing_simulator_is_named_with_the_hand_of_the_command(
+    words: tuple[str, ...],
+    command: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Regression: the message advised the hand jamia for any hand."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path))
+    shutil.copy(hand_path("t42"), "ak hand.toml")
+    assert main([*words, "--bus", "local:nobody"]) == 1
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith("handctl: local:nobody: no simulator serves this bus: ")
+    assert last.endswith(f"; expected a simulator there; type: {command}")

@@ -38,7 +38,7 @@ def medium(
     [
         ("nonsense", "local:NAME"),
         ("local:", "local:NAME"),
-        ("local:nobody", "python -m firmware_sim --hand jamia --bus local:nobody"),
+        ("local:nobody", "type: handctl sim --bus local:nobody"),
         ("socketcan:nowhere9", "type: sudo ip link|modprobe can-raw"),
         ("nosuchinterface:0", "an interface of python-can"),
         ("slcan:/dev/no-such-port@115200", "an interface of python-can"),

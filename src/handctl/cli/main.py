@@ -18,6 +18,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from typing import Any, NamedTuple
 
+from handctl.cli.console.buses import simulator_command
 from handctl.cli.console.streams import discard_output, flush_stdout, open_standard_streams
 from handctl.cli.console.termination import (
     TerminationRequested,
@@ -28,7 +29,14 @@ from handctl.cli.console.verbosity import is_verbose, print_detail, use_verbosit
 from handctl.cli.parsing.completion import is_completing, print_completions
 from handctl.cli.parsing.optional_packages import optional_packages
 from handctl.cli.parsing.parser import VerbParser, check_words, did_you_mean
-from handctl.errors import ConfigError, HandctlError, IncomparableError, LogError, PowerError
+from handctl.errors import (
+    ConfigError,
+    HandctlError,
+    IncomparableError,
+    LogError,
+    NoSimulatorError,
+    PowerError,
+)
 from handctl.extras import missing_extra, require_extra
 from handctl.printing import escaped_streams, one_line_message, printable_text
 from handctl.session.exit_codes import ExitCode
@@ -272,6 +280,8 @@ def _run_verb(name: str, words: list[str]) -> int:
                 else nullcontext()
             ):
                 code: int = _import_verb(name).run(args)
+        except NoSimulatorError as error:
+            raise NoSimulatorError(error.bus, error.why, simulator_command(args)) from None
         except ModuleNotFoundError as error:
             if (missing := missing_extra(name, error)) is None:
                 raise

@@ -225,10 +225,14 @@ def control_rate(requested: float | None, hand: Hand, loads: Sequence[BusLoad]) 
 
 def _check_log(log: Path | None) -> None:
     """Raise an error if the log file of the run exists, has a wrong ending, or has no folder."""
-    if log is not None and (
-        log.suffix != ".mcap" or os.path.lexists(log) or not log.parent.is_dir()
-    ):
-        raise ConfigError(str(log), "--log", "a new file ending in .mcap in a folder that exists")
+    if log is None:
+        return
+    if log.suffix != ".mcap":
+        raise ConfigError(f"{log} has another ending", "--log", "a new file ending in .mcap")
+    if not log.parent.is_dir():
+        raise ConfigError(f"{log.parent} is no folder", "--log", "a file in a folder that exists")
+    if os.path.lexists(log):
+        raise ConfigError(f"{log} exists already", "--log", "a new file ending in .mcap")
 
 
 def highest_rate_of_buses(loads: Sequence[BusLoad]) -> float:

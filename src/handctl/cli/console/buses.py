@@ -1,6 +1,7 @@
-"""Bus that tells a command which running controller the user means."""
+"""Buses of a command line: the bus of a running controller, and the simulator that a bus lacks."""
 
 import argparse
+import shlex
 
 from handctl.session.buses import named_buses
 
@@ -8,3 +9,15 @@ from handctl.session.buses import named_buses
 def controller_bus(args: argparse.Namespace) -> str:
     """Return the bus that identifies a running controller: the first ``--bus`` without the NAME= in front."""
     return next(iter(named_buses(args.bus).values()))
+
+
+def simulator_command(args: argparse.Namespace) -> str:
+    """Return the command that starts a simulator for the hand, or the drive, and the buses of a command line."""
+    named = named_buses([args.bus] if isinstance(args.bus, str) else args.bus)
+    buses = [f"{name}={spec}" for name, spec in named.items()] if len(named) > 1 else named.values()
+    if (node := getattr(args, "node", None)) is not None:
+        words = ["python", "-m", "firmware_sim", "drive", args.protocol, "--ids", str(node)]
+    else:
+        hand = getattr(args, "hand", None)
+        words = ["handctl", "sim", *(["--hand", str(hand)] if hand else [])]
+    return shlex.join([*words, *(word for bus in buses for word in ("--bus", bus))])

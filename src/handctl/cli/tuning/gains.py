@@ -246,7 +246,11 @@ def _change_live_gains(args: argparse.Namespace) -> int:
 
     An invalid value raises an error before a request is sent.
     """
-    from handctl.runtime.confirmed_requests import open_watcher, send_with_confirmation
+    from handctl.runtime.confirmed_requests import (
+        absent_controller_reported,
+        open_watcher,
+        send_with_confirmation,
+    )
 
     values = gain_assignments(args.values, "gains set")
     with_values(Gains(), values, "gains set", live=True)
@@ -254,7 +258,8 @@ def _change_live_gains(args: argparse.Namespace) -> int:
     watcher = open_watcher(bus, "gains")
     try:
         watcher.request_line(GAIN_CHANGE_TIMEOUT_S)
-        line, texts = send_with_confirmation(watcher, {"do": "gains", "set": values})
+        with absent_controller_reported(bus):
+            line, texts = send_with_confirmation(watcher, {"do": "gains", "set": values})
         for text in texts:
             _raise_refusal(text)
         applied = _wait_for_answers(watcher, values, line)

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 
 from handctl.drives.frame import ERROR_FLAG, Frame
 from handctl.drives.frame_records import NO_FRAMES, Frames, join_frames
-from handctl.errors import BusError
+from handctl.errors import BusError, NoSimulatorError
 from handctl.runtime.buses.canfd import CANFD_FRAME_BYTES, FrameStructs, without_errors
 from handctl.runtime.buses.contract import TimeConversion, check_payload_size
 from handctl.runtime.buses.events import BusEvent, BusEvents
@@ -53,7 +53,8 @@ def connect_to_hub(name: str) -> socket.socket:
     """Connect to the hub that serves ``local:NAME``, and return the socket.
 
     Raises:
-        BusError: no hub serves this bus, or the hub belongs to another user.
+        NoSimulatorError: no hub serves this bus.
+        BusError: the hub belongs to another user.
     """
     path = local_bus_path(name)
     link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -64,10 +65,7 @@ def connect_to_hub(name: str) -> socket.socket:
         link.connect(str(path))
     except OSError as error:
         link.close()
-        right = f"a simulator there; type: python -m firmware_sim --hand jamia --bus local:{name}"
-        raise BusError(
-            f"no simulator serves this bus: {error.strerror or error}", f"local:{name}", right
-        ) from None
+        raise NoSimulatorError(f"local:{name}", error.strerror or str(error)) from None
     if not is_served_by_us(link):
         link.close()
         raise BusError("another user serves this bus", f"local:{name}", "a simulator of your own")

@@ -6,7 +6,15 @@ from collections.abc import Sequence
 from handctl.errors import ConfigError
 from handctl.runtime.buses.contract import Bus, TimeConversion
 
-SIMULATED_PREFIXES = ("local:", "virtual:", "udp_multicast:", "socketcan:vcan", "socketcan:vxcan")
+LOCAL_BUS_PREFIX = "local:"
+"""Prefix in the specification of a bus that a simulator on this machine serves."""
+SIMULATED_PREFIXES = (
+    LOCAL_BUS_PREFIX,
+    "virtual:",
+    "udp_multicast:",
+    "socketcan:vcan",
+    "socketcan:vxcan",
+)
 """Prefixes in the specifications of buses that cannot have real motors.
 
 On such a bus the time of a run may be scaled, and motion needs no confirmation by the operator.

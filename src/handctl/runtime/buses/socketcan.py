@@ -247,7 +247,7 @@ def open_socketcan(
     try:
         link = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
     except OSError as error:
-        right = "modprobe can-raw, or --bus local:NAME with python -m firmware_sim"
+        right = "modprobe can-raw, or --bus local:NAME with handctl sim"
         raise BusError(
             f"this kernel has no SocketCAN: {os.strerror(error.errno or 0)}", name, right
         ) from None
