@@ -13,7 +13,7 @@ from handctl.drives.mit import codec
 from handctl.drives.mit.drive import MitDrive
 from handctl.drives.mit.progress import MitProgress
 from handctl.drives.protocol_registry import make_drive
-from handctl.drives.readback import ReadbackCursor
+from handctl.drives.readback import ReadbackCursor, RecheckCursor
 from handctl.drives.signals import SignalTable
 from handctl.errors import ConfigError
 from tests.drives.conftest import MotorSection, mit_drive_of
@@ -185,6 +185,14 @@ drive_states = st.builds(
         disabling=st.booleans(),
         disabling_ns=st.integers(0, 10),
         clearing=st.integers(0, 6),
+        # Without this strategy, hypothesis invents an index of a setting that does not exist.
+        check=st.builds(
+            RecheckCursor,
+            st.integers(0, len(mit_drive_of().rechecked_settings) - 1),
+            st.integers(0, 10),
+            st.booleans(),
+            st.integers(0, 9),
+        ),
     ),
 )
 frame_identifiers = st.one_of(st.just(0x11), st.integers(0, 2047))
