@@ -18,7 +18,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from typing import Any, NamedTuple
 
-from handctl.cli.console.buses import simulator_command
 from handctl.cli.console.streams import discard_output, flush_stdout, open_standard_streams
 from handctl.cli.console.termination import (
     TerminationRequested,
@@ -281,6 +280,10 @@ def _run_verb(name: str, words: list[str]) -> int:
             ):
                 code: int = _import_verb(name).run(args)
         except NoSimulatorError as error:
+            from handctl.cli.console.buses import (
+                simulator_command,
+            )  # pydantic, which a help text does not need
+
             raise NoSimulatorError(error.bus, error.why, simulator_command(args)) from None
         except ModuleNotFoundError as error:
             if (missing := missing_extra(name, error)) is None:
