@@ -171,11 +171,15 @@ def test_rerun_finds_the_moving_hand(equal_demos):
 
 
 def test_a_report_aligns_the_log_with_the_truth_file(equal_demos, capsys):
+    """Regression: without ``--truth``, the report did not use the truth file next to the log."""
     place, result = equal_demos[0]
-    words = ("--truth", str(place / "run.truth"), "--output", str(place / "page.html"))
-    assert main(["report", str(place / "run.mcap"), *words]) == 0
     tension = f"{result['tension_rmse_n']:.2f} N rms"
-    assert tension in (place / "page.html").read_text()
+    for words in (("--truth", str(place / "run.truth")), ()):
+        page = place / "page.html"
+        assert main(["report", str(place / "run.mcap"), *words, "--output", str(page)]) == 0
+        assert tension in page.read_text()
+        page.unlink()
+    assert main(["report", str(place / "run.mcap"), "--output", str(place / "run.truth")]) == 2
 
 
 def test_the_log_is_complete_and_has_every_tick(equal_demos):

@@ -152,6 +152,18 @@ def test_log_info_counts_the_ticks_of_a_complete_log(small_log, capsys):
     assert "3000" in capsys.readouterr().out
 
 
+def test_log_info_prints_gains_only_if_asked_and_no_none(capsys):
+    code, said = json_output(capsys, "log", "info", str(GOLDEN_LOG))
+    assert code == 0
+    assert said["gains"]
+    assert main(["log", "info", str(GOLDEN_LOG)]) == 0
+    text = capsys.readouterr().out
+    assert "None" not in text
+    assert "force_N" not in text
+    assert main(["log", "info", str(GOLDEN_LOG), "-v"]) == 0
+    assert "force_N" in capsys.readouterr().out
+
+
 def test_a_truncated_log_is_reported_and_recovered(small_log, work_folder, capsys):
     data = small_log.read_bytes()
     (work_folder / "cut.mcap").write_bytes(data[: len(data) * 2 // 3])

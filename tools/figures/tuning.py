@@ -194,7 +194,7 @@ def report_picture(folder: Path) -> Path:
     """
     runs.grasp_run(folder)
     page, picture = folder / "grasp.html", folder / "report.png"
-    call_handctl(folder, "report", "grasp.mcap", "--truth", "grasp.truth", "--output", page.name)
+    call_handctl(folder, "report", "grasp.mcap", "--output", page.name)
     browser = find_browser()
     if browser is None:
         raise RuntimeError(f"the picture of the report needs one of {', '.join(BROWSER_COMMANDS)}")

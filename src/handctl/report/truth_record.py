@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.errors import LogError
+from handctl.log.read.reader import RunLog
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +94,36 @@ def read_truth(path: Path) -> TruthRecord:
     if not len(rows):
         raise LogError("is empty", str(path), "at least one row of truth")
     return TruthRecord(header, rows["t_ns"].copy(), rows["v"].copy(), columns)
+
+
+def truth_path_of(log_path: Path) -> Path:
+    """Return the path of the truth file that a lockstep run writes next to its log."""
+    return log_path.with_suffix(".truth")
+
+
+def find_truth(named: Path | None, log_path: Path, log: RunLog) -> TruthRecord | None:
+    """Return the true values of a run: of the named file, or else of the file next to the log of a lockstep run.
+
+    If no file is named, and there is no truth file of this run next to the log, return None.
+
+    Args:
+        named: truth file that the user has named, or None.
+        log_path: path of the log.
+        log: open log of the run.
+
+    Raises:
+        LogError: the named file belongs to another run, or a truth file cannot be read.
+    """
+    beside = truth_path_of(log_path)
+    if named is None and not (log.header.deterministic and beside.is_file()):
+        return None
+    truth = read_truth(named or beside)
+    if truth.covers_times(log.t_ns + log.header.truth_offset_ns):
+        return truth
+    if named is None:
+        return None
+    problem = "was recorded at another time than the log"
+    raise LogError(problem, str(named), "the truth of the same run, in lockstep")
 
 
 def _complete_rows(data: bytes, columns: int) -> bytes:

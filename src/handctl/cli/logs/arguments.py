@@ -143,7 +143,7 @@ def log(parser: VerbParser) -> None:
 
     add_kind(
         "info",
-        "print events with times, the end of the run, phases, hand, gains, versions and gaps",
+        "print events with times, the end of the run, phases, hand, versions and gaps; with -v also the gains",
     )
     add_kind("check", "check counters, gaps, clock, hashes, and every byte")
     other = add_kind("diff", "compare the log with another run of the same hand, phase by phase")
@@ -179,5 +179,5 @@ def report(parser: argparse.ArgumentParser) -> None:
     add_json_option(parser)
     parser.add_argument("log", type=Path, help="the log")
     add_output_option(parser, "the page (default: LOG.html)")
-    text = "file with the true state of a lockstep run, drawn beside the estimates"
+    text = "file with the true state of a lockstep run, drawn beside the estimates (default: LOG.truth)"
     parser.add_argument("--truth", type=Path, metavar="FILE", help=text)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from handctl.cli.console.options import print_escaped, print_json, warn_if_lossy
 from handctl.cli.console.progress import progress_bar
+from handctl.cli.console.verbosity import is_verbose
 from handctl.errors import ConfigError, LogError
 from handctl.log.read.reader import RunLog
 from handctl.output import atomic_path, path_with_suffix
@@ -61,6 +62,8 @@ def _print_info(args: argparse.Namespace) -> int:
     if args.json:
         print_json(result)
         return ExitCode.DONE if result["whole"] else ExitCode.LOSSY_LOG
+    if not is_verbose():
+        del result["gains"]
     for key, value in result.items():
         table = (
             [f"{name}: {_value_text(one)}" for name, one in value.items()]
@@ -75,9 +78,14 @@ def _print_info(args: argparse.Namespace) -> int:
 
 
 def _value_text(value: object) -> str:
-    """Return a value as text: yes, no, a number with 9 significant digits, or ``-`` for an empty value."""
+    """Return a value as text: yes, no, a number with 9 significant digits, or ``-`` for an empty value.
+
+    The header of a run in lockstep states the priority ``None``.
+    """
     if isinstance(value, bool):
         return "yes" if value else "no"
+    if value in (None, "None"):
+        return "-"
     return f"{value:.9g}" if isinstance(value, float) else str(value) or "-"
 
 

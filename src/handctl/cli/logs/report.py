@@ -4,7 +4,6 @@ import argparse
 
 from handctl.cli.console.options import print_escaped, print_json, warn_if_lossy
 from handctl.cli.console.progress import progress_bar
-from handctl.errors import LogError
 from handctl.output import check_output, path_with_suffix
 
 
@@ -13,19 +12,13 @@ def run(args: argparse.Namespace) -> int:
     from handctl.log.read.reader import RunLog
     from handctl.replay.controller_rebuild import logged_hand
     from handctl.report.run_page import write_page
-    from handctl.report.truth_record import read_truth
+    from handctl.report.truth_record import find_truth, truth_path_of
 
     out = args.output or path_with_suffix(args.log, ".html")
-    check_output(out, "--output", args.log, args.truth)
-    truth = read_truth(args.truth) if args.truth else None
+    check_output(out, "--output", args.log, args.truth or truth_path_of(args.log))
     with RunLog(args.log) as log:
+        truth = find_truth(args.truth, args.log, log)
         offset = log.header.truth_offset_ns
-        if truth and not truth.covers_times(log.t_ns + offset):
-            raise LogError(
-                "was recorded at another time than the log",
-                str(args.truth),
-                "the truth of the same run, in lockstep",
-            )
         with progress_bar("drawing", quiet=args.json):
             size = write_page(out, log, logged_hand(log), truth, offset, args.log.name)
         code = warn_if_lossy(args.log, log.warning)

@@ -9,7 +9,7 @@ from typing import Any
 
 from handctl.cli.console.options import print_escaped, print_json, warn_if_lossy
 from handctl.cli.console.progress import progress_bar
-from handctl.errors import ConfigError, LogError
+from handctl.errors import ConfigError
 from handctl.output import atomic_path, check_output
 from handctl.session.exit_codes import ExitCode
 
@@ -26,11 +26,13 @@ def run(args: argparse.Namespace) -> int:
         follow_log(args.log)
         return ExitCode.DONE
     from handctl.log.read.reader import RunLog
+    from handctl.report.truth_record import find_truth
     from handctl.view.scene.run_info import RunInfo
 
     with RunLog(args.log, checked=False) as log:
         run_info = replace(
-            RunInfo.from_header(log.header, args.log.stem), truth=_find_truth(args, log)
+            RunInfo.from_header(log.header, args.log.stem),
+            truth=find_truth(args.truth, args.log, log),
         )
         at_s = _picture_moment_s(args, log) if args.picture else 0.0
         warning = log.warning
@@ -49,28 +51,6 @@ def run(args: argparse.Namespace) -> int:
             result | {"log": args.log, "warning": warning, "note": run_info.missing_mesh_note}
         )
     return code
-
-
-def _find_truth(args: argparse.Namespace, log: Any) -> Any:
-    """Return the true values that the simulator recorded in a lockstep run.
-
-    If there is no truth file next to the log, return None.
-
-    Raises:
-        LogError: the file that ``--truth`` names does not belong to this run.
-    """
-    from handctl.report.truth_record import read_truth
-
-    beside = args.log.with_suffix(".truth")
-    if args.truth is None and not (log.header.deterministic and beside.is_file()):
-        return None
-    truth = read_truth(args.truth or beside)
-    if truth.covers_times(log.t_ns + log.header.truth_offset_ns):
-        return truth
-    if args.truth is None:
-        return None
-    problem = "was recorded at another time than the log"
-    raise LogError(problem, str(args.truth), "the truth of the same run, in lockstep")
 
 
 def _picture_moment_s(args: argparse.Namespace, log: Any) -> float:
