@@ -255,7 +255,10 @@ def test_a_torque_too_large_for_a_hand_file_is_not_taken_from_the_drive():
     """
     result, _, _ = scan_bench(("mit", 1, "dm8009"))
     text = hand_file_snippet({"a": result.found_nodes}, 1_000_000, None)
-    assert "torque_max_N_m = 50.0    # the drive reports 54, a hand file takes at most 50" in text
+    assert (
+        "torque_max_N_m = 50.0    # the drive reports the full scale 54, a hand file takes at most 50; yours: "
+        in text
+    )
 
 
 def test_drives_that_a_scan_cannot_find_are_named(capsys):

@@ -1,13 +1,14 @@
 """Test the options of a drive in a hand file. No accepted value may break the arithmetic of the drive."""
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from handctl.core.tendon_space import tendon_space
-from handctl.drives.protocol_registry import make_drive
+from handctl.drives.protocol_registry import PROTOCOL_ENTRIES, make_drive
 from handctl.errors import ConfigError
 from handctl.hand.digit import DigitModel
 from handctl.hand.hand_loading import load_hand
@@ -97,3 +98,43 @@ def test_the_filter_counts_with_the_drive_s_encoder(
     hand = load_hand(path)
     space = tendon_space(hand, tuple(DigitModel.from_hand(hand, name) for name in hand.digit_names))
     np.testing.assert_allclose(space.encoder_step, step * space.spool)
+
+
+REQUIRED_OPTIONS = {
+    "cia402": CIA402_OPTIONS,
+    "robstride": {"motor_type": "rs05"},
+    "robstride_mit": {"motor_type": "rs05"},
+    "cubemars": {"motor_type": "ak80-6"},
+}
+
+
+@pytest.mark.parametrize("protocol", PROTOCOL_ENTRIES)
+def test_an_unknown_option_is_refused_with_the_declared_options(protocol: str) -> None:
+    options = REQUIRED_OPTIONS.get(protocol, {}) | {"speed": 1}
+    with pytest.raises(ConfigError, match="speed: unknown key") as refused:
+        make_drive(motor_on_bench(protocol, 1, 0.01, options), 0)
+    assert all(key in str(refused.value) for key in PROTOCOL_ENTRIES[protocol].options)
+
+
+@pytest.mark.parametrize(
+    ("protocol", "key"),
+    [(name, key) for name, entry in PROTOCOL_ENTRIES.items() for key in entry.options],
+)
+def test_a_declared_option_is_known(protocol: str, key: str) -> None:
+    """The message about a wrong value names the option, and does not call it unknown."""
+    options = REQUIRED_OPTIONS.get(protocol, {}) | {key: "wrong"}
+    with pytest.raises(ConfigError, match=key) as refused:
+        make_drive(motor_on_bench(protocol, 1, 0.01, options), 0)
+    assert "unknown key" not in str(refused.value)
+
+
+def test_every_option_that_a_drive_reads_is_declared() -> None:
+    folder = Path(__file__).parents[2] / "src" / "handctl" / "drives"
+    # The options of the drive modes are those of ``handctl jog``, and no keys of a hand file.
+    files = [path for path in folder.glob("*/*.py") if path.name != "modes.py"]
+    read = {
+        key for path in files for key in re.findall(r'options\.pop\(\s*"(\w+)"', path.read_text())
+    }
+    declared = {key for entry in PROTOCOL_ENTRIES.values() for key in entry.options}
+    assert read <= declared
+    assert len(read) > 10

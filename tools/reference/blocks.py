@@ -15,6 +15,7 @@ BLOCK_FUNCTIONS: dict[str, Callable[[], str]] = {
     "exit-codes": command_line.exit_codes,
     "python": python_api.exported_name_sections,
     "hand-file": files.hand_file_sections,
+    "motor-options": files.motor_option_sections,
     "gains": files.gains_sections,
     "requests": files.request_sections,
     "topics": topics.topic_table,

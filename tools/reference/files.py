@@ -14,6 +14,8 @@ from handctl.core.gains.gain_bounds import (
     gain_bounds,
 )
 from handctl.core.gains.gains import Gains, TendonForces
+from handctl.drives.motor_description import PROTOCOL_TRAITS
+from handctl.drives.protocol_registry import PROTOCOL_ENTRIES
 from handctl.hand.description import Hand
 from handctl.hand.file.key_descriptions import key_description
 from handctl.programs.requests import CommandBase, Request
@@ -55,6 +57,23 @@ def hand_file_sections() -> str:
         for model in models:
             brackets = f"[[{name}]]" if get_origin(field.annotation) is tuple else f"[{name}]"
             parts += [f"## `{brackets}`", prose_markdown(model.__doc__), _keys_table(model, name)]
+    return "\n\n".join(parts)
+
+
+def motor_option_sections() -> str:
+    """Return a section for the options of each protocol, with a row for each option."""
+    parts = []
+    for name, traits in PROTOCOL_TRAITS.items():
+        rows = [
+            (quoted_code(key), option.value, option.meaning)
+            for key, option in PROTOCOL_ENTRIES[name].options.items()
+        ]
+        parts.append(f'### `protocol = "{name}"`: {traits.title}')
+        parts.append(
+            markdown_table(("option", "value", "meaning"), rows)
+            if rows
+            else "This protocol has no options."
+        )
     return "\n\n".join(parts)
 
 

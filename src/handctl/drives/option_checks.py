@@ -1,7 +1,7 @@
 """Checks of the options of a motor in the hand file, for all protocols."""
 
 from collections.abc import Mapping
-from typing import Any, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 from handctl.drives.motor_description import MotorDescription
 from handctl.errors import ConfigError
@@ -17,6 +17,31 @@ class FullScale(Protocol):
 
 
 ModelRangesT = TypeVar("ModelRangesT", bound=FullScale)
+
+
+class MotorOption(NamedTuple):
+    """Declaration of an option of a protocol, which is a key of ``[motor.options]`` in the hand file.
+
+    Attributes:
+        value: valid values, and the default.
+        meaning: meaning of the option.
+    """
+
+    value: str
+    meaning: str
+
+
+def motor_type_option(models: Mapping[str, Any]) -> MotorOption:
+    """Return the declaration of the option ``motor_type`` of a protocol.
+
+    Args:
+        models: ranges of each model, by the name of the model.
+    """
+    names = ", ".join(f'"{name}"' for name in models)
+    return MotorOption(
+        f"required, one of {names}",
+        "Model of the motor, which determines the scale of all values in the frames.",
+    )
 
 
 def checked_positive(value: object, key_path: str, largest: float) -> float:
@@ -96,19 +121,23 @@ def pop_motor_model(
     return models[model]
 
 
-def refuse_unknown_options(options: Mapping[str, Any], key_path: str, known_options: str) -> None:
+def refuse_unknown_options(
+    options: Mapping[str, Any], key_path: str, declared: Mapping[str, MotorOption]
+) -> None:
     """Raise an error if the hand file has options that the protocol does not use.
 
     Args:
         options: options that are left after the protocol has taken its own.
         key_path: key path of the options.
-        known_options: text about the keys that the protocol accepts, for the error message.
+        declared: options of the protocol, for the error message.
 
     Raises:
         ConfigError: an option is left.
     """
     if options:
-        raise ConfigError("unknown key", f"{key_path}.{next(iter(options))}", known_options)
+        *names, last = declared or ("no such key: this protocol has no options",)
+        right = f"{', '.join(names)} or {last}" if names else last
+        raise ConfigError("unknown key", f"{key_path}.{next(iter(options))}", right)
 
 
 def check_full_scale(motor: MotorDescription, ranges: FullScale) -> None:

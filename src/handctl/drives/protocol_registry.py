@@ -3,28 +3,30 @@
 The registry adds the code to each protocol in ``motor_description.PROTOCOL_TRAITS``.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 from handctl.drives.canopen import discovery as canopen_discovery
+from handctl.drives.cia402 import drive as cia402_drive
 from handctl.drives.cia402 import modes as cia402_modes
-from handctl.drives.cia402.drive import Cia402Drive
 from handctl.drives.contract import Drive
 from handctl.drives.discovery import ProtocolDiscovery
 from handctl.drives.drive_modes import DriveMode, MotionLimits, check_limits
+from handctl.drives.mit import cubemars
 from handctl.drives.mit import discovery as mit_discovery
+from handctl.drives.mit import drive as mit_drive
 from handctl.drives.mit import modes as mit_modes
-from handctl.drives.mit.cubemars import CubemarsDrive
-from handctl.drives.mit.drive import MitDrive
 from handctl.drives.moteus import discovery as moteus_discovery
 from handctl.drives.moteus.drive import MoteusDrive
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.odrive import discovery as odrive_discovery
 from handctl.drives.odrive import modes as odrive_modes
+from handctl.drives.odrive import options as odrive_options
 from handctl.drives.odrive.drive import OdriveDrive
+from handctl.drives.option_checks import MotorOption
 from handctl.drives.robstride import discovery as robstride_discovery
-from handctl.drives.robstride.drive import RobstrideDrive
-from handctl.drives.robstride.mit_mode import RobstrideMitDrive
+from handctl.drives.robstride import drive as robstride_drive
+from handctl.drives.robstride import mit_mode
 from handctl.drives.sensors import discovery as sensor_discovery
 from handctl.errors import ConfigError
 
@@ -36,27 +38,43 @@ class ProtocolEntry(NamedTuple):
         make: function constructing a drive from a motor description and a bus index.
         discovery: discovery functions of the protocol. None if drives of the protocol answer only
             commands.
+        options: options of the protocol in the hand file, by key.
         make_mode: function constructing a drive in a position or velocity mode. None if the
             protocol only supports torque.
     """
 
     make: Callable[[MotorDescription, int], Drive]
     discovery: ProtocolDiscovery | None
+    options: Mapping[str, MotorOption]
     make_mode: Callable[[MotorDescription, int, DriveMode, MotionLimits], Drive] | None = None
 
 
 PROTOCOL_ENTRIES: dict[str, ProtocolEntry] = {
     "odrive": ProtocolEntry(
-        OdriveDrive.from_motor, odrive_discovery.DISCOVERY, odrive_modes.make_mode_drive
+        OdriveDrive.from_motor,
+        odrive_discovery.DISCOVERY,
+        odrive_options.OPTIONS,
+        odrive_modes.make_mode_drive,
     ),
-    "mit": ProtocolEntry(MitDrive.from_motor, mit_discovery.DISCOVERY, mit_modes.make_mode_drive),
+    "mit": ProtocolEntry(
+        mit_drive.MitDrive.from_motor,
+        mit_discovery.DISCOVERY,
+        mit_drive.OPTIONS,
+        mit_modes.make_mode_drive,
+    ),
     "cia402": ProtocolEntry(
-        Cia402Drive.from_motor, canopen_discovery.DISCOVERY, cia402_modes.make_mode_drive
+        cia402_drive.Cia402Drive.from_motor, canopen_discovery.DISCOVERY,
+        cia402_drive.OPTIONS,
+        cia402_modes.make_mode_drive,
     ),
-    "moteus": ProtocolEntry(MoteusDrive.from_motor, moteus_discovery.DISCOVERY),
-    "robstride": ProtocolEntry(RobstrideDrive.from_motor, robstride_discovery.DISCOVERY),
-    "cubemars": ProtocolEntry(CubemarsDrive.from_motor, None),
-    "robstride_mit": ProtocolEntry(RobstrideMitDrive.from_motor, None),
+    "moteus": ProtocolEntry(MoteusDrive.from_motor, moteus_discovery.DISCOVERY, {}),
+    "robstride": ProtocolEntry(
+        robstride_drive.RobstrideDrive.from_motor,
+        robstride_discovery.DISCOVERY,
+        robstride_drive.OPTIONS,
+    ),
+    "cubemars": ProtocolEntry(cubemars.CubemarsDrive.from_motor, None, cubemars.OPTIONS),
+    "robstride_mit": ProtocolEntry(mit_mode.RobstrideMitDrive.from_motor, None, mit_mode.OPTIONS),
 }
 """Code of each protocol, by the name of the protocol in the hand file."""
 DISCOVERY_BY_PROTOCOL: dict[str, ProtocolDiscovery] = {

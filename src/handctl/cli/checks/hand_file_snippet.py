@@ -13,6 +13,7 @@ from handctl.hand.file.sections import CIA404_PROTOCOL
 SnippetEntry = tuple[str, object, str]
 """Key, value and comment of one line of the hand file."""
 TO_FILL_IN_COMMENT = "yours: "
+BEGIN_SMALL_HINT = "begin small, drive_limit_N x spool_radius_m"
 DEFAULT_RATED_TORQUE_N_M = 0.1
 ENCODER_COUNTS = 65536
 
@@ -105,10 +106,14 @@ def _source_comment(key: str, settings: Mapping[str, float], hint: str) -> str:
 
 
 def _torque_source(settings: Mapping[str, float]) -> str:
+    """Return the comment on the torque limit. The reported torque is the full scale, and no limit to begin with."""
     reported = settings.get("torque_max_N_m", 0.0)
+    if not reported:
+        return TO_FILL_IN_COMMENT + BEGIN_SMALL_HINT
+    source = "full scale reported by the drive"
     if reported > MAX_TORQUE_N_M:
-        return f"the drive reports {reported:g}, a hand file takes at most {MAX_TORQUE_N_M:g}"
-    return _source_comment("torque_max_N_m", settings, "begin small")
+        source = f"the drive reports the full scale {reported:g}, a hand file takes at most {MAX_TORQUE_N_M:g}"
+    return f"{source}; {TO_FILL_IN_COMMENT}{BEGIN_SMALL_HINT}"
 
 
 def _option_lines(drive: DiscoveredNode) -> list[SnippetEntry]:

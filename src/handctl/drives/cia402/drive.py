@@ -39,6 +39,7 @@ from handctl.drives.contract import (
 from handctl.drives.frame import Frame
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.option_checks import (
+    MotorOption,
     checked_boolean,
     checked_positive,
     checked_whole_number,
@@ -60,6 +61,29 @@ MAX_MISSED_HEARTBEATS = 3.5
 """Number of heartbeat periods without a sign of life after which the drive counts as lost."""
 TORQUE_UNITS = {"uN_m": 1e6, "mN_m": 1e3}
 """Number of counts of object 0x6076 per newton metre. EPOS4 uses uN m, and the standard mN m."""
+OPTIONS = {
+    "rated_torque_N_m": MotorOption(
+        "required, above 0, at most 1000", "Rated torque of the motor, object 0x6076 [N m]."
+    ),
+    "rated_torque_unit": MotorOption(
+        '"mN_m" (default) or "uN_m"', "Unit of object 0x6076. EPOS4 uses uN m."
+    ),
+    "counts_per_turn": MotorOption(
+        f"required, a whole number from 1 to {1 << 24}",
+        "Counts of the encoder per turn, object 0x608F.",
+    ),
+    "gear_ratio": MotorOption(
+        "above 0, at most 1000 (default: 1)", "Turns of the motor per turn of the spool."
+    ),
+    "heartbeat_ms": MotorOption(
+        "a whole number from 1 to 1000 (default: 50)", "Period of the heartbeat of the drive."
+    ),
+    "sync": MotorOption(
+        "true or false (default)",
+        "True if handctl sends the SYNC frame of the bus after the command to this drive.",
+    ),
+}
+"""Options of the protocol in the hand file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,10 +171,7 @@ class Cia402Drive:
         sync = checked_boolean(options.pop("sync", False), f"{where}.sync")
         if unit not in TORQUE_UNITS:
             raise ConfigError(repr(unit), f"{where}.rated_torque_unit", " or ".join(TORQUE_UNITS))
-        right = (
-            "rated_torque_N_m, rated_torque_unit, counts_per_turn, gear_ratio, heartbeat_ms or sync"
-        )
-        refuse_unknown_options(options, where, right)
+        refuse_unknown_options(options, where, OPTIONS)
         max_torque = math.ceil(motor.torque_max_N_m / ratio / rated * 1000)
         if max_torque > codec.MAX_TORQUE_COUNT:
             raise ConfigError(

@@ -32,7 +32,13 @@ from handctl.drives.contract import (
 from handctl.drives.frame import Frame
 from handctl.drives.mit import codec
 from handctl.drives.motor_description import MotorDescription
-from handctl.drives.option_checks import check_full_scale, pop_motor_model, refuse_unknown_options
+from handctl.drives.option_checks import (
+    MotorOption,
+    check_full_scale,
+    motor_type_option,
+    pop_motor_model,
+    refuse_unknown_options,
+)
 from handctl.drives.signals import CyclicMessages, Signal, SignalQuantity, SignalTable
 from handctl.errors import ConfigError
 
@@ -121,6 +127,16 @@ def progress_of(state: DriveState) -> CubemarsProgress:
     return progress
 
 
+OPTIONS = {
+    "motor_type": motor_type_option(MOTOR_MODEL_RANGES),
+    "temperature_offset_C": MotorOption(
+        "-40 (default) or 0",
+        "Temperature that the code 0 means. Set it to 0 if a cold motor reports a temperature below zero.",
+    ),
+}
+"""Options of the protocol in the hand file."""
+
+
 @dataclass(frozen=True, slots=True)
 class CubemarsDrive:
     """CubeMars motor, with the interface ``contract.Drive``.
@@ -198,7 +214,7 @@ class CubemarsDrive:
                 f"{where}.options.temperature_offset_C",
                 f"{ZERO_COUNT_TEMPERATURE_C:g} or 0",
             )
-        refuse_unknown_options(options, f"{where}.options", "motor_type or temperature_offset_C")
+        refuse_unknown_options(options, f"{where}.options", OPTIONS)
         check_full_scale(motor, ranges)
         command_limit = motor.torque_max_N_m
         zero = motor.zero_rad

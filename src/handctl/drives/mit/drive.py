@@ -32,7 +32,7 @@ from handctl.drives.mit.progress import (
     progress_of,
 )
 from handctl.drives.motor_description import MotorDescription
-from handctl.drives.option_checks import checked_boolean, refuse_unknown_options
+from handctl.drives.option_checks import MotorOption, checked_boolean, refuse_unknown_options
 from handctl.drives.signals import CyclicMessages, SignalTable
 from handctl.drives.state_machine import (
     after_configuration,
@@ -52,6 +52,16 @@ SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
 
 Looking a phase up in the enumeration takes longer than comparing two phases.
 """
+OPTIONS = {
+    "reply_id": MotorOption(
+        "1 to 0x7fe (default: `node_id` + 0x10)", "CAN identifier of the replies, register MST_ID."
+    ),
+    "fd": MotorOption(
+        "true or false (default)",
+        "True if the drive uses CAN FD. The bus then needs the key `data_bitrate`.",
+    ),
+}
+"""Options of the protocol in the hand file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +119,7 @@ class MitDrive:
         where = f"motor[{motor.name}].options"
         reply = options.pop("reply_id", motor.node_id + 0x10)
         fd = checked_boolean(options.pop("fd", False), f"{where}.fd")
-        refuse_unknown_options(options, where, "reply_id or fd")
+        refuse_unknown_options(options, where, OPTIONS)
         if type(reply) is not int or not 0 < reply < codec.BROADCAST_ID:
             raise ConfigError(repr(reply), f"{where}.reply_id", "an identifier from 1 to 0x7fe")
         return MitDrive(

@@ -125,9 +125,7 @@ class MoteusDrive:
             raise ConfigError(
                 str(motor.node_id), f"motor[{motor.name}].node_id", f"1 to {codec.LAST_NODE}"
             )
-        refuse_unknown_options(
-            motor.options, f"motor[{motor.name}].options", "no such key: moteus has no options"
-        )
+        refuse_unknown_options(motor.options, f"motor[{motor.name}].options", {})
         return MoteusDrive(
             name=motor.name,
             bus=bus,

@@ -23,7 +23,7 @@ from handctl.drives.frame import REMOTE_FLAG, Frame
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.odrive import codec
 from handctl.drives.odrive import settings as endpoints
-from handctl.drives.odrive.options import OPTION_NAMES, pop_options
+from handctl.drives.odrive.options import OPTIONS, pop_options
 from handctl.drives.odrive.progress import (
     CLEAR_TRIES,
     MAX_MISSED_HEARTBEATS,
@@ -125,7 +125,7 @@ class OdriveDrive:
         settings = endpoints.pop_settings(
             options, where, motor.watchdog_ms / 1e3, motor.torque_max_N_m / parsed.ratio
         )
-        refuse_unknown_options(options, where, OPTION_NAMES)
+        refuse_unknown_options(options, where, OPTIONS)
         return OdriveDrive(
             name=motor.name,
             bus=bus,

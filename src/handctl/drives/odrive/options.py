@@ -5,13 +5,43 @@ from typing import Any, NamedTuple
 
 from handctl.drives.odrive import settings as endpoints
 from handctl.drives.odrive.firmware_05 import FIRMWARE_VERSIONS
-from handctl.drives.option_checks import checked_positive, checked_whole_number
+from handctl.drives.option_checks import MotorOption, checked_positive, checked_whole_number
 from handctl.errors import ConfigError
 
 MAX_OPTION_VALUE = 1000
 """Largest accepted value of a ratio, a current [A], and a period [ms]."""
-OPTION_NAMES = "gear_ratio, current_limit_A, heartbeat_ms, encoder_period_ms, firmware, torque_feedback or endpoint_..."
-"""Names of the options, for error messages."""
+_PERIOD_VALUE = f"a whole number from 1 to {MAX_OPTION_VALUE}"
+OPTIONS = {
+    "firmware": MotorOption('"0.6" (default) or "0.5"', "Version of the firmware of the drive."),
+    "gear_ratio": MotorOption(
+        f"above 0, at most {MAX_OPTION_VALUE} (default: 1)",
+        "Turns of the motor per turn of the spool.",
+    ),
+    "current_limit_A": MotorOption(
+        f"above 0, at most {MAX_OPTION_VALUE} (default: 10)",
+        "Current limit that handctl writes into the drive [A].",
+    ),
+    "heartbeat_ms": MotorOption(
+        f"{_PERIOD_VALUE} (default: 100)", "Period of the heartbeat that the drive sends."
+    ),
+    "encoder_period_ms": MotorOption(
+        _PERIOD_VALUE,
+        "Period with which the drive sends its position. If absent, handctl requests the position in each tick.",
+    ),
+    "torque_feedback": MotorOption(
+        "true or false (default)",
+        "True if handctl also requests the measured torque. Firmware 0.5 does not report it.",
+    ),
+    **{
+        key: MotorOption(
+            "a whole number from 1 to 65535",
+            f"Number of the endpoint `{key.removeprefix('endpoint_')}` in the file `flat_endpoints.json` of the "
+            "firmware 0.6 of the drive. If absent, handctl cannot verify this setting.",
+        )
+        for key in endpoints.ENDPOINT_KEYS
+    },
+}
+"""Options of the protocol in the hand file."""
 
 
 class OdriveOptions(NamedTuple):

@@ -20,8 +20,10 @@ from handctl.drives.contract import (
 from handctl.drives.frame import EXTENDED_FLAG, Frame
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.option_checks import (
+    MotorOption,
     check_full_scale,
     checked_whole_number,
+    motor_type_option,
     pop_motor_model,
     refuse_unknown_options,
 )
@@ -55,6 +57,11 @@ SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
 
 Looking a phase up in the enumeration takes longer than comparing two phases.
 """
+OPTIONS = {
+    "motor_type": motor_type_option(codec.MOTOR_MODEL_RANGES),
+    "host_id": MotorOption("128 to 253 (default)", "Identifier of the host in the frames."),
+}
+"""Options of the protocol in the hand file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +132,7 @@ class RobstrideDrive:
         host = checked_whole_number(
             options.pop("host_id", codec.HOST_ID), f"{where}.options.host_id", codec.HOST_ID
         )
-        refuse_unknown_options(options, f"{where}.options", "motor_type or host_id")
+        refuse_unknown_options(options, f"{where}.options", OPTIONS)
         if host <= codec.LAST_NODE:
             raise ConfigError(
                 str(host), f"{where}.options.host_id", "128 to 253, no number of a motor"

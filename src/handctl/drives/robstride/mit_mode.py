@@ -39,8 +39,10 @@ from handctl.drives.mit.cubemars import (
 )
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.option_checks import (
+    MotorOption,
     check_full_scale,
     checked_whole_number,
+    motor_type_option,
     pop_motor_model,
     refuse_unknown_options,
 )
@@ -79,6 +81,14 @@ UNVERIFIED_PROTECTIONS = (
     "ranges cannot be read back; motor_type must be right",
 )
 """Protections of a RobStride motor in MIT mode that handctl cannot verify, one line each."""
+OPTIONS = {
+    "motor_type": motor_type_option(MOTOR_MODEL_RANGES),
+    "host_id": MotorOption(
+        "0 to 127 (default: `node_id` + 0x10)",
+        "CAN identifier of the replies, another one for each motor on a bus. A new motor has 0.",
+    ),
+}
+"""Options of the protocol in the hand file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +137,7 @@ class RobstrideMitDrive(CubemarsDrive):
         host = options.pop("host_id", motor.node_id + HOST_OFFSET)
         if host != FACTORY_HOST:
             host = checked_whole_number(host, f"{where}.options.host_id", codec.LAST_NODE)
-        refuse_unknown_options(options, f"{where}.options", "motor_type or host_id")
+        refuse_unknown_options(options, f"{where}.options", OPTIONS)
         if host == motor.node_id:
             raise ConfigError(str(host), f"{where}.options.host_id", "another number than node_id")
         check_full_scale(motor, ranges)
