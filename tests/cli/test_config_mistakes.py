@@ -15,7 +15,7 @@ from handctl.hand.hand_loading import hand_path
 HAND_FILE_MISTAKES = {
     "a value in millimetres": (
         "link_length_m = [0.030, 0.015, 0.010]", "link_length_m = [30, 0.015, 0.010]",
-        "digit_template.finger.link_length_m[0]: 30; expected a number from ",
+        "digit_template.finger.link_length_m[0]: 30; expected 0 or a number from ",
     ),
     "a misspelt key of a default": (
         "knee_N = 200.0", "kneeN = 200.0", "default.tendon.kneeN: unknown key; expected knee_N",

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from handctl.errors import ConfigError
-from handctl.hand.hand_loading import hand_content, hand_from_content
+from handctl.hand.hand_loading import hand_content, hand_from_content, inspect_content
 from tests.hand.hand_on_wrist import mount_on_wrist
 
 JAMIA_CONTENT = hand_content("jamia")
@@ -37,7 +37,7 @@ WRONG_UNITS = [
     (
         "digit",
         {"link_length_m": [30, 15, 10]},
-        "digit[index].link_length_m[0]: 30; expected a number from 0.001 to 0.2 m",
+        "digit[index].link_length_m[0]: 30; expected 0 or a number from 0.001 to 0.2 m",
     ),
     ("digit", {"link_mass_kg": [6.384, 3.192, 2.128]}, "digit[index].link_mass_kg[0]: 6.384; "),
     ("digit", {"link_radius_m": 4}, "digit[index].link_radius_m: 4; "),
@@ -58,6 +58,15 @@ def test_the_message_about_a_wrong_unit_suggests_a_unit(refusal_of_edit, section
     line = refusal_of_edit(set_values(section, 0, **values))
     assert line.startswith(start)
     assert re.search(r"\(in .*\?\)$", line)
+
+
+def test_entries_that_are_refused_cause_no_further_message():
+    """Regression: a third message asked for at least 1 value."""
+    content = copy.deepcopy(JAMIA_CONTENT)
+    content["digit"][0]["link_length_m"] = [50, 40]
+    lines = [str(mistake.error("x")) for mistake in inspect_content(content).mistakes]
+    assert len(lines) == 2
+    assert all("expected 0 or a number from 0.001 to 0.2 m" in line for line in lines)
 
 
 def set_tendon_values(**values):

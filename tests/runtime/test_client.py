@@ -132,6 +132,13 @@ def test_digits_may_come_as_a_mapping(unserved_client, monkeypatch):
         unserved_client.move({})
 
 
+def test_an_unknown_space_of_a_stream_names_all_spaces(unserved_client):
+    """Regression: the message left out the space ``fingertip``."""
+    right = "stream.space: 'torque'; expected joint or digit or tension or tip_force or fingertip"
+    with pytest.raises(ConfigError, match=right):
+        unserved_client.stream(100, space="torque")
+
+
 def test_a_silent_controller_is_one_line(unserved_client):
     with pytest.raises(BusError, match="the controller is silent"):
         unserved_client.state(-1.0)

@@ -8,9 +8,9 @@ import os
 import time
 from collections.abc import AsyncIterator, Mapping, Sequence
 from types import TracebackType
-from typing import Any, Literal, Self
+from typing import Any, Self
 
-from handctl.client.hand import DEFAULT_LEASE_S, HandClient, connect
+from handctl.client.hand import DEFAULT_LEASE_S, HandClient, StreamSpace, connect
 from handctl.client.observation import Observation
 from handctl.client.stream import TargetStream, TargetValues
 from handctl.hand.description import Hand
@@ -142,7 +142,7 @@ class AsyncHandClient:
     async def stream(
         self,
         rate_Hz: float,
-        space: Literal["joint", "digit", "tension", "tip_force", "fingertip"] = "joint",
+        space: StreamSpace = "joint",
         names: Sequence[str] | None = None,
         **options: Any,
     ) -> "AsyncTargetStream":

@@ -17,7 +17,7 @@ from contextlib import ExitStack, suppress
 from numbers import Real
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, Self
+from typing import Any, Literal, Self, get_args
 
 from handctl.client.fingertips import Fingertips, FingertipStream
 from handctl.client.heartbeat import BEATS_PER_LEASE, Heartbeat
@@ -53,6 +53,8 @@ from handctl.session.defaults import DEFAULT_HAND
 from handctl.session.exit_codes import ExitCode
 from handctl.session.tasks import load_task_for_hand
 
+StreamSpace = Literal["joint", "digit", "tension", "tip_force", "fingertip"]
+"""Meaning of the values of a target, see ``HandClient.stream``."""
 START_TIMEOUT_S = 300.0
 """Longest wait until a controller that this client started accepts goals [s].
 
@@ -314,7 +316,7 @@ class HandClient:
     def stream(
         self,
         rate_Hz: float,
-        space: Literal["joint", "digit", "tension", "tip_force", "fingertip"] = "joint",
+        space: StreamSpace = "joint",
         names: Sequence[str] | None = None,
         interpolation: Literal["linear", "minimum_jerk"] = "minimum_jerk",
         unit: Literal["deg", "rad"] = "deg",
@@ -347,6 +349,8 @@ class HandClient:
                 another client commands the hand.
             DriveError, BusError: see ``move``.
         """
+        if space not in get_args(StreamSpace):
+            raise ConfigError(repr(space), "stream.space", " or ".join(get_args(StreamSpace)))
         hand = self.description
         everything = {"joint": hand.joints, "tension": hand.tendon_names}.get(
             space, hand.digit_names

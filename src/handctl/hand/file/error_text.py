@@ -62,7 +62,7 @@ def validation_mistakes(
         content: content of the file that pydantic validated, for the names of list entries.
     """
     details = error.errors(include_url=False)
-    within = {detail["loc"][:1] for detail in details if len(detail["loc"]) > 1}
+    within = {detail["loc"][:depth] for detail in details for depth in range(1, len(detail["loc"]))}
     # If pydantic refuses entries of a list, it also reports that the list is too short.
     details = [
         detail for detail in details if detail["type"] != "too_short" or detail["loc"] not in within

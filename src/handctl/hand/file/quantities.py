@@ -169,7 +169,12 @@ def zero_or_in_range(low: float, high: float, unit: str, hint: str) -> CheckedTy
     def check_value(value: Any) -> float:
         """Return the value as a float."""
         zero = isinstance(value, int | float) and not isinstance(value, bool) and value == 0
-        return 0.0 if zero else number(value)
+        if zero:
+            return 0.0
+        try:
+            return number(value)
+        except PydanticCustomError as error:
+            raise validation_error(f"0 or {(error.context or {})['right']}") from None
 
     return CheckedType(check_value, {"anyOf": [{"const": 0}, number.schema]})
 
