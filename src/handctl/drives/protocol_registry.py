@@ -63,7 +63,8 @@ PROTOCOL_ENTRIES: dict[str, ProtocolEntry] = {
         mit_modes.make_mode_drive,
     ),
     "cia402": ProtocolEntry(
-        cia402_drive.Cia402Drive.from_motor, canopen_discovery.DISCOVERY,
+        cia402_drive.Cia402Drive.from_motor,
+        canopen_discovery.DISCOVERY,
         cia402_drive.OPTIONS,
         cia402_modes.make_mode_drive,
     ),
