@@ -187,6 +187,18 @@ def test_quiet_hides_notices_and_shows_cautions(capsys):
     assert capsys.readouterr() == ("", "handctl: caution: hot\n")
 
 
+def test_a_command_prints_each_caution_once(capsys):
+    """Regression: a run that commissions the hand first printed all cautions twice."""
+    from handctl.cli.console.plan import print_notice
+    from handctl.cli.console.verbosity import use_verbosity
+
+    for _ in range(2):
+        with use_verbosity(argparse.Namespace()):
+            for text in ("hot", "cold", "hot"):
+                print_notice(f"handctl: caution: {text}")
+        assert capsys.readouterr().err == "handctl: caution: hot\nhandctl: caution: cold\n"
+
+
 @pytest.mark.parametrize("good", [True, False])
 def test_the_doctor_fails_if_something_needs_a_repair(monkeypatch, capsys, good):
     from handctl.cli.checks import doctor

@@ -118,4 +118,25 @@ def test_an_unverifiable_guard_is_shown(tmp_path, capsys):
     assert "caution" not in capsys.readouterr().out
     path.write_text(path.read_text().replace(OPTIONS_TEXT_BY_PROTOCOL["odrive"], ""))
     assert main(["config", "check", "--hand", str(path)]) == 0
-    assert "# caution: index_motor: watchdog not verified" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "# caution: index_motor, middle_motor and 2 more: watchdog not verified" in out
+
+
+def test_drives_with_the_same_caution_share_a_line_and_the_watchdog_is_first(tmp_path, capsys):
+    """Regression: four CubeMars drives printed 20 lines, and a hint about temperature was one of five cautions."""
+    path = hand_file(tmp_path, ["odrive", "cubemars"])
+    path.write_text(path.read_text().replace(OPTIONS_TEXT_BY_PROTOCOL["odrive"], ""))
+    assert main(["config", "check", "--hand", str(path)]) == 0
+    out = capsys.readouterr().out
+    cautions = [line for line in out.splitlines() if line.startswith("# caution: ")]
+    assert len(cautions) == 6
+    assert cautions[1] == (
+        "# caution: middle_motor, ring_motor, thumb_motor: watchdog: CubeMars' MIT mode has none; "
+        "a dead host leaves torque on"
+    )
+    assert [": watchdog" in line for line in cautions] == [True] * 2 + [False] * 4
+    assert "temperature_offset_C" not in out
+    assert main(["config", "check", "--hand", str(path), "--verbose"]) == 0
+    assert "# hint: middle_motor, ring_motor, thumb_motor: temperature counts from -40" in (
+        capsys.readouterr().out
+    )

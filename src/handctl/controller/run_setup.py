@@ -25,6 +25,7 @@ from handctl.drives.sensors.sensor_node import SensorNode
 from handctl.drives.signals import SignalQuantity
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
+from handctl.hand.file.error_text import shortened_list
 from handctl.hand.file.quantities import MAX_POSITION_RANGE_RAD
 from handctl.hand.file.sections import Motor
 from handctl.hand.hand_loading import hand_from_content, parse_toml
@@ -168,13 +169,23 @@ class RunSetup(Document):
 
 
 def unverified_protections(drives: Iterable[Drive]) -> tuple[str, ...]:
-    """Return one line for each protection setting of a drive that the host cannot read back.
-
-    The operator reads these lines before arming.
-    """
+    """Return one line for each protection setting of a drive that the host cannot read back."""
     return tuple(
         f"{drive.name}: {text}" for drive in drives for text in drive.unverified_protections
     )
+
+
+def caution_lines(drives: Iterable[Drive]) -> tuple[str, ...]:
+    """Return the lines of ``unverified_protections``, one line for all drives with the same text.
+
+    The lines about the watchdog come first. Without a watchdog, a dead host leaves torque on.
+    """
+    names: dict[str, list[str]] = {}
+    for drive in drives:
+        for text in drive.unverified_protections:
+            names.setdefault(text, []).append(drive.name)
+    texts = sorted(names, key=lambda text: not text.startswith("watchdog"))
+    return tuple(f"{shortened_list(names[text])}: {text}" for text in texts)
 
 
 def make_drives(hand: Hand) -> tuple[Drive, ...]:

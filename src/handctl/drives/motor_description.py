@@ -20,6 +20,8 @@ class ProtocolTraits(NamedTuple):
         position_option: drive option with which the drives close the position loop of a digit. The
             text is empty if they need no option.
         no_position_loop: reason why the drives close no position loop. The text is empty if they do.
+        hint: advice about an option of the drives that no frame can verify, and that concerns no
+            protection. Commands print it with ``--verbose``.
     """
 
     title: str
@@ -28,6 +30,7 @@ class ProtocolTraits(NamedTuple):
     options: Mapping[str, Any] = {}
     position_option: str = ""
     no_position_loop: str = ""
+    hint: str = ""
 
 
 PROTOCOL_TRAITS: dict[str, ProtocolTraits] = {
@@ -42,7 +45,11 @@ PROTOCOL_TRAITS: dict[str, ProtocolTraits] = {
     ),
     "moteus": ProtocolTraits("moteus", can_fd=True, position_option='control = "position"'),
     "robstride": ProtocolTraits("RobStride", options={"motor_type": "rs05"}),
-    "cubemars": ProtocolTraits("CubeMars", guarded=False, options={"motor_type": "ak80-6"}),
+    "cubemars": ProtocolTraits(
+        "CubeMars", guarded=False, options={"motor_type": "ak80-6"},
+        hint="temperature counts from -40 degC by the manual; "
+        "a cold motor that reads below zero needs temperature_offset_C = 0",
+    ),
     "robstride_mit": ProtocolTraits("RobStride in MIT mode", guarded=False, options={"motor_type": "rs05"}),
 }  # fmt: skip
 """Properties of each protocol, by the name of the protocol in the hand file."""

@@ -12,8 +12,10 @@ from handctl.controller.bus_load import BusLoad, bus_loads
 from handctl.core.gains.gains import Gains
 from handctl.core.tick_types import TickIn, TickOut
 from handctl.drives.frame_time import MAX_BUS_LOAD, highest_rate
+from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
+from handctl.hand.file.error_text import shortened_list
 from handctl.hand.hand_loading import hand_path, load_hand
 from handctl.hand.readiness import reasons_not_ready
 from handctl.log.attached_meshes import mesh_attachments
@@ -246,6 +248,15 @@ def default_rate(hand: Hand) -> float:
     The default is the highest usual rate that the buses of the hand allow.
     """
     return highest_rate_of_buses(bus_loads(hand))
+
+
+def hint_lines(hand: Hand) -> tuple[str, ...]:
+    """Return one line for each protocol of a hand that has a hint, with the names of its motors."""
+    names: dict[str, list[str]] = {}
+    for motor in hand.motor:
+        if hint := PROTOCOL_TRAITS[motor.protocol].hint:
+            names.setdefault(hint, []).append(motor.name)
+    return tuple(f"{shortened_list(motors)}: {hint}" for hint, motors in names.items())
 
 
 def check_gain_margins(hand: Hand, gains: Gains, rate_hz: float | None = None) -> None:

@@ -156,7 +156,7 @@ def run_live(
         BusError: a bus cannot be opened, or another controller runs on it.
         LogError: the log cannot be written.
     """
-    for text in run_setup.unverified_protections(controller.drives):
+    for text in run_setup.caution_lines(controller.drives):
         plan.show_notice(f"handctl: caution: {text}")
     with ExitStack() as stack:
         clock = _open_clock(plan, stack)

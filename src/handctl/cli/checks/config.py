@@ -9,8 +9,14 @@ from typing import Any
 from handctl.cli.checks.rate_margin import rate_warnings
 from handctl.cli.console.options import print_escaped, print_json
 from handctl.cli.console.plan import find_calibration, layered_gains
+from handctl.cli.console.verbosity import is_verbose
 from handctl.controller.bus_load import bus_loads
-from handctl.controller.run_setup import make_drives, make_sensors, unverified_protections
+from handctl.controller.run_setup import (
+    caution_lines,
+    make_drives,
+    make_sensors,
+    unverified_protections,
+)
 from handctl.core.gains.gain_bounds import values_by_key
 from handctl.core.identified_parameters import PARAMETER_UNITS
 from handctl.drives.dbc_export import dbc_of_bus
@@ -45,7 +51,12 @@ from handctl.programs.task import load_task
 from handctl.safety.missing_sensors import sensing_warnings
 from handctl.session.exit_codes import ExitCode
 from handctl.session.gains import LayeredGains
-from handctl.session.plan import check_gain_margins, control_rate, highest_rate_of_buses
+from handctl.session.plan import (
+    check_gain_margins,
+    control_rate,
+    highest_rate_of_buses,
+    hint_lines,
+)
 from handctl.session.tasks import PACKAGED_TASKS_FOLDER, load_task_for_hand, task_path
 
 
@@ -212,8 +223,10 @@ def _show_or_check(args: argparse.Namespace, hand: Hand) -> int:
         print(hand.to_toml(), end="")
         print("\n".join(_gains_with_sources(layers)))
         print("\n".join(f"# {line}" for line in _calibration_lines(calibration)))
-    for text in unverified_protections(make_drives(hand)):
+    for text in caution_lines(make_drives(hand)):
         print(f"# caution: {text}")
+    for text in hint_lines(hand) if is_verbose() else ():
+        print(f"# hint: {text}")
     for text in warnings:
         print(f"# warning: {text}")
     for text in arm_table_fit_lines(hand):

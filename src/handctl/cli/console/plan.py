@@ -7,7 +7,13 @@ from pathlib import Path
 
 from handctl.cli.console.options import print_escaped
 from handctl.cli.console.progress import progress_bar
-from handctl.cli.console.verbosity import is_quiet, is_verbose, print_detail, print_note
+from handctl.cli.console.verbosity import (
+    is_first_caution,
+    is_quiet,
+    is_verbose,
+    print_detail,
+    print_note,
+)
 from handctl.core.calibration import Calibration
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
@@ -53,6 +59,8 @@ def _print_plan(args: argparse.Namespace, run_plan: plan.RunPlan) -> None:
     print_detail(
         f"rate: {run_plan.rate_hz:g} Hz, bus load: {loads}; buses: {', '.join(run_plan.buses) or 'in lockstep'}"
     )
+    for text in plan.hint_lines(hand):
+        print_detail(f"hint: {text}")
     for key, origin in layered_gains(args, hand).origins.items():
         if origin != gains.PACKAGED_ORIGIN:
             print_detail(f"gain {key} is from {origin}")
@@ -61,10 +69,12 @@ def _print_plan(args: argparse.Namespace, run_plan: plan.RunPlan) -> None:
 def print_notice(text: str) -> None:
     """Print a notice to standard error, unless ``--quiet`` is given.
 
-    A text that begins with ``handctl:`` is a caution, and is printed even then.
+    A text that begins with ``handctl:`` is a caution, and is printed even then. A command that
+    makes several runs, such as commissioning and a task, prints each caution once.
     """
     if text.startswith("handctl:"):
-        print_escaped(text, error=True)
+        if is_first_caution(text):
+            print_escaped(text, error=True)
     else:
         print_note(text)
 

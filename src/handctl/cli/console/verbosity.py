@@ -22,19 +22,36 @@ class Verbosity(IntEnum):
 
 
 _current_verbosity: ContextVar[Verbosity] = ContextVar("verbosity", default=Verbosity.NORMAL)
+_printed_cautions: ContextVar[set[str] | None] = ContextVar("printed_cautions", default=None)
+"""Cautions that the running command has printed, None if no command runs."""
 
 
 @contextmanager
 def use_verbosity(args: argparse.Namespace) -> Iterator[None]:
-    """Apply ``--quiet`` and ``--verbose`` of a command line while the command runs."""
+    """Apply ``--quiet`` and ``--verbose`` of a command line while the command runs.
+
+    The command begins without printed cautions, see ``is_first_caution``.
+    """
     quiet = getattr(args, "quiet", False)
     verbose = getattr(args, "verbose", False)
     level = Verbosity.QUIET if quiet else Verbosity.VERBOSE if verbose else Verbosity.NORMAL
     token = _current_verbosity.set(level)
+    cautions = _printed_cautions.set(set())
     try:
         yield
     finally:
+        _printed_cautions.reset(cautions)
         _current_verbosity.reset(token)
+
+
+def is_first_caution(text: str) -> bool:
+    """Return True if the running command has not printed this caution yet, and note it as printed."""
+    printed = _printed_cautions.get()
+    if printed is None:
+        return True
+    is_first = text not in printed
+    printed.add(text)
+    return is_first
 
 
 def is_quiet() -> bool:

@@ -100,7 +100,6 @@ UNVERIFIED_PROTECTIONS = (
     f"counts as disabled if its answer to the disable command reports at most "
     f"{MAX_RESTING_TORQUE_FRACTION:.0%} of full-scale torque",
     "ranges cannot be read back; motor_type must be right",
-    "temperature counts from -40 degC by the manual; a cold motor that reads below zero needs temperature_offset_C = 0",
 )
 """Protections of a CubeMars motor that handctl cannot verify, one line each."""
 
