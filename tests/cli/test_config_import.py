@@ -240,6 +240,8 @@ def test_values_that_a_description_lacks_are_asked_for(
     )
     content = hand_content("mine.toml")
     assert not any("Load cells" in text for text in asked), "the answer was an option"
+    for question in ("Encoders", "Return springs", "Protocol"):
+        assert any(question in text for text in asked)
     assert len(content["tendon"]) == 6
     assert content["tendon"][1]["moment_arm_m"] == {"finger_a_j1": 0.007, "finger_a_j2": 0.007}
     assert content["motor"][0]["torque_max_N_m"] == pytest.approx(1.4 * 90.0 * 0.008)
@@ -317,8 +319,8 @@ def test_a_bad_description_is_one_line(
         (["--urdf", str(TRIPOD_URDF), "--first-node", "0"], "--first-node: 0; expected 1 to 127"),
         (["--urdf", str(TRIPOD_URDF), "--mjcf", "a.xml"], "not allowed with"),
         (
-            ["--cells", "all"],
-            "--cells: only for an imported hand; expected --urdf or --mjcf with it",
+            ["--urdf", str(TRIPOD_URDF), "--tendons", "one", "--springs", "none"],
+            "--springs: none, and one tendon cannot open a digit; expected all, or --tendons each",
         ),
     ],
 )

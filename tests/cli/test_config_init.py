@@ -9,6 +9,7 @@ import pytest
 from handctl.cli.main import main
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from handctl.hand.hand_loading import load_hand
+from handctl.session.plan import default_rate
 from tests.cli.command_refusals import refusal_line
 
 INIT_CASES = [
@@ -67,7 +68,7 @@ def test_a_new_hand_file_is_valid_for_every_drive_and_tension(
 def test_questions_are_asked_until_they_are_answered(
     work_folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    answers = iter(["gripper", "one", "1", "", "55, 35", *itertools.repeat("", 6)])
+    answers = iter(["gripper", "one", "1", "", "55, 35", *itertools.repeat("", 9)])
     asked: list[str] = []
     monkeypatch.setattr("sys.stdin.isatty", lambda: True)
     monkeypatch.setattr("builtins.input", lambda text: asked.append(text) or next(answers))
@@ -78,6 +79,95 @@ def test_questions_are_asked_until_they_are_answered(
     assert (hand.name, hand.digit_names) == ("gripper", ("index", "thumb"))
     assert hand.digit[0].link_length_m == (0.055, 0.035)
     assert hand.tendon[0].tension_max_N == 50.0
+
+
+SENSOR_CASES = [
+    (tendons, springs, cells, encoders)
+    for tendons, springs in (("one", "all"), ("each", "all"), ("each", "none"))
+    for cells in ("all", "none")
+    for encoders in ("all", "none")
+]
+"""Valid answers to the questions about tendons, springs, load cells and encoders."""
+
+
+def sensor_options(case: tuple[str, str, str, str]) -> list[str]:
+    """Return the options of `config init` for one of ``SENSOR_CASES``."""
+    names = ("--tendons", "--springs", "--cells", "--encoders")
+    return [word for pair in zip(names, case, strict=True) for word in pair]
+
+
+@pytest.mark.parametrize("number", range(len(SENSOR_CASES)))
+def test_every_choice_of_sensors_and_springs_is_a_valid_hand(
+    work_folder: Path, capsys: pytest.CaptureFixture[str], number: int
+) -> None:
+    """Regression: `--cells none` was refused without a robot description."""
+    tendons, springs, cells, encoders = SENSOR_CASES[number]
+    protocol = GUARDED_PROTOCOLS[number % len(GUARDED_PROTOCOLS)]
+    links = ("60", "40,30", "50,30,20")[number % 3]
+    words = [*sensor_options(SENSOR_CASES[number]), "--protocol", protocol, "--links", links]
+    assert main(["config", "init", "--yes", *words, "--output", "mine.toml"]) == 0
+    code = main(["config", "check", "--hand", "mine.toml"])
+    assert code == 0, capsys.readouterr().err
+    hand = load_hand("mine.toml")
+    count = len(links.split(","))
+    per_digit = 1 if tendons == "one" else count + (springs == "none")
+    assert len(hand.tendon) == len(hand.motor) == 3 * per_digit
+    assert all(
+        any(digit.spring_stiffness_N_m_per_rad) == (springs == "all") for digit in hand.digit
+    )
+    assert default_rate(hand) >= 250.0
+    assert hand.sensor_node.tendons == (hand.tendon_names if cells == "all" else ())
+    assert hand.sensor_node.joints == (hand.joints if encoders == "all" else ())
+    text = (work_folder / "mine.toml").read_text()
+    assert ("[sensor_node]" in text) == ("all" in (cells, encoders))
+    assert {motor.protocol for motor in hand.motor} == {protocol}
+
+
+def test_sensors_springs_and_protocol_are_asked_for(
+    work_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Regression: the dialogue ended after the breaking force, and silently wrote `mit` and a load cell everywhere."""
+    answers = iter(
+        [
+            *itertools.repeat("", 6),
+            "each",
+            *itertools.repeat("", 4),
+            "none",
+            "all",
+            "none",
+            "odrive",
+        ]
+    )
+    asked: list[str] = []
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
+    monkeypatch.setattr("builtins.input", lambda text: asked.append(text) or next(answers))
+    assert main(["config", "init", "--output", "mine.toml"]) == 0
+    assert [text.rpartition(" [")[2] for text in asked[-4:]] == [
+        "all]: ",
+        "none]: ",
+        "all]: ",
+        "mit]: ",
+    ]
+    hand = load_hand("mine.toml")
+    assert (hand.sensor_node.tendons, hand.sensor_node.joints) == ((), hand.joints)
+    assert hand.digit[0].spring_stiffness_N_m_per_rad == (0.0, 0.0)
+    assert {motor.protocol for motor in hand.motor} == {"odrive"}
+
+
+@pytest.mark.parametrize(
+    ("words", "proposed"),
+    [
+        (("--opposed", "0"), "--fingers 1 --opposed 1"),
+        (("--opposed", "0", "--fingers", "1"), "--fingers 1 --opposed 1"),
+        (("--opposed", "3", "--fingers", "0"), "--fingers 2 --opposed 1"),
+    ],
+)
+def test_two_opposed_digits_are_proposed(
+    work_folder: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], proposed: str
+) -> None:
+    assert main(["config", "init", "--yes", *words, "--output", "mine.toml"]) == 0
+    line = next(line for line in capsys.readouterr().out.splitlines() if "0: " in line)
+    assert line.endswith(proposed)
 
 
 def test_questions_without_a_terminal_are_refused(
@@ -95,6 +185,8 @@ def test_questions_without_a_terminal_are_refused(
         (["--name", "my hand"], "--name: 'my hand'; expected letters"),
         (["--fingers", "0", "--opposed", "0"], "--fingers: no digit"),
         (["--fingers", "9"], "--fingers: 9; expected 0 to 8"),
+        (["--springs", "none"], "--springs: none, and one tendon cannot open a digit"),
+        (["--first-node", "3"], "--first-node: only for an imported hand"),
         (["--links", "0.04,0.03"], "default.digit.link_length_m[0]: 4e-05"),
         (["--tension", "700"], "default.tendon.tension_max_N: 700"),
     ],

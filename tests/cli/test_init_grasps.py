@@ -16,6 +16,7 @@ from handctl.programs.default_task import default_scene
 from handctl.report.truth_record import read_truth
 from handctl.session.plan import default_rate
 from tests.cli.command_refusals import refusal_line
+from tests.cli.test_config_init import SENSOR_CASES, sensor_options
 from tests.conftest import NIGHTLY
 
 LINK_LENGTHS_MM = (
@@ -78,6 +79,26 @@ def test_new_hand_grasps_holds_and_releases(
     assert forces
     # At the end the object lies on the table, and no digit touches it.
     assert abs(truth.columns_at(forces, truth.t_ns[-1:])).max() == 0.0
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("case", SENSOR_CASES, ids="-".join)
+def test_every_choice_of_sensors_and_springs_grasps(
+    work_folder: Path,
+    capsys: pytest.CaptureFixture[str],
+    case: tuple[str, str, str, str],
+    seed: int,
+) -> None:
+    write_initial_hand("--fingers", "1", "--opposed", "1", *sensor_options(case))
+    words = ["--hand", "mine.toml", "--log", "run.mcap", "--seed", str(seed), "--json"]
+    capsys.readouterr()
+    code = main(["demo", "--lockstep", *words])
+    out, err = capsys.readouterr()
+    assert code == 0, err
+    result = json.loads(out)
+    assert result["table_sunk_mm"] > 50.0
+    assert result["object_slid_mm"] < MAX_SLIP_MM
 
 
 def test_the_object_suits_the_digits(work_folder: Path) -> None:

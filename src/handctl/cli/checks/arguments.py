@@ -28,7 +28,7 @@ EXAMPLES = {
     "config list": CommandExample("handctl config list"),
     "config schema": CommandExample("handctl config schema | tee hand.schema.json"),
     "config init": CommandExample(
-        "handctl config init --yes --fingers 2 --opposed 1 --output mine.toml"
+        "handctl config init --yes --fingers 1 --opposed 1 --output mine.toml"
     ),
     "config convert": CommandExample(
         "handctl config show --hand jamia > old.toml; handctl config convert old.toml --output new.toml"
@@ -126,7 +126,8 @@ def _declare_init(parser: argparse.ArgumentParser) -> None:
         "--opposed",
         type=int,
         metavar="N",
-        help="digits, such as a thumb, that close against the fingers (default: 1)",
+        help="digits, such as a thumb, that close against the fingers (default: 1; "
+        "the smallest hand that grasps: --fingers 1 --opposed 1)",
     )
     add(
         "--links",
@@ -173,27 +174,24 @@ def _declare_init(parser: argparse.ArgumentParser) -> None:
         help="breaking force of the tendons (default: 600)",
     )
     add("--protocol", choices=GUARDED_PROTOCOLS, help="protocol of the drives (default: mit)")
-    text = "with --urdf or --mjcf: "
+    todo = "with --urdf or --mjcf 'TODO'"
     add(
         "--cells",
         choices=("all", "none"),
-        help=f"{text}tendons that have a load cell (default: 'TODO')",
+        help=f"tendons that have a load cell (default: all, {todo})",
     )
     add(
         "--encoders",
         choices=("all", "none"),
-        help=f"{text}joints that have an encoder (default: 'TODO')",
+        help=f"joints that have an encoder (default: none, {todo})",
     )
-    add(
-        "--springs",
-        choices=("all", "none"),
-        help=f"{text}joints that have a return spring (default: 'TODO')",
-    )
+    text = "joints that have a return spring; without springs, a further tendon opens each digit"
+    add("--springs", choices=("all", "none"), help=f"{text} (default: all, {todo})")
     add(
         "--first-node",
         type=int,
         metavar="N",
-        help=f"{text}node number of the first drive of a bus (default: 'TODO')",
+        help="with --urdf or --mjcf: node number of the first drive of a bus (default: 'TODO')",
     )
 
 

@@ -11,14 +11,15 @@ import numpy as np
 
 from handctl.cli.console.options import print_escaped, print_json
 from handctl.cli.console.questions import (
+    DRIVE_AND_SENSOR_QUESTIONS,
+    SPRING_FIELD,
     TENDON_QUESTIONS,
     HandQuestion,
     ask_question,
     check_terminal,
-    reader_of_choice,
     write_with_schema,
 )
-from handctl.drives.motor_description import GUARDED_PROTOCOLS, PROTOCOL_TRAITS
+from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.errors import ConfigError
 from handctl.hand.file.error_text import FileMistake
 from handctl.hand.file.imported_file import (
@@ -28,7 +29,7 @@ from handctl.hand.file.imported_file import (
     described_text,
     usable_tendons,
 )
-from handctl.hand.file.new_file import check_name, options_line
+from handctl.hand.file.new_file import check_name, check_springs, options_line
 from handctl.hand.file.quantities import NAME_PATTERN, UNMEASURED_PLACEHOLDER
 from handctl.hand.formats.link_meshes import read_triangles, relative_path
 from handctl.hand.formats.model_tree import ModelLink, ModelMesh, digits_of_links
@@ -39,21 +40,9 @@ OPTIONS_WITHOUT_DESCRIPTION = ("fingers", "opposed", "links_mm", "width_mm", "pa
 """Options that are refused together with a robot description, because the description contains their values."""
 NODE_NUMBERS = range(1, 128)
 """Valid node numbers."""
-READ_ALL_OR_NONE = reader_of_choice(("all", "none"))
-"""Function that reads the answer ``all`` or ``none`` to a question about all tendons or all joints."""
 IMPORT_QUESTIONS = (
     *TENDON_QUESTIONS,
-    HandQuestion("cells", "Load cells at the tendons (all, none)", READ_ALL_OR_NONE, "all or none"),
-    HandQuestion("encoders", "Encoders at the joints (all, none)", READ_ALL_OR_NONE, "all or none"),
-    HandQuestion(
-        "springs", "Return springs at the joints (all, none)", READ_ALL_OR_NONE, "all or none"
-    ),
-    HandQuestion(
-        "protocol",
-        f"Protocol of the drives ({', '.join(GUARDED_PROTOCOLS)})",
-        reader_of_choice(GUARDED_PROTOCOLS),
-        ", ".join(GUARDED_PROTOCOLS),
-    ),
+    *DRIVE_AND_SENSOR_QUESTIONS,
     HandQuestion("first_node", "Node number of the first drive of a bus", int, "a whole number"),
 )
 """Questions about the values that a robot description lacks, in the order of asking.
@@ -75,6 +64,8 @@ def run(args: argparse.Namespace) -> int:
     if not args.yes:
         answers = _ask_questions(answers, {"tendons", "pulley_mm"} if tendons else set())
     _check_answers(answers)
+    if not tendons:
+        check_springs(answers.tendons, answers.springs)
     traits = PROTOCOL_TRAITS[answers.protocol] if answers.protocol else None
     options = options_line(answers.protocol, traits.options) if answers.protocol and traits else ""
     text = described_text(described, answers, options, traits is not None and traits.can_fd)
@@ -168,6 +159,8 @@ def _ask_questions(answers: TendonAnswers, known: set[str]) -> TendonAnswers:
     """Ask the questions that neither the options nor the description answer."""
     check_terminal()
     for question in IMPORT_QUESTIONS:
+        if question.answer_field == SPRING_FIELD and answers.tendons == "one":
+            continue  # one tendon closes the digit, so springs must open it
         if getattr(answers, question.answer_field) is None and question.answer_field not in known:
             answers = replace(
                 answers,

@@ -5,7 +5,9 @@ from dataclasses import fields, replace
 
 from handctl.cli.console.options import print_escaped, print_json
 from handctl.cli.console.questions import (
+    DRIVE_AND_SENSOR_QUESTIONS,
     SCHEMA_FILE,
+    SPRING_FIELD,
     TENDON_QUESTIONS,
     HandQuestion,
     ask_question,
@@ -14,7 +16,13 @@ from handctl.cli.console.questions import (
 )
 from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.errors import ConfigError
-from handctl.hand.file.new_file import HandAnswers, check_answers, new_hand_text, palm_warnings
+from handctl.hand.file.new_file import (
+    HandAnswers,
+    check_answers,
+    new_hand_text,
+    opposition_warnings,
+    palm_warnings,
+)
 from handctl.hand.hand_loading import inspect_content, parse_toml
 from handctl.programs.default_task import grasp_warnings
 
@@ -39,12 +47,13 @@ HAND_QUESTIONS = (
     HandQuestion("width_mm", "Width of the links [mm]", float, "a number"),
     HandQuestion("palm_mm", "Distance between the two sides of the palm [mm]", float, "a number"),
     *TENDON_QUESTIONS,
+    *DRIVE_AND_SENSOR_QUESTIONS,
 )
 """Questions about a new hand, in the order of asking.
 
 If an option already answers a question, the question is skipped.
 """
-OPTIONS_WITH_DESCRIPTION = ("cells", "encoders", "springs", "first_node")
+OPTIONS_WITH_DESCRIPTION = ("first_node",)
 """Options that are valid only for a hand imported from a robot description."""
 PROPORTIONAL_DEFAULT = {"palm_mm": "palm", "pulley_mm": "pulley"}
 """Attribute of the answers that computes the default of each of these fields.
@@ -78,7 +87,11 @@ def run(args: argparse.Namespace) -> int:
     found = inspect_content(parse_toml(text, str(args.output)))
     if found.mistakes or found.hand is None:
         raise found.mistakes[0].error("the answers")
-    warnings = [*palm_warnings(answers), *grasp_warnings(found.hand)]
+    warnings = [
+        *opposition_warnings(answers),
+        *palm_warnings(answers),
+        *grasp_warnings(found.hand),
+    ]
     schema = write_with_schema(args.output, text)
     assumed = sum("ASSUMED" in line for line in text.splitlines()) - 1
     if args.json:
@@ -112,6 +125,8 @@ def _ask_questions(args: argparse.Namespace, answers: HandAnswers) -> HandAnswer
     for question in HAND_QUESTIONS:
         if getattr(args, question.answer_field) is not None:
             continue
+        if question.answer_field == SPRING_FIELD and answers.tendons == "one":
+            continue  # one tendon closes the digit, so springs must open it
         default = getattr(
             answers, PROPORTIONAL_DEFAULT.get(question.answer_field, question.answer_field)
         )

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from handctl.cli.console.options import print_escaped
+from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from handctl.errors import ConfigError
 from handctl.hand.file.json_schema import hand_schema_text
 from handctl.output import write_text_atomically
@@ -53,6 +54,27 @@ TENDON_QUESTIONS = (
     HandQuestion("strength_N", "Rated breaking force of the tendons [N]", float, "a number"),
 )  # fmt: skip
 """Questions about the tendons of every new hand, in order."""
+READ_ALL_OR_NONE = reader_of_choice(("all", "none"))
+"""Function that reads the answer ``all`` or ``none`` to a question about all tendons or all joints."""
+SPRING_FIELD = "springs"
+"""Field of the question about springs, which is left out for digits that need springs."""
+DRIVE_AND_SENSOR_QUESTIONS = (
+    HandQuestion("cells", "Load cells at the tendons (all, none)", READ_ALL_OR_NONE, "all or none"),
+    HandQuestion("encoders", "Encoders at the joints (all, none)", READ_ALL_OR_NONE, "all or none"),
+    HandQuestion(
+        SPRING_FIELD,
+        "Return springs at the joints; without them, a tendon more opens each digit (all, none)",
+        READ_ALL_OR_NONE,
+        "all or none",
+    ),
+    HandQuestion(
+        "protocol",
+        f"Protocol of the drives ({', '.join(GUARDED_PROTOCOLS)})",
+        reader_of_choice(GUARDED_PROTOCOLS),
+        ", ".join(GUARDED_PROTOCOLS),
+    ),
+)
+"""Questions about the sensors, springs and drives of every new hand, in order."""
 
 
 def write_with_schema(output: Path, text: str) -> Path:

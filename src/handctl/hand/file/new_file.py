@@ -53,6 +53,13 @@ The ODrive with node number n has the identifiers 32 n to 32 n + 31.
 """
 FINGER_NAMES = ("index", "middle", "ring", "little")
 """Names of the first fingers. Further fingers have a number in their name."""
+ENCODER_DECIMATION = 4
+"""Number of ticks from one frame of the joint encoders to the next.
+
+With a frame in every tick, a hand of twelve motors and nine encoders would leave 200 Hz on two buses.
+"""
+EXTENSOR = "e"
+"""Short name of the tendon that opens a digit without springs, and of its motor."""
 MAX_DIGITS_PER_SIDE = 8
 """Largest number of digits on one side of the hand."""
 
@@ -76,6 +83,10 @@ class HandAnswers:
         tension_N: largest commanded tension [N].
         strength_N: rated breaking force of the tendons [N].
         protocol: protocol of the drives.
+        cells: ``all`` if each tendon has a load cell, else ``none``.
+        encoders: ``all`` if each joint has an encoder, else ``none``.
+        springs: ``all`` if springs open the digits. ``none`` if a further tendon of each digit
+            opens it, see ``check_springs``.
     """
 
     name: str = "mine"
@@ -90,6 +101,9 @@ class HandAnswers:
     tension_N: float = 80.0
     strength_N: float = 600.0
     protocol: str = "mit"
+    cells: str = "all"
+    encoders: str = "none"
+    springs: str = "all"
 
     @property
     def digit_mm(self) -> float:
@@ -143,6 +157,23 @@ def check_answers(answers: HandAnswers) -> None:
         )
     if not answers.links_mm:
         raise ConfigError("no link", "--links", "the length of each link in millimetres")
+    check_springs(answers.tendons, answers.springs)
+
+
+def check_springs(tendons: str | None, springs: str | None) -> None:
+    """Check that something can open a digit. A single tendon closes it, so springs must open it.
+
+    Args:
+        tendons: answer ``one`` or ``each`` about the tendons of a digit, or None.
+        springs: answer ``all`` or ``none`` about the springs, or None.
+
+    Raises:
+        ConfigError: the digits have one tendon and no springs.
+    """
+    if tendons == "one" and springs == "none":
+        raise ConfigError(
+            "none, and one tendon cannot open a digit", "--springs", "all, or --tendons each"
+        )
 
 
 def check_name(name: str) -> None:
@@ -153,6 +184,21 @@ def check_name(name: str) -> None:
     """
     if not NAME_PATTERN.fullmatch(name):
         raise ConfigError(repr(name), "--name", "letters, digits and _, first a letter")
+
+
+def opposition_warnings(answers: HandAnswers) -> tuple[str, ...]:
+    """Return a warning that proposes opposed digits if all digits are on one side."""
+    digits = answers.fingers + answers.opposed
+    if answers.fingers and answers.opposed:
+        return ()
+    option = "--fingers" if answers.opposed else "--opposed"
+    return (
+        f"{option} 0: all digits are on one side; the same number on two sides is "
+        f"--fingers {digits - 1} --opposed 1"
+        if digits > 1
+        else f"{option} 0: a single digit; two digits that close against each other are "
+        "--fingers 1 --opposed 1",
+    )
 
 
 def palm_warnings(answers: HandAnswers) -> tuple[str, ...]:
@@ -249,17 +295,17 @@ def _digits_per_bus(answers: HandAnswers) -> int:
 
 def _motor_names(answers: HandAnswers) -> list[str]:
     """Return the short names of the motors of a digit."""
-    return (
-        ["motor"]
-        if answers.tendons == "one"
-        else [f"m{i + 1}" for i in range(len(answers.links_mm))]
-    )
+    if answers.tendons == "one":
+        return ["motor"]
+    closing = [f"m{i + 1}" for i in range(len(answers.links_mm))]
+    return closing if answers.springs == "all" else [*closing, EXTENSOR]
 
 
 def _head_tables(answers: HandAnswers, can_fd: bool) -> str:
     """Return the text of the tables before the first digit."""
     tendons = "one tendon per digit" if answers.tendons == "one" else "one tendon per joint"
-    sync, base = SENSOR_IDS.get(answers.protocol, SENSOR_IDS["mit"])
+    if answers.springs == "none":
+        tendons += " and one that opens the digit"
     bitrate = "bitrate = 1_000_000"
     if can_fd:
         bitrate += "\ndata_bitrate = 5_000_000         # ASSUMED: as set in the drives"
@@ -274,18 +320,36 @@ description = "{answers.fingers + answers.opposed} digits of {len(answers.links_
 [mount]
 gravity_m_s2 = [0.0, 0.0, -9.81]   # palm frame: x out of the palm, y from thumb to fingers, z along the hinges
 
-{buses}
+{buses}{_sensor_table(answers)}"""
+
+
+def _sensor_table(answers: HandAnswers) -> str:
+    """Return the text of the section ``sensor_node``, empty for a hand without sensors."""
+    if answers.cells == answers.encoders == "none":
+        return ""
+    sync, base = SENSOR_IDS.get(answers.protocol, SENSOR_IDS["mit"])
+    cells = (
+        '"all"                    # a load cell at every tendon'
+        if answers.cells == "all"
+        else '[]                       # no load cells; "all" for one at every tendon'
+    )
+    encoders = (
+        '"all"                     # an encoder at every joint'
+        if answers.encoders == "all"
+        else '[]                        # no joint encoders; "all" for one at every joint'
+    )
+    return f"""
 
 [sensor_node]
 bus = "main"
 sync_id = {sync:s}
 base_id = {base:s}
-tendons = "all"                    # a load cell at every tendon
-joints = []                        # no joint encoders; "all" for one at every joint
-joint_decimation = 1
+tendons = {cells}
+joints = {encoders}
+joint_decimation = {ENCODER_DECIMATION if answers.encoders == "all" else 1}
 tension_noise_N = {_number_text(answers.tension_N * 0.005)}              # ASSUMED standard deviation of a sample
 tension_bias_drift_N = {_number_text(answers.tension_N * 0.01)}         # ASSUMED, per 100 s
-joint_noise_rad = 0.001"""
+joint_noise_rad = 0.001            # standard deviation of an encoder sample"""
 
 
 def _digit_values(answers: HandAnswers) -> str:
@@ -297,13 +361,6 @@ def _digit_values(answers: HandAnswers) -> str:
         mass * (length**2 + width**2) / 12 for mass, length in zip(masses, lengths, strict=True)
     ]
     count = len(lengths)
-    # At the tension floor, all tendons that cross a joint close it. The spring of the joint must
-    # open it against them.
-    crossing = [1] * count if answers.tendons == "one" else [count - i for i in range(count)]
-    stiffness = [
-        OPENING_TORQUE_RATIO * tendons * 1e-3 * answers.pulley * TENSION_FLOOR_N / PRELOAD_RAD
-        for tendons in crossing
-    ]
     lines = [
         "[default.digit]                    # one number holds for every link",
         f"link_length_m = {_list_text(lengths)}",
@@ -315,8 +372,7 @@ def _digit_values(answers: HandAnswers) -> str:
         "joint_max_deg = 95.0",
         "joint_damping_N_m_s_per_rad = 5e-4 # ASSUMED",
         "joint_armature_kg_m2 = 1e-6        # ASSUMED: pulley and pin",
-        f"spring_stiffness_N_m_per_rad = {_list_text(stiffness)}   # ASSUMED: opens against the tension floor",
-        f"spring_preload_rad = {PRELOAD_RAD}           # ASSUMED",
+        *_spring_lines(answers),
     ]
     if answers.tendons == "one" and count > 1:
         coupling = _list_text([[1.0]] * count)
@@ -324,13 +380,56 @@ def _digit_values(answers: HandAnswers) -> str:
             f"coupling = {coupling}   # springs equal on equal pulleys: all joints turn alike"
         )
     for i, motor in enumerate(_motor_names(answers)):
-        crossed = count if answers.tendons == "one" else i + 1
-        arms = ", ".join(
-            f"j{j + 1} = {_number_text(1e-3 * answers.pulley)}" for j in range(crossed)
-        )
         short = "tendon" if answers.tendons == "one" else f"t{i + 1}"
+        if motor == EXTENSOR:
+            short = EXTENSOR
+        arms = ", ".join(
+            f"j{j + 1} = {_number_text(arm)}" for j, arm in enumerate(_moment_arms(answers, i))
+        )
         lines.append(f'tendon.{short} = {{ motor = "{motor}", moment_arm_m = {{ {arms} }} }}')
     return "\n".join(lines)
+
+
+def _spring_lines(answers: HandAnswers) -> list[str]:
+    """Return the lines of the return springs of a digit, none for a digit without springs."""
+    if answers.springs == "none":
+        return []
+    # At the tension floor, all tendons that cross a joint close it. The spring of the joint must
+    # open it against them.
+    stiffness = [
+        OPENING_TORQUE_RATIO * tendons * 1e-3 * answers.pulley * TENSION_FLOOR_N / PRELOAD_RAD
+        for tendons in _closing_tendons(answers)
+    ]
+    return [
+        f"spring_stiffness_N_m_per_rad = {_list_text(stiffness)}   # ASSUMED: opens against the tension floor",
+        f"spring_preload_rad = {PRELOAD_RAD}           # ASSUMED",
+    ]
+
+
+def _closing_tendons(answers: HandAnswers) -> list[int]:
+    """Return the number of tendons that close each joint of a digit."""
+    count = len(answers.links_mm)
+    return [1] * count if answers.tendons == "one" else [count - i for i in range(count)]
+
+
+def _moment_arms(answers: HandAnswers, tendon: int) -> list[float]:
+    """Return the moment arm of a tendon of a digit at each joint that it crosses [m].
+
+    A tendon that closes the digit crosses all joints up to its own. The tendon that opens a digit
+    of n joints balances equal tensions of the n others with n times their tension: its arm at a
+    joint is in proportion to the number of tendons that close this joint.
+
+    Args:
+        answers: the user's answers.
+        tendon: index of the tendon in its digit.
+    """
+    arm = 1e-3 * answers.pulley
+    count = len(answers.links_mm)
+    if answers.tendons == "one":
+        return [arm] * count
+    if tendon < count:
+        return [arm] * (tendon + 1)
+    return [-arm * crossing / count for crossing in _closing_tendons(answers)]
 
 
 def _tendon_values(answers: HandAnswers) -> str:
