@@ -186,6 +186,8 @@ def test_questions_without_a_terminal_are_refused(
         (["--fingers", "0", "--opposed", "0"], "--fingers: no digit"),
         (["--fingers", "9"], "--fingers: 9; expected 0 to 8"),
         (["--springs", "none"], "--springs: none, and one tendon cannot open a digit"),
+        (["--protocol", "cubemars", "--motor-type", "rs05"], "one of ak60-6, ak70-10"),
+        (["--motor-type", "rs05"], "--motor-type: 'rs05' with mit; expected no motor type"),
         (["--first-node", "3"], "--first-node: only for an imported hand"),
         (["--links", "0.04,0.03"], "default.digit.link_length_m[0]: 4e-05"),
         (["--tension", "700"], "default.tendon.tension_max_N: 700"),
@@ -204,3 +206,48 @@ def test_existing_file_is_not_overwritten_by_config_init(
     (work_folder / "mine.toml").write_text("mine")
     refusal_line(capsys, "config", "init", "--yes", "--output", "mine.toml")
     assert (work_folder / "mine.toml").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("protocol", "motor_type"),
+    [("cubemars", "ak60-6"), ("robstride_mit", "rs00"), ("robstride", "rs02")],
+)
+def test_a_motor_type_is_taken_from_its_option_or_asked_for(
+    work_folder: Path, monkeypatch: pytest.MonkeyPatch, protocol: str, motor_type: str
+) -> None:
+    """Regression: `--protocol cubemars` was an invalid choice."""
+    words = ["config", "init", "--protocol", protocol, "--output"]
+    assert main([*words, "option.toml", "--yes", "--motor-type", motor_type]) == 0
+    asked: list[str] = []
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
+    monkeypatch.setattr(
+        "builtins.input", lambda text: asked.append(text) or motor_type * ("Type of the" in text)
+    )
+    assert main([*words, "asked.toml"]) == 0
+    assert sum("Type of the motors" in text for text in asked) == 1
+    for file in ("option.toml", "asked.toml"):
+        assert main(["config", "check", "--hand", file]) == 0
+        motors = load_hand(file).motor
+        assert {(one.protocol, one.options["motor_type"]) for one in motors} == {
+            (protocol, motor_type)
+        }
+
+
+@pytest.mark.parametrize(
+    ("motor_type", "spool", "warned"),
+    [
+        ("ak60-6", "5", False),
+        ("ak70-10", "5", True),
+        ("ak70-10", "8", False),
+        ("ak10-9", "8", True),
+    ],
+)
+def test_config_check_warns_of_motors_that_cannot_rest(
+    work_folder: Path, capsys: pytest.CaptureFixture[str], motor_type: str, spool: str, warned: bool
+) -> None:
+    """Regression: only a run showed that the smallest torque of a motor is too large for the hand."""
+    words = ["--protocol", "cubemars", "--motor-type", motor_type, "--spool", spool]
+    assert main(["config", "init", "--yes", *words, "--output", "mine.toml"]) == 0
+    capsys.readouterr()
+    assert main(["config", "check", "--hand", "mine.toml"]) == 0
+    assert (f"no torque command of {motor_type} means zero" in capsys.readouterr().out) == warned

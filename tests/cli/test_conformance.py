@@ -113,6 +113,10 @@ def test_a_broken_drive_fails_and_its_line_says_why():
             "mit 2 on local:c turns, with at most 0.1 N m; expected --yes",
         ),
         (["--protocol", "odrive", "--node", "63", "--yes"], "1 to 62"),
+        (
+            ["--protocol", "cubemars", "--node", "1", "--yes"],
+            "--option motor_type=TYPE: missing; expected one of ak60-6, ak70-10",
+        ),
         (["--protocol", "mit", "--node", "200", "--yes"], "1 to 127"),
         (
             ["--protocol", "mit", "--node", "1" * 50, "--yes"],

@@ -23,7 +23,7 @@ ABSENT_BUS_OPTION = ("--bus", "local:does-not-exist")
 @pytest.mark.parametrize("protocol", ALL_PROTOCOLS)
 @pytest.mark.parametrize("hand", packaged_hands())
 def test_the_temporary_hand_file_has_all_drives_in_the_protocol(hand: str, protocol: str) -> None:
-    args = argparse.Namespace(hand=hand, protocol=protocol)
+    args = argparse.Namespace(hand=hand, protocol=protocol, motor_type=None)
     with hand_in_protocol(args):
         path = Path(args.hand)
         assert {motor.protocol for motor in load_hand(path).motor} == {protocol}
@@ -58,3 +58,18 @@ def test_an_unknown_protocol_is_refused(capsys: pytest.CaptureFixture[str]) -> N
     assert "argument --protocol: invalid choice: 'none'" in refusal_line(
         capsys, "demo", "--lockstep", "--protocol", "none"
     )
+
+
+def test_a_simulated_hand_can_have_motors_without_guards(
+    work_folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Regression: `sim --protocol cubemars` was an invalid choice."""
+    monkeypatch.setattr(os, "execv", lambda program, command: 0)
+    words = ["sim", "--hand", "jamia", *ABSENT_BUS_OPTION, "--motor-type", "ak60-6"]
+    assert main([*words, "--protocol", "cubemars", "--dry-run"]) == 0
+    assert main([*words, "--protocol", "cubemars"]) == 0
+    motors = load_hand("jamia-cubemars.toml").motor
+    assert {motor.options["motor_type"] for motor in motors} == {"ak60-6"}
+    capsys.readouterr()
+    assert "--motor-type: ak60-6; expected --protocol with it" in refusal_line(capsys, *words)
+    assert "expected one of rs00" in refusal_line(capsys, *words, "--protocol", "robstride")

@@ -15,7 +15,10 @@ from firmware_sim.programs.drive_types import drive_spec
 from handctl.drives.contract import DriveFaultCause, DrivePhase, DriveTarget
 from handctl.drives.frame import Frame
 from handctl.drives.mit.cubemars import MOTOR_MODEL_RANGES, CubemarsDrive
+from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.drives.protocol_registry import make_drive
+from handctl.drives.robstride import codec as robstride_codec
+from handctl.drives.robstride import mit_mode
 from handctl.errors import ConfigError
 from handctl.runtime.diagnostics.conformance import CheckVerdict, DeviceUnderTest, run_checks
 from tests.drives.protocol_bench import ProtocolBench, hand_file, motor_on_bench, servo_torques
@@ -116,6 +119,17 @@ def test_missing_drive_limits_are_reported(tmp_path: Path) -> None:
         "ranges cannot be read back",
     ):
         assert guard in protections
+
+
+def test_the_help_names_the_motor_types_of_the_drives() -> None:
+    """A help text does not import the code of the drives, so the list of protocols repeats the names."""
+    ranges = {
+        "cubemars": MOTOR_MODEL_RANGES,
+        "robstride": robstride_codec.MOTOR_MODEL_RANGES,
+        "robstride_mit": mit_mode.MOTOR_MODEL_RANGES,
+    }
+    listed = {name: one.motor_types for name, one in PROTOCOL_TRAITS.items() if one.motor_types}
+    assert listed == {name: tuple(models) for name, models in ranges.items()}
 
 
 def test_the_manual_s_byte_of_temperature_counts_from_minus_forty() -> None:

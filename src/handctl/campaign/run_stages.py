@@ -5,7 +5,7 @@ Each scenario runs in a process that branches off from such a run.
 
 import json
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from functools import partial
@@ -18,7 +18,7 @@ from handctl.controller.run_setup import make_controller
 from handctl.core.gains.gains import packaged_gains
 from handctl.core.tick_types import HandMode
 from handctl.document import validate_content
-from handctl.drives.motor_description import PROTOCOL_TRAITS
+from handctl.drives.motor_description import PROTOCOL_TRAITS, options_with_motor_type
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import load_hand
@@ -54,21 +54,36 @@ STAGE_TIMEOUT_S = 12.0
 """Longest simulated time until a run reaches the next stage [s]."""
 
 
-def hand_with_protocol(name: str, protocol: str) -> Hand:
-    """Return a packaged hand in which all drives use the given protocol."""
+def hand_with_protocol(name: str, protocol: str, motor_type: str | None = None) -> Hand:
+    """Return a packaged hand in which all drives use the given protocol.
+
+    Args:
+        name: name or file of the hand.
+        protocol: name of the protocol.
+        motor_type: motor type of all drives, None for the default of the protocol.
+
+    Raises:
+        ConfigError: the protocol has no such motor type.
+    """
     hand = load_hand(name)
+    options = options_with_motor_type(protocol, motor_type)
     if protocol == MIT and all(motor.protocol == MIT for motor in hand.motor):
         return hand
-    return with_drives(hand, protocol)
+    return with_drives(hand, protocol, options)
 
 
-def with_drives(hand: Hand, protocol: str) -> Hand:
+def with_drives(hand: Hand, protocol: str, options: Mapping[str, Any] | None = None) -> Hand:
     """Return a hand whose drives are replaced by those of a protocol.
 
     The buses use CAN FD if the protocol needs CAN FD.
 
     If the frames of the new drives would allow less than ``MIN_CONTROL_RATE_HZ`` on the only bus of
     a hand, the motors of the hand are distributed over more buses.
+
+    Args:
+        hand: description of the hand.
+        protocol: name of the protocol.
+        options: options of every drive, None for those of the protocol.
     """
     traits = PROTOCOL_TRAITS[protocol]
     motors = tuple(
@@ -76,7 +91,7 @@ def with_drives(hand: Hand, protocol: str) -> Hand:
             update={
                 "protocol": protocol,
                 "node_id": FIRST_NODE_NUMBER + i,
-                "options": dict(traits.options),
+                "options": dict(traits.options if options is None else options),
             }
         )
         for i, motor in enumerate(hand.motor)

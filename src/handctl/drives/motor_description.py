@@ -7,6 +7,8 @@ help text only needs this list, and importing ``protocol_registry`` would take t
 from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol
 
+from handctl.errors import ConfigError
+
 
 class ProtocolTraits(NamedTuple):
     """Properties of a protocol that are known without its code.
@@ -14,7 +16,7 @@ class ProtocolTraits(NamedTuple):
     Attributes:
         title: name of the protocol in documents.
         guarded: True if the drives have a watchdog, and limits that can be read back. The fault
-            campaign and the option ``--protocol`` of a simulated hand accept only such protocols.
+            campaign accepts only such protocols.
         can_fd: True if the bus of the drives needs CAN FD.
         options: values of the drive options in a simulated hand.
         position_option: drive option with which the drives close the position loop of a digit. The
@@ -22,6 +24,8 @@ class ProtocolTraits(NamedTuple):
         no_position_loop: reason why the drives close no position loop. The text is empty if they do.
         hint: advice about an option of the drives that no frame can verify, and that concerns no
             protection. Commands print it with ``--verbose``.
+        motor_types: values of the required option ``motor_type``, empty if the drives have no such
+            option.
     """
 
     title: str
@@ -31,6 +35,7 @@ class ProtocolTraits(NamedTuple):
     position_option: str = ""
     no_position_loop: str = ""
     hint: str = ""
+    motor_types: tuple[str, ...] = ()
 
 
 PROTOCOL_TRAITS: dict[str, ProtocolTraits] = {
@@ -44,17 +49,52 @@ PROTOCOL_TRAITS: dict[str, ProtocolTraits] = {
         no_position_loop="CiA 402 standardises no gains of position loops, and torque commands need another mode",
     ),
     "moteus": ProtocolTraits("moteus", can_fd=True, position_option='control = "position"'),
-    "robstride": ProtocolTraits("RobStride", options={"motor_type": "rs05"}),
+    "robstride": ProtocolTraits(
+        "RobStride", options={"motor_type": "rs05"},
+        motor_types=("rs00", "rs01", "rs02", "rs03", "rs04", "rs05"),
+    ),
     "cubemars": ProtocolTraits(
         "CubeMars", guarded=False, options={"motor_type": "ak80-6"},
         hint="temperature counts from -40 degC by the manual; "
         "a cold motor that reads below zero needs temperature_offset_C = 0",
+        motor_types=("ak60-6", "ak70-10", "ak80-6", "ak80-9", "ak10-9"),
     ),
-    "robstride_mit": ProtocolTraits("RobStride in MIT mode", guarded=False, options={"motor_type": "rs05"}),
+    "robstride_mit": ProtocolTraits(
+        "RobStride in MIT mode", guarded=False, options={"motor_type": "rs05"},
+        motor_types=("rs00", "rs01", "rs05"),
+    ),
 }  # fmt: skip
 """Properties of each protocol, by the name of the protocol in the hand file."""
 GUARDED_PROTOCOLS = tuple(name for name, traits in PROTOCOL_TRAITS.items() if traits.guarded)
 """Names of the guarded protocols, see ``ProtocolTraits.guarded``."""
+
+
+def motor_types_text() -> str:
+    """List the motor types of each protocol whose drives need the option ``motor_type``."""
+    return "; ".join(
+        f"{name}: {', '.join(traits.motor_types)}"
+        for name, traits in PROTOCOL_TRAITS.items()
+        if traits.motor_types
+    )
+
+
+def options_with_motor_type(protocol: str, motor_type: str | None) -> dict[str, Any]:
+    """Return the options of the drives of a protocol, with the motor type that the operator has chosen.
+
+    Args:
+        protocol: name of the protocol.
+        motor_type: chosen motor type, None for that in ``ProtocolTraits.options``.
+
+    Raises:
+        ConfigError: the protocol has no such motor type.
+    """
+    traits = PROTOCOL_TRAITS[protocol]
+    if motor_type is None:
+        return dict(traits.options)
+    if motor_type not in traits.motor_types:
+        right = f"one of {', '.join(traits.motor_types)}" if traits.motor_types else "no motor type"
+        raise ConfigError(f"{motor_type!r} with {protocol}", "--motor-type", right)
+    return {**traits.options, "motor_type": motor_type}
 
 
 def position_loop_protocols_text() -> str:

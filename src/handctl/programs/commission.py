@@ -16,6 +16,7 @@ moment before each pull. The readings without torque are the reference for the r
 cells. The same readings renew the tare of the tendon that is pulled next.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,8 +27,12 @@ from handctl.core.control_law.tension_allocation import tensions_for_torque
 from handctl.core.hand_estimate import HandEstimate, TickMeasurements
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import TickEvent, Vector
+from handctl.drives.contract import Drive
 from handctl.drives.sensors.sensor_node import TARE_MAX_N, TARE_MIN_N
+from handctl.drives.signals import SignalCoding, SignalQuantity
+from handctl.hand.description import Hand
 from handctl.hand.dynamics import static_torque
+from handctl.hand.file.error_text import shortened_list
 from handctl.programs.program import TARE_PHASE, ProgramProgress, ProgressAndEvents
 
 PULL_TENSION_N = 3.0
@@ -495,6 +500,49 @@ def _with_results(model: HandModel, table: Vector, i: int, samples: int) -> Vect
     table[i, CROSSTALK_COLUMN] = np.maximum(rise, -rise - held)[others].max(initial=0.0)
     table[:, [PULL_SUM, REST_SUM, REST_SAMPLES]] = 0.0
     return table
+
+
+def idle_torque_warnings(hand: Hand, drives: Sequence[Drive]) -> tuple[str, ...]:
+    """Return a line about motors that commissioning would refuse, because they cannot be commanded to rest.
+
+    The range of a torque command may have no code for zero torque. An idle motor then makes the
+    torque of the nearest code. Commissioning accepts this pull up to ``MAX_CROSSTALK_FRACTION`` of
+    its own pull. In simulation with spools of 5 mm, AK80-9 motors (0.88 N) pass, and AK70-10 motors
+    (1.2 N) and AK10-9 motors (3.2 N) do not.
+
+    Args:
+        hand: description of the hand.
+        drives: drive of each tendon, in the order of the tendons.
+    """
+    largest = MAX_CROSSTALK_FRACTION * PULL_TENSION_N
+    names: dict[str, list[str]] = {}
+    for tendon, drive in zip(hand.tendon_names, drives, strict=True):
+        motor = hand.motor_of(tendon)
+        torque = _idle_torque(drive)
+        if torque <= largest * motor.spool_radius_m:
+            continue
+        kind = motor.options.get("motor_type", motor.protocol)
+        text = (
+            f"no torque command of {kind} means zero: at rest it pulls with "
+            f"{torque / motor.spool_radius_m:.1f} N, and handctl commission needs at most {largest:g} N; "
+            f"expected spool_radius_m of {torque / largest:.2g}, or a motor of less torque"
+        )
+        names.setdefault(text, []).append(motor.name)
+    return tuple(f"{shortened_list(motors)}: {text}" for text, motors in names.items())
+
+
+def _idle_torque(drive: Drive) -> float:
+    """Return the absolute torque of the command that is nearest to zero [N m at the spool]."""
+    signals = [
+        signal
+        for message in drive.cyclic_messages.commands
+        for signal in message.signals
+        if signal.quantity == SignalQuantity.TORQUE and signal.coding != SignalCoding.FLOAT
+    ]
+    return max(
+        (abs(round(-one.offset / one.scale) * one.scale + one.offset) for one in signals),
+        default=0.0,
+    )
 
 
 def calibration_of_result(model: HandModel, progress: ProgramProgress, made: str) -> Calibration:

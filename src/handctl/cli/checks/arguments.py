@@ -12,12 +12,13 @@ from handctl.cli.console.options import (
     add_gains_options,
     add_hand_option,
     add_json_option,
+    add_motor_type_option,
     add_output_option,
     add_time_scale_option,
 )
 from handctl.cli.parsing.completion import hand_names
 from handctl.cli.parsing.parser import SIMULATED_HAND, CommandExample, VerbParser, add_sub_verb
-from handctl.drives.motor_description import GUARDED_PROTOCOLS, PROTOCOL_TRAITS
+from handctl.drives.motor_description import PROTOCOL_TRAITS, motor_types_text
 
 EXAMPLES = {
     "config": CommandExample("handctl config show --hand jamia"),
@@ -173,7 +174,9 @@ def _declare_init(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="breaking force of the tendons (default: 600)",
     )
-    add("--protocol", choices=GUARDED_PROTOCOLS, help="protocol of the drives (default: mit)")
+    text = "protocol of the drives (default: mit)"
+    add("--protocol", choices=tuple(PROTOCOL_TRAITS), help=text)
+    add_motor_type_option(parser)
     todo = "with --urdf or --mjcf 'TODO'"
     add(
         "--cells",
@@ -290,7 +293,10 @@ def conformance(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="confirm that the shaft may turn: hands and cables are away from it",
     )
-    text = "option of the drive, as in [motor.options] of a hand file; may be repeated"
+    text = (
+        "option of the drive, as in [motor.options] of a hand file; may be repeated; "
+        f"required: motor_type=TYPE ({motor_types_text()})"
+    )
     add("--option", action="append", default=[], metavar="KEY=VALUE", help=text)
     add_bitrate_options(parser, "bit rate of the bus", "bit rate of CAN FD's data phase")
     add_json_option(parser)

@@ -46,6 +46,7 @@ from handctl.hand.hand_loading import (
 from handctl.hand.readiness import arm_table_fit_lines
 from handctl.hand.tendon_strength import strength_warnings
 from handctl.output import FIGURE_SUFFIXES, check_output, path_with_suffix, write_text_atomically
+from handctl.programs.commission import idle_torque_warnings
 from handctl.programs.default_task import grasp_warnings
 from handctl.programs.task import load_task
 from handctl.safety.missing_sensors import sensing_warnings
@@ -242,7 +243,12 @@ def _show_or_check(args: argparse.Namespace, hand: Hand) -> int:
 
 def _hand_warnings(hand: Hand) -> list[str]:
     """Return one line for each warning about a hand."""
-    return [*strength_warnings(hand), *sensing_warnings(hand), *grasp_warnings(hand)]
+    return [
+        *strength_warnings(hand),
+        *idle_torque_warnings(hand, make_drives(hand)),
+        *sensing_warnings(hand),
+        *grasp_warnings(hand),
+    ]
 
 
 def _gains_with_sources(layers: LayeredGains) -> list[str]:

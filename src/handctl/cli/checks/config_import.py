@@ -15,11 +15,12 @@ from handctl.cli.console.questions import (
     SPRING_FIELD,
     TENDON_QUESTIONS,
     HandQuestion,
+    ask_motor_type,
     ask_question,
     check_terminal,
     write_with_schema,
 )
-from handctl.drives.motor_description import PROTOCOL_TRAITS
+from handctl.drives.motor_description import PROTOCOL_TRAITS, options_with_motor_type
 from handctl.errors import ConfigError
 from handctl.hand.file.error_text import FileMistake
 from handctl.hand.file.imported_file import (
@@ -67,7 +68,12 @@ def run(args: argparse.Namespace) -> int:
     if not tendons:
         check_springs(answers.tendons, answers.springs)
     traits = PROTOCOL_TRAITS[answers.protocol] if answers.protocol else None
-    options = options_line(answers.protocol, traits.options) if answers.protocol and traits else ""
+    options = ""
+    if answers.protocol:
+        drive_options = options_with_motor_type(answers.protocol, answers.motor_type)
+        options = options_line(answers.protocol, drive_options)
+    elif answers.motor_type:
+        raise ConfigError(answers.motor_type, "--motor-type", "--protocol with it")
     text = described_text(described, answers, options, traits is not None and traits.can_fd)
     mistakes = inspect_content(parse_toml(text, str(args.output))).mistakes
     missing = [mistake for mistake in mistakes if UNMEASURED_PLACEHOLDER in mistake.what]
@@ -166,7 +172,7 @@ def _ask_questions(answers: TendonAnswers, known: set[str]) -> TendonAnswers:
                 answers,
                 **{question.answer_field: ask_question(question, UNMEASURED_PLACEHOLDER, None)},
             )
-    return answers
+    return replace(answers, motor_type=ask_motor_type(answers.protocol, answers.motor_type))
 
 
 def _check_answers(answers: TendonAnswers) -> None:

@@ -10,11 +10,12 @@ from handctl.cli.console.questions import (
     SPRING_FIELD,
     TENDON_QUESTIONS,
     HandQuestion,
+    ask_motor_type,
     ask_question,
     check_terminal,
     write_with_schema,
 )
-from handctl.drives.motor_description import PROTOCOL_TRAITS
+from handctl.drives.motor_description import PROTOCOL_TRAITS, options_with_motor_type
 from handctl.errors import ConfigError
 from handctl.hand.file.new_file import (
     HandAnswers,
@@ -82,8 +83,9 @@ def run(args: argparse.Namespace) -> int:
     if not args.yes:
         answers = _ask_questions(args, answers)
     check_answers(answers)
-    traits = PROTOCOL_TRAITS[answers.protocol]
-    text = f"#:schema {SCHEMA_FILE}\n" + new_hand_text(answers, traits.options, traits.can_fd)
+    options = options_with_motor_type(answers.protocol, answers.motor_type)
+    can_fd = PROTOCOL_TRAITS[answers.protocol].can_fd
+    text = f"#:schema {SCHEMA_FILE}\n" + new_hand_text(answers, options, can_fd)
     found = inspect_content(parse_toml(text, str(args.output)))
     if found.mistakes or found.hand is None:
         raise found.mistakes[0].error("the answers")
@@ -137,4 +139,4 @@ def _ask_questions(args: argparse.Namespace, answers: HandAnswers) -> HandAnswer
         answers = replace(
             answers, **{question.answer_field: ask_question(question, shown, default)}
         )
-    return answers
+    return replace(answers, motor_type=ask_motor_type(answers.protocol, answers.motor_type))

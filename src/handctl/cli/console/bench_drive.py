@@ -18,6 +18,7 @@ from handctl.drives.contract import Drive
 from handctl.drives.discovery import SCAN_LISTEN_S, DiscoveredNode
 from handctl.drives.frame import Frame
 from handctl.drives.mit.drive import MitDrive
+from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.drives.protocol_registry import PROTOCOL_ENTRIES, make_drive
 from handctl.errors import BusError, ConfigError, DriveError
 from handctl.hand.file.error_text import toml_spelling
@@ -113,6 +114,7 @@ def describe_drive(
     if args.protocol == "cia402":
         reported = ASSUMED_OPTIONS | reported
     reported = _bench_options(args.protocol, reported | options) | reported
+    _check_motor_type(args.protocol, reported | options)
     settings = {
         "position_range_rad": 12.5,
         "velocity_range_rad_s": 30.0,
@@ -141,6 +143,19 @@ def describe_drive(
     except ValueError as error:
         text = str(error).splitlines()[-1]
         raise ConfigError(text, toml_spelling(args.node), "a number of that protocol") from None
+
+
+def _check_motor_type(protocol: str, options: dict[str, Any]) -> None:
+    """Check the option ``motor_type`` of a drive that does not report its type.
+
+    Raises:
+        ConfigError: the option is missing or unknown.
+    """
+    types = PROTOCOL_TRAITS[protocol].motor_types
+    given = options.get("motor_type")
+    if types and given not in types:
+        what = "missing" if given is None else toml_spelling(given)
+        raise ConfigError(what, "--option motor_type=TYPE", f"one of {', '.join(types)}")
 
 
 def _bench_options(protocol: str, options: dict[str, Any]) -> dict[str, Any]:

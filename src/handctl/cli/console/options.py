@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from handctl.cli.parsing.completion import hand_names
-from handctl.drives.motor_description import GUARDED_PROTOCOLS
+from handctl.drives.motor_description import PROTOCOL_TRAITS, motor_types_text
 from handctl.errors import ConfigError
 from handctl.hand.file.quantities import MAX_BITRATE_BIT_S, MIN_BITRATE_BIT_S
 from handctl.printing import escape_surrogates, one_line_message
@@ -57,12 +57,19 @@ def checked_count(number: int, option: str, maximum: int) -> int:
 
 
 def add_protocol_option(parser: argparse.ArgumentParser, more: str = "") -> None:
-    """Declare --protocol.
+    """Declare --protocol and --motor-type.
 
     The hand then has drives of this protocol instead of those in its file.
     """
     text = "drives of the simulated hand (default: as in its file)" + more
-    parser.add_argument("--protocol", choices=GUARDED_PROTOCOLS, help=text)
+    parser.add_argument("--protocol", choices=tuple(PROTOCOL_TRAITS), help=text)
+    add_motor_type_option(parser)
+
+
+def add_motor_type_option(parser: argparse.ArgumentParser) -> None:
+    """Declare --motor-type, for the protocols whose drives do not report the type of their motor."""
+    text = f"with --protocol: type of all motors ({motor_types_text()})"
+    parser.add_argument("--motor-type", metavar="TYPE", help=text)
 
 
 def add_bus_option(parser: argparse.ArgumentParser, required: bool = True) -> None:

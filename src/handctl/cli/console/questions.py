@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from handctl.cli.console.options import print_escaped
-from handctl.drives.motor_description import GUARDED_PROTOCOLS
+from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.errors import ConfigError
 from handctl.hand.file.json_schema import hand_schema_text
 from handctl.output import write_text_atomically
@@ -69,9 +69,9 @@ DRIVE_AND_SENSOR_QUESTIONS = (
     ),
     HandQuestion(
         "protocol",
-        f"Protocol of the drives ({', '.join(GUARDED_PROTOCOLS)})",
-        reader_of_choice(GUARDED_PROTOCOLS),
-        ", ".join(GUARDED_PROTOCOLS),
+        f"Protocol of the drives ({', '.join(PROTOCOL_TRAITS)})",
+        reader_of_choice(PROTOCOL_TRAITS),
+        ", ".join(PROTOCOL_TRAITS),
     ),
 )
 """Questions about the sensors, springs and drives of every new hand, in order."""
@@ -115,3 +115,24 @@ def ask_question(question: HandQuestion, shown: str, default: Any) -> Any:
             return question.read_answer(text)
         except ValueError:
             print_escaped(f"{text!r}; expected {question.expected_text}")
+
+
+def ask_motor_type(protocol: str | None, answer: str | None) -> str | None:
+    """Ask for the type of the motors, unless it is known or the protocol needs no type.
+
+    Args:
+        protocol: protocol of the drives, None if it is unknown.
+        answer: motor type that an option gives, or None.
+
+    Returns:
+        the motor type. If there is no answer, the result is None.
+    """
+    types = PROTOCOL_TRAITS[protocol].motor_types if protocol else ()
+    if answer is not None or not types:
+        return answer
+    names = ", ".join(types)
+    question = HandQuestion(
+        "motor_type", f"Type of the motors ({names})", reader_of_choice(types), names
+    )
+    default = PROTOCOL_TRAITS[protocol or ""].options["motor_type"]
+    return str(ask_question(question, default, default))

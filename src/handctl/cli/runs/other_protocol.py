@@ -23,9 +23,11 @@ def hand_in_protocol(args: argparse.Namespace) -> Iterator[None]:
     The end of the context restores ``args.hand``.
 
     Raises:
-        ConfigError: the hand does not exist.
+        ConfigError: the hand does not exist, or the protocol has no such motor type.
     """
     if args.protocol is None:
+        if args.motor_type is not None:
+            raise ConfigError(args.motor_type, "--motor-type", "--protocol with it")
         yield
         return
     original_hand = args.hand
@@ -67,5 +69,5 @@ def _hand_text(args: argparse.Namespace) -> str:
         hand_with_protocol,  # a slow import, because it imports the whole controller
     )
 
-    hand = hand_with_protocol(args.hand, args.protocol)
+    hand = hand_with_protocol(args.hand, args.protocol, args.motor_type)
     return toml_text(with_meshes_from(hand.content, hand_path(args.hand).parent))

@@ -11,6 +11,7 @@ from handctl.cli.console.options import (
     wire_option_words,
 )
 from handctl.cli.runs.other_protocol import hand_in_protocol, path_in_protocol, write_in_protocol
+from handctl.errors import ConfigError
 from handctl.hand.hand_loading import load_hand
 from handctl.session.gains import gain_assignments
 from handctl.session.tasks import scene_for_hand
@@ -23,6 +24,8 @@ def run(args: argparse.Namespace) -> int:
         return _check_and_print(args)
     if args.protocol:
         args.hand = str(write_in_protocol(args))
+    elif args.motor_type:
+        raise ConfigError(args.motor_type, "--motor-type", "--protocol with it")
     return os.execv(sys.executable, _simulator_command(args, args.hand))
 
 

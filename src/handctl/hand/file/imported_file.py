@@ -87,6 +87,7 @@ class TendonAnswers:
         tension_N: largest commanded tension [N].
         strength_N: rated breaking force of the tendons [N].
         protocol: protocol of the drives.
+        motor_type: type of the motors, None for the default of the protocol.
         first_node: node number of the first drive on each bus. Further drives get the next numbers.
         cells: ``all`` if all tendons have a load cell, ``none`` if no tendon has one.
         encoders: ``all`` if all joints have an encoder, ``none`` if no joint has one.
@@ -100,6 +101,7 @@ class TendonAnswers:
     tension_N: float | None = None
     strength_N: float | None = None
     protocol: str | None = None
+    motor_type: str | None = None
     first_node: int | None = None
     cells: str | None = None
     encoders: str | None = None

@@ -83,6 +83,7 @@ class HandAnswers:
         tension_N: largest commanded tension [N].
         strength_N: rated breaking force of the tendons [N].
         protocol: protocol of the drives.
+        motor_type: type of the motors, None for the default of the protocol.
         cells: ``all`` if each tendon has a load cell, else ``none``.
         encoders: ``all`` if each joint has an encoder, else ``none``.
         springs: ``all`` if springs open the digits. ``none`` if a further tendon of each digit
@@ -101,6 +102,7 @@ class HandAnswers:
     tension_N: float = 80.0
     strength_N: float = 600.0
     protocol: str = "mit"
+    motor_type: str | None = None
     cells: str = "all"
     encoders: str = "none"
     springs: str = "all"
