@@ -134,6 +134,21 @@ def run_without_sensors(
     return rows
 
 
+def assert_no_check_of_a_missing_cell(hand: Hand, events: list[TickEvent]) -> None:
+    """Check that the events of commissioning claim no check that needs a missing load cell.
+
+    Regression: a hand without load cells printed "answers 2.99 N, others 0.00 N".
+    """
+    texts = {event.where: event.text for event in events if event.name == "commission"}
+    assert set(texts) == set(hand.tendon_names)
+    for name, has_cell in zip(hand.tendon_names, hand.has_cell, strict=True):
+        assert texts[name].startswith("answers " if has_cell else "taut at "), texts[name]
+        assert ("by its motor" in texts[name]) == (not has_cell)
+        assert ("swapped tendons are not checked" in texts[name]) == (not hand.has_cell.any())
+        assert (", other load cells 0." in texts[name]) == hand.has_cell.any()
+    assert any("no load cells to tare" in event.text for event in events) != hand.has_cell.any()
+
+
 @pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
 @pytest.mark.parametrize("bare", [(), ("index_tendon", "thumb_tendon")])
 def test_hand_commissions_with_the_tares_of_its_load_cells(
@@ -144,8 +159,11 @@ def test_hand_commissions_with_the_tares_of_its_load_cells(
         run = SimulatedRun.begin(
             make_controller(hand, Gains(), RATE_HZ, CommissionProgram(), None, True), peer
         )
+        events: list[TickEvent] = []
         for _, out in run.run_ticks(30.0):
-            assert not [event for event in out.events if event.level == "error"]
+            events += out.events
+        assert not [event for event in events if event.level == "error"]
+        assert_no_check_of_a_missing_cell(hand, events)
         found = calibration_of_result(
             model_of(*bare), run.state.progress, "2026-01-01T00:00:00+00:00"
         )

@@ -123,9 +123,7 @@ class CommissionProgram:
         if progress.finished:
             return progress, ()
         if progress.since < 0.0:
-            return replace(progress, since=t), (
-                TickEvent("info", "phase", "", "tare: all motors limp"),
-            )
+            return replace(progress, since=t), (TickEvent("info", "phase", "", _tare_text(model)),)
         if progress.step == 0:
             return self._tare_cells(model, progress, measured, t)
         if progress.touching[0] == BEFORE_PULL:
@@ -337,11 +335,12 @@ class CommissionProgram:
         """Accept the measured response of tendon i, or refuse the hand."""
         answer, crosstalk = _table_of(progress)[i, [ANSWER_COLUMN, CROSSTALK_COLUMN]]
         if answer < MIN_ANSWER_FRACTION * PULL_TENSION_N:
+            sensor = "load cell" if model.hand.has_cell[i] else "motor"
             return self._refuse_tendon(
                 model,
                 progress,
                 i,
-                f"load cell answers {answer:.2f} N to a pull of {PULL_TENSION_N:g} N",
+                f"{sensor} answers {answer:.2f} N to a pull of {PULL_TENSION_N:g} N",
             )
         if crosstalk > MAX_CROSSTALK_FRACTION * PULL_TENSION_N:
             text = f"another load cell answers {crosstalk:.2f} N: swapped, or two tendons touch"
@@ -350,7 +349,7 @@ class CommissionProgram:
             "info",
             "commission",
             model.hand.tendon_names[i],
-            f"answers {answer:.2f} N, others {crosstalk:.2f} N",
+            _response_text(model, i, answer, crosstalk),
         )
         progress, entered = self._next_tendon(model, progress, t)
         return progress, (event, *entered)
@@ -391,6 +390,32 @@ class CommissionProgram:
             goals=(DigitGoal(),) * len(progress.goals),
         )
         return failed, (TickEvent("error", "commission", name, reason),)
+
+
+def _tare_text(model: HandModel) -> str:
+    """Return the text of the event with which commissioning begins."""
+    if model.hand.has_cell.any():
+        return "tare: all motors limp"
+    return "no load cells to tare: all motors limp. Swapped tendons are not checked"
+
+
+def _response_text(model: HandModel, i: int, answer: float, crosstalk: float) -> str:
+    """Return the text of an accepted response to the pull of tendon i.
+
+    Only load cells can show that another tendon responds. A text about other tendons names the
+    check that was possible.
+
+    Args:
+        model: model of the hand.
+        i: index of the tendon.
+        answer: response of the tendon's own load cell, or of its motor [N].
+        crosstalk: largest response of any other load cell [N].
+    """
+    has_cell = model.hand.has_cell
+    own = f"answers {answer:.2f} N" if has_cell[i] else f"taut at {answer:.2f} N by its motor"
+    if (has_cell & (np.arange(model.tendon_count) != i)).any():
+        return f"{own}, other load cells {crosstalk:.2f} N"
+    return f"{own}; no other load cell, so swapped tendons are not checked"
 
 
 def _no_answer_text(model: HandModel, measured: TickMeasurements) -> str:
