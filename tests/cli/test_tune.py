@@ -79,6 +79,28 @@ def test_poles_that_are_not_stable_in_simulation_are_not_written(work_folder, ca
     assert not list(work_folder.iterdir())
 
 
+@pytest.mark.parametrize("words", [(), ("--json",)])
+def test_a_design_tells_why_the_old_gains_do_not_come_to_rest(
+    work_folder, capsys, monkeypatch, words
+):
+    """Regression: the cells of the old gains said "none", and the reason was printed nowhere."""
+    swing = "the plant with 0.5 of the friction swings by 2.3 N held"
+    reasons = {7e-4: f": {swing}"}
+    monkeypatch.setattr(
+        "handctl.tune.loops.step_tests.RestTest._simulate",
+        lambda self, model: reasons.get(model.gains.motion.position_error_m, ""),
+    )
+    command = ["tune", "design", "--plants", "1", "--gain", "motion.position_error_m=7e-4"]
+    assert main([*command, "--poles-Hz", "2,25", *words]) in (0, 1)
+    said = capsys.readouterr().out
+    if words:
+        assert json.loads(said)["not_at_rest_before"] == swing
+        return
+    assert f"before: in simulation the hand does not come to rest: {swing}\n" in said
+    assert "not at rest\u2192" in said
+    assert "none" not in said
+
+
 def gain_score(tracking):
     return GainScore(tracking, 2.0, 3.0, 60.0, 0.0)
 

@@ -63,7 +63,9 @@ def run(args: argparse.Namespace) -> int:
             return _report_failure(args, str(error))
         if not result.worst_after.stable or not proof(model_with_gains(model, result.gains)):
             return _report_failure(args, f"these poles are not stable on every plant{proof.reason}")
-        result = result if proof(model) else result.with_unproven_before()
+        result = (
+            result if proof(model) else result.with_unproven_before(proof.reason.removeprefix(": "))
+        )
     after = HandModel.from_hand(twin, result.gains, rate)
     note = f"tune design at {rate:g} Hz on {len(plants)} plants, seed {args.seed}"
     write_gains(out, result.gains, hand, note, fit=args.fit)
@@ -120,6 +122,7 @@ def _result_fields(
         "after": {
             f"{name}/{kind}": asdict(one) for (name, kind), one in result.margins_after.items()
         },
+        "not_at_rest_before": result.not_at_rest_before,
         "worst_before": asdict(result.worst_before),
         "worst_after": asdict(result.worst_after),
         "enough": result.worst_after.are_sufficient,
@@ -136,27 +139,38 @@ def _print_design(result: Any, rate: float, plants: int) -> None:
     table = Table(title=title, box=box.SIMPLE, pad_edge=False)
     for heading in ("tendon", "loop", "gain dB", "phase deg", "disk", "delay ms", "cross Hz"):
         table.add_column(heading, no_wrap=True)
+    unproven = "not at rest" if result.not_at_rest_before else "unstable"
     alike: dict[tuple[str, ...], list[str]] = {}
     for (name, kind), after in result.margins_after.items():
         alike.setdefault(
-            (str(kind), *_margin_cells(result.margins_before[name, kind], after)), []
+            (str(kind), *_margin_cells(result.margins_before[name, kind], after, unproven)), []
         ).append(name)
     for (kind, *cells), names in alike.items():
         more = f" + {len(names) - 1}" if len(names) > 1 else ""
         table.add_row(names[0].removesuffix("_tendon") + more, kind, *cells)
     table.add_section()
-    table.add_row("worst", "", *_margin_cells(result.worst_before, result.worst_after))
+    table.add_row("worst", "", *_margin_cells(result.worst_before, result.worst_after, unproven))
     rich_console(min_width=TABLE_WIDTH).print(table)
+    if result.not_at_rest_before:
+        reason = result.not_at_rest_before
+        print_escaped(f"before: in simulation the hand does not come to rest: {reason}")
 
 
-def _margin_cells(before: Any, after: Any) -> list[str]:
+def _margin_cells(before: Any, after: Any, unproven: str) -> list[str]:
+    """Return the cells of a row of the table: each margin before and after.
+
+    Args:
+        before: margins with the old gains.
+        after: margins with the designed gains.
+        unproven: text in the first cell for a loop without margins. The other cells have a dash.
+    """
     from handctl.tune.loops.margins import MAX_DELAY_S, MAX_GAIN_DB
 
     def margin_text(margins: Any, name: str, scale: float, digits: int) -> str:
         limit = {"gain_db": MAX_GAIN_DB, "delay_s": MAX_DELAY_S}.get(name, math.inf)
         value = getattr(margins, name)
         if not margins.stable:
-            return "none"
+            return unproven if name == "gain_db" else "-"
         return (
             "-"
             if math.isnan(value)

@@ -91,6 +91,8 @@ class GainDesign:
             gains.
         worst_after: smallest value of each margin on all plants of the ensemble, with the designed
             gains.
+        not_at_rest_before: reason why the hand does not come to rest in simulation with the old
+            gains, else empty.
     """
 
     gains: Gains
@@ -98,15 +100,22 @@ class GainDesign:
     margins_after: dict[tuple[str, LoopKind], LoopMargins]
     worst_before: LoopMargins
     worst_after: LoopMargins
+    not_at_rest_before: str = ""
 
-    def with_unproven_before(self) -> "GainDesign":
+    def with_unproven_before(self, reason: str) -> "GainDesign":
         """Return the design with zero margins for the old gains.
 
         The margins are zero if the hand did not come to rest in simulation with the old gains.
+
+        Args:
+            reason: reason why the hand did not come to rest.
         """
         before = {loop: unproven_margins(margin) for loop, margin in self.margins_before.items()}
         return replace(
-            self, margins_before=before, worst_before=unproven_margins(self.worst_before)
+            self,
+            margins_before=before,
+            worst_before=unproven_margins(self.worst_before),
+            not_at_rest_before=reason,
         )
 
     def as_weights(self) -> Gains:

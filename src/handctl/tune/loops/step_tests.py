@@ -109,11 +109,18 @@ class StepOscillation:
         return replace(self, hold_swings_N=tuple(remaining))
 
     def __str__(self) -> str:
-        """Return the oscillations as text."""
+        """Return the oscillations and their limits as text."""
         if self.failure:
             return self.failure
         angle = np.degrees(self.angle_rad)
-        return f"swings by {angle:.2f} deg, {self.free_tension_N:.1f} N free and {self.largest_hold_swing:.1f} N held"
+        limits = (
+            f"limits {np.degrees(MAX_ANGLE_SWING_RAD):.2f} deg, "
+            f"{MAX_FREE_SWING_N:g} N and {MAX_HOLD_SWING_N:g} N"
+        )
+        return (
+            f"swings by {angle:.2f} deg, {self.free_tension_N:.1f} N free and "
+            f"{self.largest_hold_swing:.1f} N held ({limits})"
+        )
 
 
 def simulate_swing(
