@@ -7,7 +7,7 @@ import json
 import shlex
 from argparse import ArgumentParser, Namespace
 from contextlib import nullcontext
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -22,6 +22,7 @@ from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.log.write.writer import LogWriter
 from handctl.session.calibration import load_calibration, write_calibration
+from handctl.tune.gains_verification import BlockedDigit, GainsRollback
 from handctl.tune.scoring import GainScore
 from handctl.tune.search.search import SearchResult, SearchTrial
 from tests.cli.command_refusals import refusal_line
@@ -124,13 +125,57 @@ def test_gains_that_are_worse_are_verified_only_if_that_is_accepted(capsys, acce
 
     rounds = [gain_score(1.0), gain_score(1.0), gain_score(3.0), gain_score(3.0), gain_score(3.0)]
     run = {"through": True, "returned": None, "failure": "", "rounds": rounds, "judged_by": "truth"}
-    run |= {"log": "l", "picture": "p"}
+    run |= {"log": "l", "picture": "p", "stopped": "", "amplitudes": (0.3, 1.0, 0.3, 0.6, 1.0)}
     args = Namespace(candidate="new.toml", hand="jamia", accept_worse=accept, json=False)
     assert _report_verification(args, [run] * 3, SimpleNamespace(exit_code=0)) == code
     said = capsys.readouterr().out
     assert "tracking: worse, 1.00 -> 3.00 deg" in said
     assert ("gains apply" in said) == accept
     assert ("--accept-worse" in said) != accept
+    last = said.splitlines()[-1]
+    assert last.startswith("verified; " if accept else "not verified: tracking worse than")
+
+
+@pytest.mark.parametrize(
+    ("failure", "rollback", "blocked", "reason"),
+    [
+        ("T01 torn", None, None, "the run failed: T01 torn"),
+        ("", GainsRollback(1.0, 500, 0.6, "safety: HOLD"), None, "safety: HOLD at amplitude 0.6"),
+        (
+            "",
+            None,
+            BlockedDigit("index", ("thumb",), "17 deg", 1.0, 0.35),
+            "index is blocked by thumb at 17 deg: the amplitude is too large for this hand; "
+            "try --amplitude 0.35",
+        ),
+        ("", None, None, "the run ended in round 1 of 5"),
+    ],
+)
+def test_the_last_line_of_a_verification_is_its_verdict(capsys, failure, rollback, blocked, reason):
+    """Regression: a run that went back to the old gains ended without a verdict."""
+    from handctl.cli.tuning.tune_verify import _report_verification, _stop_reason
+
+    amplitudes = (0.3, 1.0, 0.3, 0.6, 1.0)
+    observer = SimpleNamespace(rollback=rollback, blocked=blocked, amplitudes=amplitudes)
+    run = {
+        "through": False,
+        "stopped": _stop_reason(failure, observer, 1),
+        "amplitudes": amplitudes,
+        "returned": asdict(rollback) if rollback else None,
+        "failure": failure,
+        "rounds": [gain_score(1.0)],
+        "judged_by": "truth",
+        "log": "l",
+        "picture": "p",
+    }
+    for as_json in (False, True):
+        args = Namespace(candidate="new.toml", hand="jamia", accept_worse=True, json=as_json)
+        assert _report_verification(args, [run], SimpleNamespace(exit_code=0)) == 1
+        said = capsys.readouterr().out
+        if as_json:
+            assert (json.loads(said)["verified"], json.loads(said)["why_not"]) == (False, reason)
+        else:
+            assert said.splitlines()[-1] == f"not verified: {reason}"
 
 
 def test_an_existing_commissioning_log_is_accepted(work_folder):
@@ -182,6 +227,7 @@ def test_units_in_brackets_are_no_markup(fake_search, capsys):
         {
             "judged_by": "truth",
             "returned": None,
+            "amplitudes": (1.0,),
             "verified": True,
             "failure": "",
             "log": "l",

@@ -4,12 +4,15 @@ If the loops oscillate with new gains, the run returns to the old gains, and the
 change.
 """
 
+import math
 from pathlib import Path
 
 import pytest
 
+from handctl.cli.main import main
 from handctl.cli.tuning.tune_verify import _gains_label, return_text
 from handctl.core.gains.gains import Gains, MotionGains, TensionGains
+from handctl.hand.description import Hand
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.exercise import ExerciseProgram
@@ -17,7 +20,12 @@ from handctl.replay.execute import execute_log
 from handctl.session.plan import RunPlan, default_rate
 from handctl.session.run import make_controller, run_lockstep
 from handctl.session.simulate import SimulatorSettings
-from handctl.tune.gains_verification import VerifyObserver, scores_by_round
+from handctl.tune.gains_verification import (
+    VerifyLimits,
+    VerifyObserver,
+    round_amplitudes,
+    scores_by_round,
+)
 
 CALM_GAINS = Gains(
     motion=MotionGains(force_N=12.0, disturbance_rejection=0.5), tension=TensionGains(force_N=2.7)
@@ -25,11 +33,13 @@ CALM_GAINS = Gains(
 UNSTABLE_GAINS = Gains(motion=MotionGains(force_N=450.0), tension=TensionGains(force_N=300.0))
 
 
-def _verify_gains(new: Gains, log: Path) -> VerifyObserver:
-    hand = load_hand("jamia")
+def _verify_gains(
+    new: Gains, log: Path, hand: Hand | None = None, amplitude: float = 0.2
+) -> VerifyObserver:
+    hand = hand or load_hand("jamia")
     rate = default_rate(hand)
     plan = RunPlan(hand, CALM_GAINS, rate, (0.5,))
-    amplitudes = (0.2, 0.2)
+    amplitudes = (amplitude, amplitude)
     observer = VerifyObserver(hand, CALM_GAINS, new, amplitudes=amplitudes, old_rounds=1)
     with SimulatorSettings(hand, homed=True).lockstep_clock(plan.period_ns) as clock:
         run_lockstep(
@@ -59,9 +69,45 @@ def test_ringing_gains_are_rolled_back(new: Gains, goes_back: bool, tmp_path: Pa
         assert observer.rollback.k < requests[1].k <= observer.rollback.k + 2
 
 
+OPPOSED_HANDS = [("1", "40,30", "each"), ("1", "24,16", "each"), ("1", "60,40", "each")]
+
+
+@pytest.mark.parametrize(
+    ("fingers", "links", "tendons"),
+    [
+        pytest.param(*words, marks=pytest.mark.nightly if i else ())
+        for i, words in enumerate(OPPOSED_HANDS)
+    ],
+)
+def test_digits_that_meet_are_named_and_not_blamed_on_the_gains(
+    tmp_path: Path, fingers: str, links: str, tendons: str
+) -> None:
+    """Regression: digits blocked near 17 deg by each other counted as a tracking error of 20 deg."""
+    file = tmp_path / "mine.toml"
+    words = ["--fingers", fingers, "--opposed", "1", "--links", links, "--tendons", tendons]
+    assert main(["config", "init", "--yes", *words, "--output", str(file)]) == 0
+    hand = load_hand(str(file))
+    observer = _verify_gains(CALM_GAINS, tmp_path / "wide.mcap", hand, 1.0)
+    assert observer.rollback is None
+    blocked = observer.blocked
+    assert blocked is not None
+    assert {blocked.digit, *blocked.by} == {"index", "thumb"}
+    assert "the amplitude is too large for this hand" in str(blocked)
+    with RunLog(tmp_path / "wide.mcap") as log:
+        scores = scores_by_round(log, hand, None, 0)
+    limit_deg = math.degrees(VerifyLimits().tracking_rad)
+    assert all(score.tracking_deg < limit_deg / 4 for score in scores)
+    # The proposed amplitude is free of contact.
+    assert 0.05 <= blocked.proposed_amplitude < 1.0
+    narrow = _verify_gains(CALM_GAINS, tmp_path / "free.mcap", hand, blocked.proposed_amplitude)
+    assert narrow.blocked is None
+    assert narrow.rollback is None
+
+
 def test_a_report_names_the_gains_of_each_round() -> None:
-    assert [_gains_label(i, None) for i in range(5)] == ["old", "old", "new", "new", "new"]
-    assert [_gains_label(i, {"amplitude": 0.6}) for i in range(5)] == [
+    rounds = round_amplitudes(0.4)
+    assert [_gains_label(i, None, rounds) for i in range(5)] == ["old", "old", "new", "new", "new"]
+    assert [_gains_label(i, {"amplitude": rounds[3]}, rounds) for i in range(5)] == [
         "old",
         "old",
         "new",

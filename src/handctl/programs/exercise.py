@@ -27,6 +27,8 @@ HOME_ANGLE_RAD = math.radians(5.0)
 
 On the stop, the position error of a digit would be too small for the comparison.
 """
+FULL_MOVE_RAD = math.radians(30.0)
+"""Angle of a move at full amplitude [rad]."""
 GENTLE_CLOSE_TENSION_N = 7.0
 """Net tension with which spool pairs close their digits [N].
 
@@ -57,6 +59,11 @@ class ExerciseStage:
     rest: float = REST_DURATION_S
 
 
+def move_amplitude(angle: float) -> float:
+    """Return the amplitude at which the moves reach an angle [rad]."""
+    return (angle - HOME_ANGLE_RAD) / FULL_MOVE_RAD
+
+
 def exercise_stages(amplitude: float = 1.0, fastest_s: float = 0.25) -> tuple[ExerciseStage, ...]:
     """Return the stages of the exercise at one amplitude.
 
@@ -64,7 +71,7 @@ def exercise_stages(amplitude: float = 1.0, fastest_s: float = 0.25) -> tuple[Ex
         amplitude: fraction of the full angles and tensions.
         fastest_s: duration of the fastest move [s].
     """
-    target = HOME_ANGLE_RAD + amplitude * math.radians(30.0)
+    target = HOME_ANGLE_RAD + amplitude * FULL_MOVE_RAD
     hold = 30.0 + 25.0 * amplitude
     moves = [
         ExerciseStage("move", duration + REST_DURATION_S, angle)

@@ -8,8 +8,10 @@ executed again.
 """
 
 import json
+import math
 from collections import deque
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from scipy.stats import t as student
@@ -20,6 +22,7 @@ from handctl.core.tick_types import HandMode, TickIn, TickOut
 from handctl.hand.description import Hand
 from handctl.log.read.reader import RunLog
 from handctl.log.read.timeline import phase_of_each
+from handctl.programs.exercise import move_amplitude
 from handctl.report.summary import mean_angles
 from handctl.report.truth_record import TruthRecord
 from handctl.safety.action import SafetyAction
@@ -40,6 +43,54 @@ RINGING_WINDOW_S = 0.1
 
 The window contains two periods of the oscillation of a drive on a blocked tendon.
 """
+BLOCKED_LAG_RAD = 0.1
+"""Difference between command and estimated angle at which a digit in contact counts as blocked [rad].
+
+A digit that only touches something still follows its command. With gains that keep the margins, a
+free digit lags by less than a third of this value.
+"""
+BLOCKED_DURATION_NS = 50_000_000
+"""Time after which a digit that lags in contact counts as blocked [ns].
+
+In this time, the controller also detects the contact of a digit that blocks the first one.
+"""
+UNBLOCKED_FRACTION = 0.9
+"""Amplitude that is proposed for a hand with blocked digits, as a fraction of the amplitude of the contact."""
+AMPLITUDE_STEP = 0.05
+"""Step to which a proposed amplitude is rounded down."""
+
+
+def round_amplitudes(largest: float = 1.0) -> tuple[float, ...]:
+    """Return the amplitudes of the rounds, given the largest of them."""
+    return tuple(largest * amplitude for amplitude in ROUND_AMPLITUDES)
+
+
+@dataclass(frozen=True, slots=True)
+class BlockedDigit:
+    """A digit that something blocked during a move of the exercise.
+
+    Attributes:
+        digit: name of the digit.
+        by: names of the digits that were blocked at the same time.
+        angle: mean joint angle of the digit with its unit, as text.
+        amplitude: amplitude of the round.
+        proposed_amplitude: amplitude at which the digit stays in front of the contact, 0 if none.
+    """
+
+    digit: str
+    by: tuple[str, ...]
+    angle: str
+    amplitude: float
+    proposed_amplitude: float
+
+    def __str__(self) -> str:
+        """Return the reason why a verification with this digit is not valid."""
+        by = f" by {' and '.join(self.by)}" if self.by else ""
+        text = f"{self.digit} is blocked{by} at {self.angle}"
+        text += ": the amplitude is too large for this hand"
+        if self.proposed_amplitude:
+            text += f"; try --amplitude {self.proposed_amplitude:g}"
+        return text
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +143,8 @@ class VerifyObserver:
         amplitudes: amplitudes of the rounds of the exercise.
         old_rounds: number of rounds with the old gains.
         rollback: return to the old gains, or None if it was not necessary.
+        blocked: first digit that was blocked in a move, or None. A blocked digit has no tracking
+            limit, because its error says nothing about the gains.
     """
 
     hand: Hand
@@ -101,7 +154,9 @@ class VerifyObserver:
     amplitudes: tuple[float, ...] = ROUND_AMPLITUDES
     old_rounds: int = OLD_GAINS_ROUNDS
     rollback: GainsRollback | None = None
+    blocked: BlockedDigit | None = None
     _round: int = 0
+    _lagging_ns: int = 0
     _phase: str = ""
     _requests: list[str] = field(default_factory=list)
     _torque: "np.ndarray[tuple[int, ...], np.dtype[np.float64]] | None" = None
@@ -122,6 +177,13 @@ class VerifyObserver:
             if self._round == self.old_rounds + 1:
                 self._request_gains(self.new_gains, self.old_gains)
         self._phase = out.phase
+        if out.phase != "move":
+            self._lagging_ns = entry.t_ns
+        elif self.blocked is None and out.mode == HandMode.ACTIVE:
+            names = self._blocked_names(out)
+            self._lagging_ns = self._lagging_ns if names else entry.t_ns
+            if entry.t_ns - self._lagging_ns >= BLOCKED_DURATION_NS:
+                self.blocked = self._blocked_digit(out, names)
         ringing = self._torque_rate(entry, out)
         if self._round <= self.old_rounds:
             self._max_ringing = max(self._max_ringing, ringing)
@@ -129,6 +191,36 @@ class VerifyObserver:
             amplitude = self.amplitudes[self._round - 1]
             self.rollback = GainsRollback(entry.t_ns / 1e9, entry.k, amplitude, reason)
             self._request_gains(self.old_gains, self.new_gains)
+
+    def _blocked_names(self, out: TickOut) -> tuple[str, ...]:
+        """Return the names of the digits in contact, if one of them lags, beginning with the largest lag."""
+        numbers = out.telemetry
+        lag = np.abs(numbers.q_goal - numbers.q) / self.hand.display_units.scale
+        lags = {
+            name: float(np.nanmax(lag[joints], initial=0.0))
+            for (name, joints), touches in zip(
+                self.hand.digit_joints.items(), numbers.contact, strict=True
+            )
+            if touches > 0.0
+        }
+        if max(lags.values(), default=0.0) <= BLOCKED_LAG_RAD:
+            return ()
+        return tuple(sorted(lags, key=lags.__getitem__, reverse=True))
+
+    def _blocked_digit(self, out: TickOut, names: tuple[str, ...]) -> BlockedDigit:
+        """Return the description of a blocked digit, given the result of `_blocked_names`."""
+        digit, *others = names
+        units = self.hand.displayed_mean(digit)
+        column = self.hand.digit_names.index(digit)
+        mean = float(mean_angles(self.hand, out.telemetry.q[None])[0, column])
+        amplitude = UNBLOCKED_FRACTION * move_amplitude(mean / float(units.scale[0]))
+        return BlockedDigit(
+            digit,
+            tuple(others),
+            f"{units.factor[0] * mean:.0f} {units.names[0]}",
+            self.amplitudes[self._round - 1],
+            max(0.0, round(math.floor(amplitude / AMPLITUDE_STEP) * AMPLITUDE_STEP, 2)),
+        )
 
     def _request_gains(self, gains: Gains, replaced: Gains) -> None:
         """Queue a request for those of the given gains that a running controller accepts."""
@@ -143,6 +235,11 @@ class VerifyObserver:
             if key.partition(".")[0] in LIVE_SECTIONS
         }
         self._requests.append(json.dumps({"do": "gains", "set": values}))
+
+    @cached_property
+    def _joint_counts(self) -> list[int]:
+        """Return the number of joints of each digit."""
+        return [len(digit.joints) for digit in self.hand.digit]
 
     def _torque_rate(self, entry: TickIn, out: TickOut) -> float:
         """Return the rate of change of the motor torques, as RMS over the window up to this tick [N m/s]."""
@@ -166,7 +263,8 @@ class VerifyObserver:
             return ""
         limits = self.limits
         numbers = out.telemetry
-        error = np.abs(numbers.q_goal - numbers.q)
+        touches = np.repeat(numbers.contact > 0.0, self._joint_counts)
+        error = np.where(touches, np.nan, np.abs(numbers.q_goal - numbers.q))
         worst = float(np.nanmax(error, initial=0.0)) if out.phase == "move" else 0.0
         if worst > limits.tracking_rad:
             return f"tracking error {np.degrees(worst):.1f} deg, limit {np.degrees(limits.tracking_rad):.1f}"
@@ -245,6 +343,8 @@ def scores_by_round(
 ) -> list[GainScore]:
     """Calculate the score of each round of the exercise, beginning with the rounds with the old gains.
 
+    The tracking error leaves out digits in contact, which cannot follow their commands.
+
     Args:
         log: log of the verification.
         hand: description of the hand of the run.
@@ -254,7 +354,7 @@ def scores_by_round(
     """
     starts = [change.k for change in log.phases if change.name == "settle"]
     phase = phase_of_each(log.phases, log.k)
-    angle = mean_angles(hand, log.field("q_goal"))
+    angle = np.where(log.field("contact") > 0.0, np.nan, mean_angles(hand, log.field("q_goal")))
     if truth is None:
         real = GroundTruth(mean_angles(hand, log.field("q")), log.field("tension"))
     else:

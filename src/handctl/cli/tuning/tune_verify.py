@@ -11,7 +11,7 @@ from typing import Any
 
 from handctl.cli.console.dry_run import report_dry_run
 from handctl.cli.console.motion_confirmation import announce_motion
-from handctl.cli.console.options import checked_count, print_json
+from handctl.cli.console.options import checked_count, print_escaped, print_json
 from handctl.cli.console.plan import check_perturb, find_calibration, make_plan, refuse_bus_options
 from handctl.cli.console.screen import rich_console
 from handctl.cli.console.verbosity import print_note
@@ -27,8 +27,11 @@ from handctl.session.simulate import SimulatorSettings
 def run(args: argparse.Namespace) -> int:
     """Verify new gains on the hand. Return 0 only if they pass the round with full amplitude."""
     from handctl.programs.exercise import ExerciseProgram
-    from handctl.tune.gains_verification import ROUND_AMPLITUDES, VerifyObserver
+    from handctl.tune.gains_verification import VerifyObserver, round_amplitudes
 
+    if not 0.0 < args.amplitude <= 1.0:
+        raise ConfigError(f"{args.amplitude:g}", "--amplitude", "more than 0, at most 1")
+    amplitudes = round_amplitudes(args.amplitude)
     if bool(args.bus) == args.lockstep:
         raise ConfigError(
             "none or both given",
@@ -48,8 +51,8 @@ def run(args: argparse.Namespace) -> int:
             "the filter's gains cannot change in a run: both halves use the new filter gains"
         )
     if args.dry_run:
-        line = f"{plan.hand.name}: would verify {args.candidate} in {len(ROUND_AMPLITUDES)} rounds"
-        return report_dry_run(args, plan, line, gains=args.candidate, amplitudes=ROUND_AMPLITUDES)
+        line = f"{plan.hand.name}: would verify {args.candidate} in {len(amplitudes)} rounds"
+        return report_dry_run(args, plan, line, gains=args.candidate, amplitudes=amplitudes)
     log = args.log or default_log(plan.hand, "verify")
     plan = _with_gains(plan, base, args.candidate)
     first = args.seed
@@ -59,8 +62,8 @@ def run(args: argparse.Namespace) -> int:
     ):
         args.seed = seed
         run_log = log if seed == first else log.with_stem(f"{log.stem}-seed{seed}")
-        observer = VerifyObserver(plan.hand, base, new.gains)
-        outcome, truth = _run_once(args, plan, ExerciseProgram(ROUND_AMPLITUDES), observer, run_log)
+        observer = VerifyObserver(plan.hand, base, new.gains, amplitudes=amplitudes)
+        outcome, truth = _run_once(args, plan, ExerciseProgram(amplitudes), observer, run_log)
         runs.append(_judge_run(plan, outcome, observer, run_log, truth))
         if not runs[-1]["through"]:
             break
@@ -106,7 +109,7 @@ def _judge_run(
     """
     from handctl.log.read.reader import RunLog
     from handctl.report.truth_record import read_truth
-    from handctl.tune.gains_verification import ROUND_AMPLITUDES, scores_by_round
+    from handctl.tune.gains_verification import scores_by_round
     from handctl.tune.plots import draw_verify
 
     truth = read_truth(truth_file) if truth_file else None
@@ -114,10 +117,12 @@ def _judge_run(
         rounds = scores_by_round(record, plan.hand, truth, outcome.offset_ns)
         picture = log.with_suffix(".png")
         draw_verify(picture, record, plan.hand, truth, outcome.offset_ns, observer.rollback)
+    stopped = _stop_reason(outcome.state.failure, observer, len(rounds))
     return {
-        "through": observer.rollback is None
-        and not outcome.state.failure
-        and len(rounds) == len(ROUND_AMPLITUDES),
+        "through": not stopped,
+        "stopped": stopped,
+        "blocked": asdict(observer.blocked) if observer.blocked else None,
+        "amplitudes": observer.amplitudes,
         "returned": asdict(observer.rollback) if observer.rollback else None,
         "failure": outcome.state.failure,
         "rounds": rounds,
@@ -125,6 +130,22 @@ def _judge_run(
         "log": str(log),
         "picture": str(picture),
     }
+
+
+def _stop_reason(failure: str, observer: Any, round_count: int) -> str:
+    """Return the reason why a run did not pass all rounds, or an empty text if it did.
+
+    A blocked digit comes first, because it explains most other reasons.
+    """
+    if observer.blocked:
+        return str(observer.blocked)
+    if failure:
+        return f"the run failed: {failure}"
+    if observer.rollback:
+        return f"{observer.rollback.why} at amplitude {observer.rollback.amplitude:g}"
+    if round_count < len(observer.amplitudes):
+        return f"the run ended in round {round_count} of {len(observer.amplitudes)}"
+    return ""
 
 
 def _report_verification(
@@ -139,9 +160,15 @@ def _report_verification(
     last = runs[-1]
     columns = compare_rounds([one["rounds"] for one in runs]) if last["through"] else []
     worse = [column.name for column in columns if column.verdict == "worse"]
-    verified = last["through"] and (args.accept_worse or not worse)
-    result = {key: value for key, value in last.items() if key != "through"} | {
+    reason = last["stopped"]
+    if worse and not args.accept_worse:
+        reason = f"{', '.join(worse)} worse than with the old gains; --accept-worse accepts this"
+    if not reason and outcome.exit_code != ExitCode.DONE:
+        reason = f"the run ended with exit code {int(outcome.exit_code)}"
+    verified = last["through"] and not reason
+    result = {key: value for key, value in last.items() if key not in ("through", "stopped")} | {
         "verified": verified,
+        "why_not": reason,
         "columns": [asdict(column) for column in columns],
         "worse": worse,
         "rounds": [asdict(one) for one in last["rounds"]],
@@ -168,8 +195,6 @@ def _print_columns(result: dict[str, Any]) -> None:
 def _print_rounds(result: dict[str, Any], rounds: Iterable[Any], args: argparse.Namespace) -> None:
     from rich.table import Table
 
-    from handctl.tune.gains_verification import ROUND_AMPLITUDES
-
     table = Table(title=f"judged by the {result['judged_by']}")
     for heading in (
         "gains",
@@ -180,10 +205,10 @@ def _print_rounds(result: dict[str, Any], rounds: Iterable[Any], args: argparse.
         "peak tension [N]",
     ):
         table.add_column(heading)
-    for i, (one, amplitude) in enumerate(zip(rounds, ROUND_AMPLITUDES, strict=False)):
+    for i, (one, amplitude) in enumerate(zip(rounds, result["amplitudes"], strict=False)):
         numbers = (one.tracking_deg, one.tension_N, one.effort_Nm_per_s, one.peak_tension_N)
         table.add_row(
-            _gains_label(i, result["returned"]),
+            _gains_label(i, result["returned"], result["amplitudes"]),
             f"{amplitude:g}",
             *(f"{number:.2f}" for number in numbers),
         )
@@ -194,18 +219,13 @@ def _print_rounds(result: dict[str, Any], rounds: Iterable[Any], args: argparse.
         console.print(return_text(back))
     if result.get("columns"):
         _print_columns(result)
-    if result.get("worse") and not result["verified"]:
-        print(
-            f"not verified: {', '.join(result['worse'])} worse than with the old gains; --accept-worse accepts this"
-        )
-    if result["verified"]:
-        console.print(
-            f"verified; to use them: handctl gains apply {args.candidate} --hand {args.hand}",
-            soft_wrap=True,
-        )
-    if result["failure"]:
-        console.print(f"the run failed: {result['failure']}")
     console.print(f"log: {result['log']}\npicture: {result['picture']}", soft_wrap=True)
+    # The verdict is the last line, also if a run ended early.
+    if result["verified"]:
+        apply = f"handctl gains apply {args.candidate} --hand {args.hand}"
+        print_escaped(f"verified; to use them: {apply}")
+    else:
+        print_escaped(f"not verified: {result['why_not']}")
 
 
 def return_text(back: dict[str, Any]) -> str:
@@ -216,13 +236,13 @@ def return_text(back: dict[str, Any]) -> str:
     )
 
 
-def _gains_label(number: int, back: dict[str, Any] | None) -> str:
+def _gains_label(number: int, back: dict[str, Any] | None, amplitudes: tuple[float, ...]) -> str:
     """Return the label of the gains that a test round used: old, new, first new and then old, or old again."""
-    from handctl.tune.gains_verification import OLD_GAINS_ROUNDS, ROUND_AMPLITUDES
+    from handctl.tune.gains_verification import OLD_GAINS_ROUNDS
 
     if number < OLD_GAINS_ROUNDS:
         return "old"
     if back is None:
         return "new"
-    end = OLD_GAINS_ROUNDS + ROUND_AMPLITUDES[OLD_GAINS_ROUNDS:].index(back["amplitude"])
+    end = OLD_GAINS_ROUNDS + amplitudes[OLD_GAINS_ROUNDS:].index(back["amplitude"])
     return "new" if number < end else "new, then old" if number == end else "old again"
