@@ -307,7 +307,7 @@ def result_of_digit(digit, stiffness, blocked="", met="", names=("tendon_stiffne
     judged = SimpleNamespace(names=names, missing=())
     spectrum = (np.zeros(1), np.zeros(1))
     return TendonResult(
-        SimpleNamespace(digit=digit),
+        SimpleNamespace(digit=digit, tendon=f"{digit}_tendon"),
         fit,
         judged,
         1.0,
@@ -324,7 +324,7 @@ def _replace_identification(monkeypatch, made, found):
     monkeypatch.setattr("handctl.cli.tuning.identify.RunLog", lambda log: nullcontext())
     monkeypatch.setattr("handctl.cli.tuning.identify.identify_tendons", lambda *words: found)
     monkeypatch.setattr("handctl.cli.tuning.identify._draw_pictures", lambda *words: [])
-    monkeypatch.setattr("handctl.cli.tuning.identify.result_table", lambda tendons: [])
+    monkeypatch.setattr("handctl.cli.tuning.identify.result_table", lambda *words: [])
 
 
 def test_for_a_digit_in_contact_only_motor_and_tendon_are_written(work_folder, capsys, monkeypatch):
@@ -349,6 +349,27 @@ def test_for_a_digit_in_contact_only_motor_and_tendon_are_written(work_folder, c
         == 1
     )
     assert json.loads(capsys.readouterr().out)["met"] == {"middle": why}
+
+
+@pytest.mark.parametrize("coherence", [0.08, 0.18, 0.25])
+def test_values_of_a_low_coherence_are_not_kept(work_folder, capsys, monkeypatch, coherence):
+    """Regression: at a coherence of 0.08 the values were written, and `tune search` was proposed."""
+    hand, path = load_hand("jamia"), work_folder / "own.toml"
+    nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
+    rows = dict.fromkeys(hand.tendon_names, nothing)
+    made = Calibration(
+        hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00", tendon=rows
+    )
+    names = ("tendon_stiffness", "motor_inertia", "delay")
+    result = replace(result_of_digit("middle", 9e4, names=names), coherence=coherence)
+    _replace_identification(monkeypatch, made, {"middle_tendon": result})
+    assert main(["identify", "--lockstep", "--calibration", "own.toml", "--log", "x.mcap"]) == 0
+    said = capsys.readouterr()
+    kept = coherence > 0.2
+    found = load_calibration(path, hand).identified["middle_tendon"].names
+    assert found == (names if kept else ("tendon_stiffness",))
+    assert ("tune search" in said.out) == kept
+    assert ("not worth using" in said.err) != kept
 
 
 @pytest.mark.parametrize("others", [(), ("ring",), ("ring", "thumb")])

@@ -18,7 +18,8 @@ from handctl.core.identified_parameters import (
 )
 from handctl.errors import ConfigError
 from handctl.hand.dynamics import DigitModel
-from handctl.hand.hand_loading import load_hand
+from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand
+from handctl.log.read.reader import RunLog
 from handctl.session.calibration import load_calibration, write_calibration
 from handctl.tune.identify.excitation import excitation_steps, lift_off_tension
 from handctl.tune.identify.figure import _draw_parameters
@@ -31,10 +32,12 @@ from handctl.tune.identify.fit_motor import (
     _window_slope,
     _window_value,
 )
-from handctl.tune.identify.identifiability import _reason_not_identified
+from handctl.tune.identify.identifiability import _lacks_encoders, _reason_not_identified
+from handctl.tune.identify.identify import identify_tendons, result_table
 
 SPRUNG_PARAMETERS = PARAMETER_TOLERANCES.keys() - {"moment_arm", "pretension"}
 """Parameters that the identification estimates for digits with return springs."""
+GOLDEN_LOGS = Path(__file__).parents[2] / "logs" / "golden"
 SEED_COUNT = 100
 MIN_COVERED = 90
 
@@ -257,6 +260,37 @@ def test_delay_is_judged_by_an_absolute_limit() -> None:
     )
     assert "50 % of the value" in _reason_not_identified(rows, "capstan")
     assert "no data depend" in _reason_not_identified(0.0 * rows, "delay")
+
+
+@pytest.mark.parametrize("name", ["jamia", "jamia11"])
+def test_each_parameter_has_one_row_with_its_value_or_the_reason(name: str) -> None:
+    """Regression: a parameter without value appeared twice, and a unit "1" looked like a value."""
+    hand = load_hand(name)
+    with RunLog(GOLDEN_LOGS / f"{name}-grasp.mcap") as log:
+        results = identify_tendons(log, hand)
+    lines = result_table(results)
+    assert lines[0].startswith("coherence: fraction of the motion")
+    header = next(line for line in lines if "why not" in line)
+    unit, reason = header.index("unit"), header.index("why not")
+    for key in PARAMETER_UNITS:
+        rows = [line for line in lines if line.split()[0] == key]
+        assert len(rows) == (0 if key == "pretension" else len(results)), key
+        for row in rows:
+            assert (row.split()[1] == "-") == bool(row[reason:].strip()), row
+            assert row[unit:].split()[0] != "1" or row.split()[1] == "-", row
+    assert not any("combinations" in line or "stop_softness" in line for line in lines)
+    assert any("combinations" in line for line in result_table(results, verbose=True))
+
+
+@pytest.mark.parametrize("encoders", [False, True])
+def test_springs_of_a_digit_with_several_tendons_need_joint_encoders(encoders: bool) -> None:
+    """Regression: the reason was "no data depend on this parameter"."""
+    content = hand_content("jamia11")
+    node = content["sensor_node"]
+    content["sensor_node"] = node | {"joints": node["joints"] if encoders else []}
+    hand = hand_from_content(content, "test")
+    assert _lacks_encoders(hand, "index") != encoders
+    assert not _lacks_encoders(load_hand("jamia"), "index")
 
 
 def test_a_picture_shows_what_is_far_from_the_hand_file() -> None:

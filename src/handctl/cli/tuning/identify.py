@@ -19,7 +19,7 @@ from handctl.cli.console.plan import (
     print_notice,
     refuse_bus_options,
 )
-from handctl.cli.console.verbosity import print_note
+from handctl.cli.console.verbosity import is_verbose, print_note
 from handctl.cli.tuning.tune_files import same_hand_words
 from handctl.core.calibration import Calibration
 from handctl.errors import ConfigError
@@ -44,6 +44,7 @@ from handctl.session.simulate import SimulatorSettings
 from handctl.tune.identify.excitation import excitation_steps
 from handctl.tune.identify.figure import draw_identification
 from handctl.tune.identify.identify import (
+    LOW_COHERENCE_TEXT,
     TendonResult,
     identify_tendons,
     result_table,
@@ -212,6 +213,7 @@ def _report_results(
         for one in every
         if one.contact_text and not one.blocked_event
     }
+    incoherent = [one.data.tendon for one in every if one.is_incoherent]
     any_identified = False
     for log, tendons in results.items():
         new = {name: one.calibration_entry(log, made) for name, one in tendons.items()}
@@ -227,6 +229,37 @@ def _report_results(
     pictures = _draw_pictures(
         hand, results, print_note
     )  # the calibration is written first, so that a drawing error cannot lose it
+    _print_refusals(spoilt, met, incoherent)
+    ended = ExitCode.FAILED if spoilt or met else ExitCode.DONE
+    if args.json:
+        print_json(
+            _result_fields(results, pictures, path if written else None)
+            | {"blocked": spoilt, "met": met, "incoherent": incoherent}
+        )
+        return ended
+    for log, tendons in results.items():
+        print("\n".join([f"from {log}:", *result_table(tendons, is_verbose())]))
+    print("pictures: " + ", ".join(map(str, pictures)))
+    if written:
+        print(f"calibration written to {path}")
+        if not incoherent:
+            print(f"next: {_search_command(args, path)}")
+        return ended
+    reason = "as asked" if args.no_write else f"there is no {path}: handctl commission first"
+    print(
+        f"no calibration written: {'every digit was blocked' if spoilt and calibration else reason}"
+    )
+    return ended
+
+
+def _print_refusals(spoilt: dict[str, str], met: dict[str, str], incoherent: list[str]) -> None:
+    """Print which parameters are not kept, and why.
+
+    Args:
+        spoilt: event of each blocked digit.
+        met: contact of each digit that met something during its sweep.
+        incoherent: names of the tendons with a low coherence.
+    """
     for digit, reason in spoilt.items():
         print_escaped(
             f"handctl: no parameters of {digit} are kept: {reason}; expected a digit that touches nothing",
@@ -237,24 +270,12 @@ def _report_results(
             f"handctl: springs and friction of {digit} are not kept: {reason}; {BLOCKED_HINT}",
             error=True,
         )
-    ended = ExitCode.FAILED if spoilt or met else ExitCode.DONE
-    if args.json:
-        print_json(
-            _result_fields(results, pictures, path if written else None)
-            | {"blocked": spoilt, "met": met}
+    if incoherent:
+        print_escaped(
+            f"handctl: inertia, viscous friction and delay of {', '.join(incoherent)} are not kept: "
+            f"{LOW_COHERENCE_TEXT}, so the values are not worth using; let handctl identify move the digits",
+            error=True,
         )
-        return ended
-    for log, tendons in results.items():
-        print("\n".join([f"from {log}:", *result_table(tendons)]))
-    print("pictures: " + ", ".join(map(str, pictures)))
-    if written:
-        print(f"calibration written to {path}\nnext: {_search_command(args, path)}")
-        return ended
-    reason = "as asked" if args.no_write else f"there is no {path}: handctl commission first"
-    print(
-        f"no calibration written: {'every digit was blocked' if spoilt and calibration else reason}"
-    )
-    return ended
 
 
 def _search_command(args: argparse.Namespace, path: Path) -> str:

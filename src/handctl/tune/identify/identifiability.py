@@ -22,6 +22,9 @@ COHERENCE_SEGMENTS = 6
 
 With a single part, the coherence would always be 1.
 """
+BALANCE_PARAMETERS = ("spring_stiffness", "spring_preload", "capstan", "joint_damping")
+"""Parameters that only the balance of torques at the joints determines, if a digit has several tendons."""
+ENCODERS_NEEDED = "needs joint encoders"
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +78,9 @@ def assess_identifiability(fit: TendonFit, hand: Hand, digit: str, tendon: str) 
         for name in PARAMETER_UNITS
         if name not in names
     } | unseen
+    if _lacks_encoders(hand, digit):
+        unexcited = (name for name in BALANCE_PARAMETERS if not _is_excited(jacobian, name))
+        reasons |= dict.fromkeys(unexcited, ENCODERS_NEEDED)
     spread = np.sqrt(np.diag(fit.covariance))
     correlation = fit.covariance / np.outer(spread, spread)
     pairs = [
@@ -97,6 +103,18 @@ def assess_identifiability(fit: TendonFit, hand: Hand, digit: str, tendon: str) 
         weakest=_combination_text(directions[-1]),
         correlated=tuple(pair for pair in pairs if abs(pair[2]) > MAX_CORRELATION),
     )
+
+
+def _lacks_encoders(hand: Hand, digit: str) -> bool:
+    """Return True if a digit with springs and several tendons has no joint encoders.
+
+    No tension of a single tendon shows the load of its springs. The torques at a joint are in
+    balance only at the angle that an encoder measures.
+    """
+    tendons = hand.digit_tendons[digit]
+    sprung = any(hand.digit_named(digit).spring_stiffness_N_m_per_rad)
+    several = tendons.stop - tendons.start > 1
+    return sprung and several and not bool(np.all(hand.tendons_with_encoders[tendons]))
 
 
 def _is_narrow(name: str, value: float, width: float) -> bool:
@@ -151,7 +169,7 @@ def unobservable_parameters(hand: Hand, digit: str, tendon: str) -> dict[str, st
             "it trades off with springs and stretch, so the moment arms of the hand file are used"
         )
     elif not hand.tendons_with_encoders[index]:
-        unseen["moment_arm"] = "a joint of this tendon has no encoder"
+        unseen["moment_arm"] = ENCODERS_NEEDED
     return unseen
 
 
