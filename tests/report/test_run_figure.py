@@ -7,7 +7,7 @@ import pytest
 
 from handctl.core.tick_types import HandMode
 from handctl.hand.hand_loading import load_hand
-from handctl.report.run_figure import draw_run
+from handctl.report.run_figure import MARK_WIDTH_FRACTION, _mark_positions, draw_run
 from handctl.report.truth_record import TruthRecord
 from tests.report.invented_run import InventedLog, zero_truth
 
@@ -61,3 +61,21 @@ def test_hidden_values_do_not_affect_the_height(
     low, high = drawn[0].axes[0].get_ylim()
     assert -5.0 < low < 0.0
     assert np.degrees(0.5) < high < 35.0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_names_of_phases_do_not_overlap_and_are_not_cut_off(seed: int) -> None:
+    """Regression: "release" and "open" overlapped, and the end of the axis cut "end" off."""
+    limits = (0.4, 9.4)
+    width = MARK_WIDTH_FRACTION * (limits[1] - limits[0])
+    times = [0.65, 1.0, 3.0, 8.0, 8.1, 9.35, 9.39, 12.0]
+    times += np.random.default_rng(seed).uniform(*limits, size=8).tolist()
+    positions = _mark_positions(times, limits)
+    assert positions[0] is not None
+    assert positions[7] is None, "outside of the axis"
+    kept = [position for position in positions if position]
+    assert len(kept) >= 7
+    for i, (left, height) in enumerate(kept):
+        assert limits[0] <= left <= limits[1] - width + 1e-9
+        for other, other_height in kept[:i]:
+            assert height != other_height or abs(left - other) >= width

@@ -21,7 +21,7 @@ from handctl.view import rerun_conversion
 from handctl.view.scene import palette
 from handctl.view.scene.frame_load import LOAD_WINDOW_NS
 from handctl.view.scene.run_info import RunInfo
-from handctl.view.scene.topic_converters import ARROW_LENGTH_M_PER_N
+from handctl.view.scene.topic_converters import ARROW_LENGTH_M_PER_N, near_limits
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def test_every_number_of_the_controller_is_there_under_its_name(
         assert tuple(one.static["SeriesLines:names"]) == run_log.names(name)
 
 
-def test_tension_has_its_band_command_and_limit(
+def test_tension_has_its_band_and_command(
     recorded_entities: dict[str, RecordingEntity], run_log: RunLog
 ) -> None:
     one = recorded_entities["/tension/estimate"]
@@ -59,28 +59,31 @@ def test_tension_has_its_band_command_and_limit(
         run_log.field("tension_goal"),
     )
     assert one.static["Measurements:names"] == list(run_log.header.tendons)
-    limit = recorded_entities["/tension/limit"]
-    assert (limit.table("Scalars:scalars") == 110.0).all()
-    assert (limit.times[0], limit.times[-1]) == (run_log.t_ns[0], run_log.t_ns[-1])
+
+
+def test_a_distant_limit_is_not_drawn(
+    recorded_entities: dict[str, RecordingEntity], run_log: RunLog
+) -> None:
+    """Regression: the line of a limit of 110 N squeezed tensions of 30 N into a third of the plot."""
+    largest = float(np.nanmax(run_log.field("tension")))
+    assert largest < 0.6 * 110.0
+    limit = recorded_entities.get("/tension/limit")
+    assert limit is None or not limit.times.size
+    tension = np.array([[3.0, 30.0], [np.nan, 66.0]])
+    np.testing.assert_array_equal(near_limits([40.0, 110.0, 200.0], tension), [40, 110, np.nan])
+    assert np.isnan(near_limits([110.0], np.full((2, 2), np.nan))).all()
 
 
 def test_angles_are_in_degrees_digit_by_digit(
     recorded_entities: dict[str, RecordingEntity], run_log: RunLog
 ) -> None:
-    shown = {"estimate": "Measurements:values", "command": "Scalars:scalars"}
-    for (kind, component), name in zip(shown.items(), ("q", "q_goal"), strict=True):
+    """Regression: bands of 20 deg covered the angles, so an angle has no band."""
+    for kind, name in {"estimate": "q", "command": "q_goal"}.items():
         parts = [
-            recorded_entities[f"/angle/{digit}/{kind}"].table(component)
+            recorded_entities[f"/angle/{digit}/{kind}"].table("Scalars:scalars")
             for digit in run_log.header.digits
         ]
         np.testing.assert_allclose(np.hstack(parts), np.degrees(run_log.field(name)), atol=1e-12)
-    bands = [
-        recorded_entities[f"/angle/{digit}/estimate"].table("Measurements:variances")
-        for digit in run_log.header.digits
-    ]
-    np.testing.assert_allclose(
-        np.hstack(bands) ** 0.5, np.degrees(run_log.field("q_sigma")), rtol=1e-9
-    )
 
 
 def test_arrows_are_the_forces_of_the_object_on_the_tips(

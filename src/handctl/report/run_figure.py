@@ -30,6 +30,13 @@ TENDON_OPACITIES = (1.0, 0.65, 0.4)
 """Opacity of the first, second and third tendon of a digit."""
 PASSIVE_PHASES = frozenset(mode.name.lower() for mode in HandMode)
 """Names of the phases before and after the time in which the hand is active."""
+MARK_WIDTH_FRACTION = 0.038
+"""Width that the name of a mark needs in a column of the figure, as a fraction of the column."""
+MARK_HEIGHTS = (0.99, 0.72, 0.45)
+"""Upper ends of the names of marks, as fractions of the height of the first row.
+
+A name that would overlap the previous one is written lower, and is left out if no height is free.
+"""
 ROW_LABELS = ("mean joint angle [deg]", "tendon tension [N]", "contact force [N]")
 """Label of each row of the figure."""
 
@@ -231,20 +238,49 @@ def _mark_phases(grid: Any, log: RunLog) -> None:
 
     The names are written in the first row.
     """
-    for change in log.phases:
-        if change.name not in PASSIVE_PHASES:
-            _draw_mark(grid, change.t_ns / 1e9, change.name, PHASE_MARK_COLOUR)
     error = ("error", "fault")
     faults = [event for event in log.events if (event.event.level, event.event.name) == error]
-    for event in faults[:1]:
-        _draw_mark(grid, event.t_ns / 1e9, event.event.text.partition(" ")[0], FAULT_COLOUR)
+    # The name of a fault is placed first, so that it is never left out.
+    marks = [
+        (event.t_ns / 1e9, event.event.text.partition(" ")[0], FAULT_COLOUR) for event in faults[:1]
+    ]
+    marks += [
+        (change.t_ns / 1e9, change.name, PHASE_MARK_COLOUR)
+        for change in log.phases
+        if change.name not in PASSIVE_PHASES
+    ]
+    positions = _mark_positions([t_s for t_s, _, _ in marks], grid[0, 0].get_xlim())
+    for (t_s, name, colour), position in zip(marks, positions, strict=True):
+        for axes in grid.flat:
+            axes.axvline(t_s, color=colour, linewidth=0.6)
+        if position:
+            _write_mark(grid[0], position, name, colour)
 
 
-def _draw_mark(grid: Any, t_s: float, name: str, colour: str) -> None:
-    """Draw a vertical line through all rows, with a name in the first row."""
-    for axes in grid.flat:
-        axes.axvline(t_s, color=colour, linewidth=0.6)
-    for axes in grid[0]:
+def _mark_positions(
+    times_s: Sequence[float], limits: tuple[float, float]
+) -> list[tuple[float, float] | None]:
+    """Return the left end [s] and the height of the name of each mark, or None if there is no place.
+
+    Args:
+        times_s: time of each mark [s], the most important mark first.
+        limits: begin and end of the time axis [s].
+    """
+    width = MARK_WIDTH_FRACTION * (limits[1] - limits[0])
+    positions: list[tuple[float, float] | None] = []
+    for t_s in times_s:
+        # A name at the end of the axis is written to the left of its line.
+        left = t_s if t_s + width <= limits[1] else t_s - width
+        taken = {place[1] for place in positions if place and abs(place[0] - left) < width}
+        free = [height for height in MARK_HEIGHTS if height not in taken]
+        inside = limits[0] <= t_s <= limits[1]
+        positions.append((left, free[0]) if inside and free else None)
+    return positions
+
+
+def _write_mark(row: Sequence[Any], position: tuple[float, float], name: str, colour: str) -> None:
+    """Write the name of a mark into each plot of a row, at a position in time [s] and height."""
+    for axes in row:
         style = {
             "fontsize": 7,
             "color": FAULT_COLOUR if colour == FAULT_COLOUR else COMMAND_COLOUR,
@@ -253,5 +289,5 @@ def _draw_mark(grid: Any, t_s: float, name: str, colour: str) -> None:
         }
         transform = axes.get_xaxis_transform()
         axes.text(
-            t_s, 0.99, f" {printable_text(name, 40)}", transform=transform, clip_on=True, **style
+            *position, f" {printable_text(name, 40)}", transform=transform, clip_on=True, **style
         )

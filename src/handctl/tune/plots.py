@@ -62,6 +62,9 @@ def draw_loops(path: Path, before: HandModel, after: HandModel, title: str) -> N
         ):
             _draw_loop(row, model, kind, colour, name)
         _style_axes(row, kind)
+    # Inside of a plot, the legend would hide a part of the curves.
+    handles, names = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside upper right", ncols=2)
     save_figure(figure, path)
 
 
@@ -81,7 +84,6 @@ def _style_axes(row: Any, kind: LoopKind) -> None:
     gain, phase, plane, step = row
     gain.axhline(1.0, color=GREY_COLOR, linewidth=0.8)
     gain.set(title=f"{kind} loop: gain", xlabel="frequency [Hz]")
-    gain.legend()
     phase.axhline(-180.0, color=GREY_COLOR, linewidth=0.8)
     phase.axhline(-180.0 + MIN_PHASE_MARGIN_DEG, color=GREY_COLOR, linewidth=0.8, linestyle=":")
     phase.set(title="phase [deg]", xlabel="frequency [Hz]")
@@ -159,7 +161,8 @@ def draw_search(path: Path, result: SearchResult, title: str) -> None:
     left.set(
         xlabel="tracking error [deg rms]", ylabel="tension error [N rms]", title="feasible trials"
     )
-    left.legend()
+    # Beside the plots, the legend hides no trial.
+    figure.legend(*left.get_legend_handles_labels(), loc="outside lower left", ncols=3)
     costs = [
         result.relative_cost(trial) if trial.is_feasible else np.nan for trial in result.trials
     ]
@@ -199,8 +202,16 @@ def draw_verify(
     )
     angle.plot(log.times, goal, "--", color=GREY_COLOR, label="command")
     angle.plot(log.times, estimate, color=AFTER_COLOR, linewidth=0.9, label="estimate")
-    tension.plot(log.times, log.field("tension_goal")[:, 0], "--", color=GREY_COLOR)
-    tension.plot(log.times, log.field("tension")[:, 0], color=AFTER_COLOR, linewidth=0.9)
+    tension.plot(
+        log.times, log.field("tension_goal")[:, 0], "--", color=GREY_COLOR, label="command"
+    )
+    tension.plot(
+        log.times,
+        log.field("tension")[:, 0],
+        color=AFTER_COLOR,
+        linewidth=0.9,
+        label="estimate",
+    )
     if truth is not None:
         t_ns = log.t_ns + offset_ns
         true_angle = mean_angles(
@@ -218,13 +229,14 @@ def draw_verify(
             truth.column_at(f"tension/{hand.tendon_names[0]}", t_ns),
             color=TRUTH_COLOR,
             linewidth=0.7,
+            label="true tension of the plant",
         )
     torque.plot(log.times, log.field("motor_torque_goal")[:, 0], color=AFTER_COLOR, linewidth=0.6)
     starts = [change.t_ns / 1e9 for change in log.phases if change.name == "settle"]
     for axes, name in (
         (angle, "mean angle [deg]"),
-        (tension, "tension [N]"),
-        (torque, "motor torque [N m]"),
+        (tension, f"tension of {hand.tendon_names[0]} [N]"),
+        (torque, "commanded torque [N m]"),
     ):
         if len(starts) > OLD_GAINS_ROUNDS:
             axes.axvspan(
@@ -238,6 +250,7 @@ def draw_verify(
         axes.set(ylabel=name)
         axes.grid(alpha=0.3)
         axes.margins(x=0)
-    angle.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
+    for axes in (angle, tension):
+        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
     torque.set(xlabel=f"time [s]{'; red: ' + rollback.why if rollback else ''}")
     save_figure(figure, path)

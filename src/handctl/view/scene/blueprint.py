@@ -12,8 +12,6 @@ LINKED_TIME_AXIS = rrb.TimeAxis(link=LinkAxis.LinkToGlobal)
 NO_LEGEND = rrb.PlotLegend(visible=False)
 ROW_HEIGHT_FRACTIONS = [0.34, 0.44, 0.22]
 """Heights of the rows in the right column of the dashboard, as fractions of the column."""
-TENSION_AXIS_HEADROOM = 1.06
-"""Upper end of the tension plot, as a multiple of the largest tension limit."""
 LIVE_TIME_RANGE = rrb.VisibleTimeRange(
     RUN_TIME_TIMELINE,
     start=rrb.TimeRangeBoundary.cursor_relative(seconds=-12),
@@ -45,7 +43,7 @@ def dashboard_layout(run: RunInfo, live: bool = False) -> rrb.Blueprint:
         _hand_view(run), _timing_plots(run, window), _log_view(), row_shares=[0.56, 0.18, 0.26]
     )
     right = rrb.Vertical(
-        _force_plots(run, window),
+        _force_plots(window),
         _angle_plots(run, window),
         _state_lanes(window),
         row_shares=ROW_HEIGHT_FRACTIONS,
@@ -88,14 +86,13 @@ def _hand_view(run: RunInfo) -> rrb.Spatial3DView:
     )
 
 
-def _force_plots(run: RunInfo, window: PlotTimeRange) -> rrb.Horizontal:
+def _force_plots(window: PlotTimeRange) -> rrb.Horizontal:
     """Return the plots of tendon tensions and fingertip forces."""
     tensions = rrb.TimeSeriesView(
         name="Tendon tension [N], 1-sigma band",
         contents="/tension/**",
         axis_x=LINKED_TIME_AXIS,
         time_ranges=window,
-        axis_y=rrb.ScalarAxis(range=(0.0, TENSION_AXIS_HEADROOM * run.tension_limits[-1])),
         plot_legend=rrb.PlotLegend(Corner2D.LeftTop),
     )
     tips = rrb.TimeSeriesView(
@@ -118,7 +115,7 @@ def _angle_plots(run: RunInfo, window: PlotTimeRange) -> rrb.Grid:
     """Return a plot of the joint angles of each digit."""
     views = [
         rrb.TimeSeriesView(
-            name=f"{digit.name} joint {_angle_unit(digit)}, 1-sigma band, grey: command",
+            name=f"{digit.name} joint {_angle_unit(digit)}, grey: command",
             contents=f"/angle/{digit.name}/**",
             axis_x=LINKED_TIME_AXIS,
             time_ranges=window,

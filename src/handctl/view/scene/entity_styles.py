@@ -95,8 +95,7 @@ def _angle_styles(run: RunInfo) -> Iterator[Chunk]:
     for index, digit in zip(colour_numbers(run.hand.digit_names), run.hand.digit, strict=True):
         names = [name.removeprefix(f"{digit.name}_") for name in digit.joints]
         colours = palette.joint_colours(index, len(names))
-        unit = "/".join(dict.fromkeys(digit.display_units.names))
-        yield _band_style(f"/angle/{digit.name}/estimate", names, colours, unit)
+        yield _line_style(f"/angle/{digit.name}/estimate", names, colours, ESTIMATE_LINE_WIDTH)
         command_names = [f"{name} command" for name in names]
         yield _line_style(
             f"/angle/{digit.name}/command",

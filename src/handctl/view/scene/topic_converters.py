@@ -28,6 +28,8 @@ ARROW_LENGTH_M_PER_N = 0.008
 """Length of a force arrow for each newton of force [m/N]."""
 ARROW_RADIUS_M = 0.0013
 """Radius of a force arrow [m]."""
+LIMIT_SHOWN_FRACTION = 0.6
+"""Fraction of a tension limit that a tension must reach so that the limit is drawn."""
 MIN_ARROW_FORCE_N = 0.05
 """Smallest force drawn as an arrow [N]."""
 
@@ -92,16 +94,16 @@ class TopicConverters:
             "/tension/estimate", times, lines_with_band(part["tension"], part["tension_sigma"])
         )
         yield timed_chunk("/tension/command", times, plot_lines(part["tension_goal"]))
-        limits = np.tile(self._run.tension_limits, (2, 1))
-        yield timed_chunk("/tension/limit", times[[0, -1]], plot_lines(limits))
+        limits = near_limits(self._run.tension_limits, part["tension"])
+        if not np.isnan(limits).all():
+            drawn = plot_lines(np.tile(limits, (2, 1)))
+            yield timed_chunk("/tension/limit", times[[0, -1]], drawn)
         for digit, joints in self._run.hand.digit_joints.items():
             factor = self._run.hand.display_units.factor[joints]
             angle = factor * part["q"][:, joints]
-            yield timed_chunk(
-                f"/angle/{digit}/estimate",
-                times,
-                lines_with_band(angle, factor * part["q_sigma"][:, joints]),
-            )
+            # The standard deviation of an angle without encoder is some 20 deg. A band of this
+            # width would cover the plot, so the plot has none. The signal q_sigma has its own plot.
+            yield timed_chunk(f"/angle/{digit}/estimate", times, plot_lines(angle))
             yield timed_chunk(
                 f"/angle/{digit}/command", times, plot_lines(factor * part["q_goal"][:, joints])
             )
@@ -135,6 +137,15 @@ class TopicConverters:
             yield timed_chunk(
                 entity, times_since_start(chunk, self._offset), rr.StateChange.columns(state=names)
             )
+
+
+def near_limits(limits: list[float], tension: FloatArray) -> FloatArray:
+    """Return the tension limits (n,) [N], NaN for each limit that is far above all tensions.
+
+    The plot scales itself to its lines. A distant limit would squeeze the tensions together.
+    """
+    largest = float(np.fmax.reduce(tension, axis=None, initial=0.0))
+    return np.array([x if largest >= LIMIT_SHOWN_FRACTION * x else np.nan for x in limits])
 
 
 def lines_with_band(values: FloatArray, sigma: FloatArray) -> rr.ComponentColumnList:
