@@ -224,6 +224,16 @@ def test_a_drive_that_still_reports_torque_after_a_cut_is_detected(group, before
     assert reported[-1] == ({"t0": abs(now)} if found else {})
 
 
+@pytest.mark.parametrize(("step", "found"), [(0.0, True), (0.1, True), (1.2, False)])
+def test_a_step_of_a_coarse_torque_report_is_no_pull(step, found):
+    """Regression: a CubeMars AK70-10 has no code for zero torque. After a cut it reports 1.2 N, which was N16."""
+    tendons = FilteredTendons(1)
+    tendons.set_constants(torque_step=step)
+    tendons.tick(measured_force=1.2, asked=1.2)
+    reported = [tendons.run_tick_after_cut([NAN], measured_force=1.2, asked=0.0) for _ in range(52)]
+    assert reported[-1] == ({"t0": 1.2} if found else {})
+
+
 def test_an_old_torque_is_no_sign_of_a_drive_that_does_not_release():
     """Ignore the torque of drives that send none after a cut, as ODrives with torque feedback."""
     tendons = FilteredTendons(1)

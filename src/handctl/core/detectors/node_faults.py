@@ -212,4 +212,6 @@ def _still_reports_torque(x: StateTables, c: ConstantTables, n: int) -> bool:
     # The last report before the cut is in REPORT_FORCES, which is updated under torque only.
     before = abs(x.tendon[s.REPORT_FORCES + 3, n])
     reported = abs(x.tendon[s.MEASURED_FORCE, n])
-    return reported > STILL_REPORTED_N and reported > STILL_PULLING_FRACTION * before
+    # A drive with a coarse torque code may report one step while it makes no torque.
+    threshold = STILL_REPORTED_N + c.tendon[h.TORQUE_STEP, n]
+    return reported > threshold and reported > STILL_PULLING_FRACTION * before

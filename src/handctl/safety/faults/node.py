@@ -72,8 +72,8 @@ STILL_PULLING_N = 10.0
 STILL_REPORTED_N = 1.0
 """Thresholds for a tendon that is still pulled after a cut: time [s], fraction of the tension at the cut, tension [N].
 
-The last threshold is for the motor force that the drive reports. A drive without torque reports less than 0.1 N in
-simulation, and the reading of a load cell drifts by newtons.
+The last threshold is for the motor force that the drive reports, in addition to one step of this report. A drive
+without torque reports less than 0.1 N in simulation, and the reading of a load cell drifts by newtons.
 
 After this time, tendons of the packaged hands have at most a third of their tension if the motor is
 off, and at least 0.74 of their tension if the motor still pulls.
