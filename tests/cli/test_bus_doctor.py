@@ -43,7 +43,7 @@ def test_missing_interface_finding_has_the_set_up_command(capsys, words, said):
 
 
 def test_an_odrive_with_firmware_05_is_found(capsys):
-    """Regression: the doctor searched for ODrives with a request for their version.
+    """Reproduce a defect: the doctor searched for ODrives with a request for their version.
 
     An ODrive with firmware 0.5 sends no version, so the doctor reported it as missing.
     """

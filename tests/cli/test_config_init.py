@@ -100,7 +100,7 @@ def sensor_options(case: tuple[str, str, str, str]) -> list[str]:
 def test_every_choice_of_sensors_and_springs_is_a_valid_hand(
     work_folder: Path, capsys: pytest.CaptureFixture[str], number: int
 ) -> None:
-    """Regression: `--cells none` was refused without a robot description."""
+    """Reproduce a defect: `--cells none` was refused without a robot description."""
     tendons, springs, cells, encoders = SENSOR_CASES[number]
     protocol = GUARDED_PROTOCOLS[number % len(GUARDED_PROTOCOLS)]
     links = ("60", "40,30", "50,30,20")[number % 3]
@@ -126,7 +126,11 @@ def test_every_choice_of_sensors_and_springs_is_a_valid_hand(
 def test_sensors_springs_and_protocol_are_asked_for(
     work_folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Regression: the dialogue ended after the breaking force, and silently wrote `mit` and a load cell everywhere."""
+    """Reproduce a defect.
+
+    The dialogue ended after the breaking force, and silently wrote `mit` and a load cell
+    everywhere.
+    """
     answers = iter(
         [
             *itertools.repeat("", 6),
@@ -215,7 +219,7 @@ def test_existing_file_is_not_overwritten_by_config_init(
 def test_a_motor_type_is_taken_from_its_option_or_asked_for(
     work_folder: Path, monkeypatch: pytest.MonkeyPatch, protocol: str, motor_type: str
 ) -> None:
-    """Regression: `--protocol cubemars` was an invalid choice."""
+    """Reproduce a defect: `--protocol cubemars` was an invalid choice."""
     words = ["config", "init", "--protocol", protocol, "--output"]
     assert main([*words, "option.toml", "--yes", "--motor-type", motor_type]) == 0
     asked: list[str] = []
@@ -245,7 +249,7 @@ def test_a_motor_type_is_taken_from_its_option_or_asked_for(
 def test_config_check_warns_of_motors_that_cannot_rest(
     work_folder: Path, capsys: pytest.CaptureFixture[str], motor_type: str, spool: str, warned: bool
 ) -> None:
-    """Regression: only a run showed that the smallest torque of a motor is too large for the hand."""
+    """Reproduce a defect: only a run showed that the smallest torque of a motor is too large for the hand."""
     words = ["--protocol", "cubemars", "--motor-type", motor_type, "--spool", spool]
     assert main(["config", "init", "--yes", *words, "--output", "mine.toml"]) == 0
     capsys.readouterr()

@@ -88,7 +88,7 @@ def test_a_grasp_that_lifts_nothing_is_a_failure(work_folder, capsys):
 
 
 def test_a_demo_overwrites_no_calibration(work_folder, capsys):
-    """Regression: ``--log jamia.mcap`` replaced jamia.calibration.toml, with which a real hand is armed."""
+    """Reproduce a defect: ``--log jamia.mcap`` replaced jamia.calibration.toml, with which a real hand is armed."""
     path = work_folder / "jamia.calibration.toml"
     path.write_text("of the real hand")
     assert main(["demo", "--lockstep", "--log", "jamia.mcap"]) == 2

@@ -63,7 +63,7 @@ def test_only_a_fault_has_a_remedy(capfd) -> None:
 
 
 def test_the_tensions_of_many_tendons_fit_into_the_width_of_a_terminal():
-    """Regression: the line with the tensions of 17 tendons had 300 characters."""
+    """Reproduce a defect: the line with the tensions of 17 tendons had 300 characters."""
     names = [f"finger_{number}_flexor_tendon" for number in range(17)]
     line = {
         "t": 1.0,

@@ -188,7 +188,7 @@ def test_quiet_hides_notices_and_shows_cautions(capsys):
 
 
 def test_a_command_prints_each_caution_once(capsys):
-    """Regression: a run that commissions the hand first printed all cautions twice."""
+    """Reproduce a defect: a run that commissions the hand first printed all cautions twice."""
     from handctl.cli.console.plan import print_notice
     from handctl.cli.console.verbosity import use_verbosity
 

@@ -28,7 +28,7 @@ def jamia_without_load_cell(folder: Path) -> str:
 def test_hands_without_return_springs_are_not_refused(
     hand: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Regression: two hands were refused.
+    """Reproduce a defect: two hands were refused.
 
     One has no springs, and the other has spool pairs without load cells.
     """

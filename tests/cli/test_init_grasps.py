@@ -40,7 +40,7 @@ HAND_CASES = [
     if tendons == "one" or "," in links
 ]
 SAMPLE_CASES = [(1, "70,50", "one", 0), (2, "50,30,20", "each", 1)]
-"""Regression: both of these hands dropped the cylinder.
+"""Reproduce a defect: both of these hands dropped the cylinder.
 
 The size of the cylinder did not depend on the hand, so the fingertips touched each other.
 """

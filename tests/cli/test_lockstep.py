@@ -171,7 +171,7 @@ def test_rerun_finds_the_moving_hand(equal_demos):
 
 
 def test_a_report_aligns_the_log_with_the_truth_file(equal_demos, capsys):
-    """Regression: without ``--truth``, the report did not use the truth file next to the log."""
+    """Reproduce a defect: without ``--truth``, the report did not use the truth file next to the log."""
     place, result = equal_demos[0]
     tension = f"{result['tension_rmse_n']:.2f} N rms"
     for words in (("--truth", str(place / "run.truth")), ()):

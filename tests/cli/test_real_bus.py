@@ -92,7 +92,7 @@ def test_without_a_terminal_a_hand_moves_only_with_yes(command_words, capsys):
 
 
 def test_the_calibration_of_a_simulated_hand_arms_no_real_hand(work_folder, capsys):
-    """Regression: such a file was accepted if its drives have no serial numbers, or the same ones."""
+    """Reproduce a defect: such a file was accepted if its drives have no serial numbers, or the same ones."""
     hand = load_hand("jamia")
     path = work_folder / "jamia.calibration.toml"
     write_homed_calibration(path, hand)

@@ -302,7 +302,7 @@ REQUESTS = (("stop",), ("stop", "--cut"), ("clear",), ("gains", "set", "motion.f
 
 @pytest.mark.parametrize("words", REQUESTS, ids=" ".join)
 def test_a_local_bus_without_a_controller_needs_no_power_switch(capsys, words):
-    """Regression: exit code 71 asked the user to switch off the power of a simulated hand that does not run."""
+    """Reproduce a defect: exit code 71 asked the user to switch off the power of a simulated hand that does not run."""
     assert main([*words, *ABSENT_BUS_OPTION]) == 1
     assert capsys.readouterr() == (
         "",
@@ -314,7 +314,7 @@ def test_a_local_bus_without_a_controller_needs_no_power_switch(capsys, words):
 @pytest.mark.parametrize("words", REQUESTS, ids=" ".join)
 @pytest.mark.parametrize("killed", [False, True], ids=["real bus", "killed controller"])
 def test_an_unconfirmed_request_is_reported_as_failed(capsys, words, killed):
-    """Regression: the command exited with code 0 as soon as it had sent the request.
+    """Reproduce a defect: the command exited with code 0 as soon as it had sent the request.
 
     A killed controller leaves its mailbox.
     """

@@ -66,7 +66,10 @@ def test_other_gains_are_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str
 def test_the_comparison_ends_at_a_fault_that_the_log_does_not_have(
     log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Regression: the figures of other gains included the time after such a fault, in which the hand relaxed."""
+    """Reproduce a defect.
+
+    The figures of other gains included the time after such a fault, in which the hand relaxed.
+    """
     gains = tmp_path / "gains.toml"
     gains.write_text("[motion]\nposition_error_m = 3e-5\nspeed_error_m_s = 3e-3\n")
     words = ["replay", "execute", str(log), "--gains", str(gains), "--picture"]

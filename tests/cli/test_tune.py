@@ -84,7 +84,7 @@ def test_poles_that_are_not_stable_in_simulation_are_not_written(work_folder, ca
 def test_a_design_tells_why_the_old_gains_do_not_come_to_rest(
     work_folder, capsys, monkeypatch, words
 ):
-    """Regression: the cells of the old gains said "none", and the reason was printed nowhere."""
+    """Reproduce a defect: the cells of the old gains said "none", and the reason was printed nowhere."""
     swing = "the plant with 0.5 of the friction swings by 2.3 N held"
     reasons = {7e-4: f": {swing}"}
     monkeypatch.setattr(
@@ -152,7 +152,7 @@ def test_gains_that_are_worse_are_verified_only_if_that_is_accepted(capsys, acce
     ],
 )
 def test_the_last_line_of_a_verification_is_its_verdict(capsys, failure, rollback, blocked, reason):
-    """Regression: a run that went back to the old gains ended without a verdict."""
+    """Reproduce a defect: a run that went back to the old gains ended without a verdict."""
     from handctl.cli.tuning.tune_verify import _report_verification, _stop_reason
 
     amplitudes = (0.3, 1.0, 0.3, 0.6, 1.0)
@@ -353,7 +353,7 @@ def test_for_a_digit_in_contact_only_motor_and_tendon_are_written(work_folder, c
 
 @pytest.mark.parametrize("coherence", [0.08, 0.18, 0.25])
 def test_values_of_a_low_coherence_are_not_kept(work_folder, capsys, monkeypatch, coherence):
-    """Regression: at a coherence of 0.08 the values were written, and `tune search` was proposed."""
+    """Reproduce a defect: at a coherence of 0.08 the values were written, and `tune search` was proposed."""
     hand, path = load_hand("jamia"), work_folder / "own.toml"
     nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     rows = dict.fromkeys(hand.tendon_names, nothing)
@@ -374,7 +374,7 @@ def test_values_of_a_low_coherence_are_not_kept(work_folder, capsys, monkeypatch
 
 @pytest.mark.parametrize("others", [(), ("ring",), ("ring", "thumb")])
 def test_a_fit_of_a_blocked_digit_is_not_written(work_folder, capsys, monkeypatch, others):
-    """Regression: while fingers touched each other, a spring parameter of 3.05 was identified and stored.
+    """Reproduce a defect: while fingers touched each other, a spring parameter of 3.05 was identified and stored.
 
     The true value of this parameter is 1.2.
     """

@@ -31,7 +31,7 @@ def memory_samples(
 def test_a_controller_gets_a_calibration_of_its_hand(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """Regression: the soak run wrote a hand file in place of the calibration.
+    """Reproduce a defect: the soak run wrote a hand file in place of the calibration.
 
     The soak run therefore ended before it started a controller.
     """
@@ -59,7 +59,7 @@ def test_growth_is_reported_in_mebibytes_per_hour() -> None:
 
 
 def test_memory_that_is_freed_and_allocated_again_is_no_growth() -> None:
-    """Regression: in some samples a recorder had 1.5 MiB more than in others.
+    """Reproduce a defect: in some samples a recorder had 1.5 MiB more than in others.
 
     This was reported as growth of 3 MiB per hour.
     """

@@ -44,7 +44,11 @@ print(*sorted(set(sys.modules) - before))
 
 @pytest.mark.parametrize("hand", ["jamia", "n_plus_1"])
 def test_no_tick_imports_a_module(hand: str) -> None:
-    """Regression: the first task with a phase ``follow`` imported 202 modules of scipy in a tick, which took 0.3 s."""
+    """Reproduce a defect.
+
+    The first task with a phase ``follow`` imported 202 modules of scipy in a tick, which took 0.3
+    s.
+    """
     ran = subprocess.run(
         [sys.executable, "-c", RUN_CODE, hand], capture_output=True, text=True, check=False
     )

@@ -14,7 +14,10 @@ from tests.controller.synthetic_states import active_state, stage_constants
 
 @pytest.mark.parametrize("rest_s", [0.2, 5.0])
 def test_contact_does_not_move_the_filtered_goal(jamia: HandModel, rest_s: float) -> None:
-    """Regression: after a move to 40 deg, a motor at rest was taken for a stuck motor when its digit was touched."""
+    """Reproduce a defect.
+
+    After a move to 40 deg, a motor at rest was taken for a stuck motor when its digit was touched.
+    """
     state, period = active_state(jamia), jamia.period
     far = np.full(len(jamia.hand.joints), math.radians(40.0))
 

@@ -39,7 +39,7 @@ def run_with_signs_of_life(client: StreamClient, seconds: float, every_s: float 
 
 
 def test_a_hand_relaxes_if_its_client_is_silent_after_a_hold(jamia: HandModel) -> None:
-    """Regression: after a hold the hand kept pulling without a time limit."""
+    """Reproduce a defect: after a hold the hand kept pulling without a time limit."""
     with live_client(jamia) as client:
         client.send_command("hold", tension_N={"index": 30.0}, rate_N_per_s=500.0, lease_s=LEASE_S)
         run_with_signs_of_life(client, 3.0 * LEASE_S)

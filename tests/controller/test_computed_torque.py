@@ -151,7 +151,10 @@ def test_from_limp_to_tension_the_present_tension_is_the_first_setpoint(model: H
 
 
 def test_a_pull_never_uses_more_force_than_its_limit(model: HandModel) -> None:
-    """Regression: the integral part of the tension loop must not grow without limit while a load cell is silent."""
+    """Reproduce a defect.
+
+    The integral part of the tension loop must not grow without limit while a load cell is silent.
+    """
     law = LawState.before_first_command(model.tendon_count)
     silent = exact_estimate(model, np.zeros((model.tendon_count, STATE_COUNT)))
     for k in range(300):

@@ -59,7 +59,7 @@ def task_program(*phases: dict[str, Any]) -> TaskProgram:
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 def test_a_tip_without_lever_has_no_tip_force(hand: str) -> None:
-    """Regression: 0/0 made the smoothed tip force NaN for ever, so that no contact was found."""
+    """Reproduce a defect: 0/0 made the smoothed tip force NaN for ever, so that no contact was found."""
     model = model_of(hand)
     state = active_state(model)
     tables = uncompiled_function(state_tables)(state.block, state.layout.places)

@@ -327,7 +327,10 @@ def test_a_motor_that_keeps_its_torque_needs_its_power_removed_at_once(
 def test_a_motor_that_reports_disabled_and_pulls_needs_its_power_removed(
     hand_bench: ControllerBench,
 ) -> None:
-    """Regression: after an ordinary stop, a run ended as soon as all drives reported that they were disabled."""
+    """Reproduce a defect.
+
+    After an ordinary stop, a run ended as soon as all drives reported that they were disabled.
+    """
     hand_bench.run_until_mode(HandMode.ACTIVE)
     hand_bench.run(1.0)
     hand_bench.tick(STOP_REQUEST)

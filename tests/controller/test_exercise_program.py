@@ -31,7 +31,7 @@ def stages_of_exercise(model: HandModel) -> list[StageRecord]:
 
 @pytest.mark.parametrize("name", ["jamia", "jamia11", "orca_like"])
 def test_a_wrist_keeps_its_angle_while_the_other_digits_exercise(name: str) -> None:
-    """Regression: a wrist followed the fast moves, and then closed under a constant tension.
+    """Reproduce a defect: a wrist followed the fast moves, and then closed under a constant tension.
 
     A heavy wrist moved by 9 deg in 0.1 s, which ended the step test of `tune design` with fault
     T01.

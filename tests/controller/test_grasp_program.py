@@ -346,7 +346,7 @@ def test_a_digit_that_touches_later_joins_the_grasp(
     ("name", "wrist_force"), [("jamia", -40.0), ("jamia11", -40.0), ("orca_like", 40.0)]
 )
 def test_a_wrist_never_touches_and_keeps_its_motion(name: str, wrist_force: float) -> None:
-    """Regression: a heavy wrist was taken for a digit in contact.
+    """Reproduce a defect: a heavy wrist was taken for a digit in contact.
 
     It then had a constant tension in place of its motion, and left its angle. The force along the
     tendon of the wrist has the sign of its moment arm.

@@ -62,7 +62,7 @@ def mean_nis_and_events(hand: str, rate_hz: float, seed: int) -> tuple[float, li
     ("hand", "rate_hz"), HANDS_AND_RATES if NIGHTLY else SAMPLED_HANDS_AND_RATES
 )
 def test_innovations_have_their_predicted_variance_at_any_rate(hand: str, rate_hz: float) -> None:
-    """Regression: sensors were sampled up to 0.5 ms early.
+    """Reproduce a defect: sensors were sampled up to 0.5 ms early.
 
     At 300, 450 and 640 Hz, the mean normalised innovation squared was then 3 to 5.
     """

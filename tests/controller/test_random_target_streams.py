@@ -126,7 +126,7 @@ SAMPLED_CASES = [
 def test_random_targets_cause_no_fault(
     space: str, hand: str, kind: Callable[..., Array], seed: int
 ) -> None:
-    """Regression: random streams ended within 45 ms with the fault T01 (a tendon snapped).
+    """Reproduce a defect: random streams ended within 45 ms with the fault T01 (a tendon snapped).
 
     The tension set-point ran ahead of a free digit, or the reference angle ran ahead of a held
     digit.

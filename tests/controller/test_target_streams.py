@@ -381,7 +381,10 @@ def test_a_target_survives_the_log(value: float) -> None:
 def test_integers_beyond_64_bits_do_not_end_the_run(
     jamia: HandModel, number: int, sent_ns: int
 ) -> None:
-    """Regression: such a number in the text of a target raised OverflowError in the tick, which cut the torque."""
+    """Reproduce a defect.
+
+    Such a number in the text of a target raised OverflowError in the tick, which cut the torque.
+    """
     with live_client(jamia) as client:
         client.open_stream()
         client.stream_motion(lambda t: 20.0, 0.3)
@@ -476,7 +479,7 @@ def test_a_stream_goes_on_from_a_moving_digit(jamia: HandModel) -> None:
 
 
 def test_goals_with_a_long_horizon_move_the_hand(jamia: HandModel) -> None:
-    """Regression: the trajectory to each new goal started at rest at the estimated angle.
+    """Reproduce a defect: the trajectory to each new goal started at rest at the estimated angle.
 
     A hand with 50 goals per second therefore stood still.
     """
@@ -511,7 +514,7 @@ def test_a_long_move_of_a_fast_digit_stays_within_the_range() -> None:
 
 
 def test_three_goals_out_of_range_are_no_fault(jamia: HandModel) -> None:
-    """Regression: three goals out of range caused a latched fault, which relaxed the hand."""
+    """Reproduce a defect: three goals out of range caused a latched fault, which relaxed the hand."""
     with live_client(jamia) as client:
         for _ in range(5):
             assert "from 0 to 100 deg" in client.send_command("move", angle_deg={"index": 120.0})

@@ -123,7 +123,10 @@ def test_an_unverifiable_guard_is_shown(tmp_path, capsys):
 
 
 def test_drives_with_the_same_caution_share_a_line_and_the_watchdog_is_first(tmp_path, capsys):
-    """Regression: four CubeMars drives printed 20 lines, and a hint about temperature was one of five cautions."""
+    """Reproduce a defect.
+
+    Four CubeMars drives printed 20 lines, and a hint about temperature was one of five cautions.
+    """
     path = hand_file(tmp_path, ["odrive", "cubemars"])
     path.write_text(path.read_text().replace(OPTIONS_TEXT_BY_PROTOCOL["odrive"], ""))
     assert main(["config", "check", "--hand", str(path)]) == 0

@@ -46,7 +46,7 @@ def test_two_buses_and_three_protocols_work_as_one_hand(tmp_path: Path) -> None:
 
 
 def test_no_drive_is_silent_while_the_others_are_enabled(tmp_path: Path) -> None:
-    """Regression: an ODrive verified its settings again before it was enabled.
+    """Reproduce a defect: an ODrive verified its settings again before it was enabled.
 
     This drive was silent for five ticks, which counted as a fault.
     """
@@ -172,7 +172,7 @@ def test_the_load_is_that_of_the_table(
 
 
 def test_the_numbers_that_the_page_recommends_for_odrives_are_free_beside_canopen() -> None:
-    """Regression: the page recommended the node number 0x10 for an ODrive.
+    """Reproduce a defect: the page recommended the node number 0x10 for an ODrive.
 
     The identifiers of this number overlapped with those of RPDO1 of CANopen nodes 1 to 31.
     """

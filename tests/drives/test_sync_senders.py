@@ -41,7 +41,10 @@ def hand_without_sensors() -> Hand:
 
 
 def test_a_hand_on_two_buses_has_sync_on_both(tmp_path: Path) -> None:
-    """Regression: the bus without the sensor node had no SYNC, so a hand with CiA 402 drives was never armed."""
+    """Reproduce a defect.
+
+    The bus without the sensor node had no SYNC, so a hand with CiA 402 drives was never armed.
+    """
     path = move_to_second_bus(hand_file(tmp_path, ["cia402"]))
     hand = load_hand(str(path))
     assert sync_sender_names(hand) == ["thumb_motor"], (

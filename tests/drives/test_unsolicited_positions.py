@@ -41,7 +41,7 @@ BEND_AND_OPEN_TASK = Task.model_validate(
 
 @pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
 def test_the_tension_does_not_oscillate_by_late_positions(seed: int) -> None:
-    """Regression: the tensions of a hand without springs oscillated by 15 N RMS.
+    """Reproduce a defect: the tensions of a hand without springs oscillated by 15 N RMS.
 
     The default task therefore ended with the fault N14b (the tension oscillates).
     """

@@ -57,7 +57,7 @@ def campaign_report():
 
 
 def test_only_existing_load_cells_fail():
-    """Regression: the campaign let a load cell of a spool pair saturate, but spool pairs have none.
+    """Reproduce a defect: the campaign let a load cell of a spool pair saturate, but spool pairs have none.
 
     The campaign then ended with a traceback.
     """
@@ -145,7 +145,7 @@ def test_a_reaction_or_a_missing_grasp_without_fault_is_a_false_alarm():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_exchanged_drives_are_found_soon_after_the_fingers_touch_an_object(seed: int) -> None:
-    """Regression: large changes of the commands at the contact hid exchanged drives for 2.3 s."""
+    """Reproduce a defect: large changes of the commands at the contact hid exchanged drives for 2.3 s."""
     hand = hand_with_protocol("t42", "mit")
     with homed_run(hand, RATE_HZ, seed) as simulation:
         advance_to_stage(simulation, GRASP_STAGE)
@@ -341,7 +341,7 @@ def test_only_missing_sensors_extend_a_time_limit():
 
 
 def test_a_node_that_answers_every_second_tick_does_not_make_the_hand_swing():
-    """Regression: with steady filter gains, the tension rose to 171 N while 7 N were commanded."""
+    """Reproduce a defect: with steady filter gains, the tension rose to 171 N while 7 N were commanded."""
     row = next(row for row in FAULT_MATRIX if row.id == "N15" and "cia402" in row.protocols)
     with homed_run(hand_with_protocol("jamia11", "cia402"), 200.0, 0) as simulation:
         advance_to_stage(simulation, ARMING_STAGE)

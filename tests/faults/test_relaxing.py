@@ -170,7 +170,11 @@ def check_relaxing(simulation: SimulatedRun, stop_at: int, window: int, fault: s
 def test_relaxing_after_a_doubtful_load_cell_begins_at_the_tension_of_a_moving_digit(
     fault: str, seed: int
 ) -> None:
-    """Regression: relaxing began at the last command of an unstable loop, 160 N. A slack tendon then reached 317 N."""
+    """Reproduce a defect.
+
+    Relaxing began at the last command of an unstable loop, 160 N. A slack tendon then reached 317
+    N.
+    """
     hand = hand_with_protocol("jamia", "odrive")
     with homed_run(hand, 400.0, seed, task=hidden_faults.rising_hold_task()) as simulation:
         free_ticks = 0

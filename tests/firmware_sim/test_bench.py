@@ -100,7 +100,7 @@ def bench_and_speed_at(
 def test_a_damiao_motor_turns_no_faster_than_its_no_load_speed(
     kind: str, inertia: float | None
 ) -> None:
-    """Regression: 1 N m drove a DM4310 motor to 76 rad/s, although its no-load speed is 21 rad/s."""
+    """Reproduce a defect: 1 N m drove a DM4310 motor to 76 rad/s, although its no-load speed is 21 rad/s."""
     shaft = mit_bench.shaft_of_mit_motor(kind)
     for sign in (1.0, -1.0):
         _, speed = bench_and_speed_at("mit", sign * 0.1 * shaft.peak, kind, inertia)
@@ -326,7 +326,10 @@ def test_the_eds_file_and_a_drive_agree_on_the_rated_torque() -> None:
 @pytest.mark.parametrize("fault", ["", *sorted(DRIVE_FAULTS)])
 @pytest.mark.parametrize("protocol", sorted(PROTOCOL_SPECS))
 def test_no_frame_ends_a_drive(protocol: str, fault: str) -> None:
-    """Regression: an MIT motor with the fault ``deaf`` raised OverflowError at the first remote or extended frame."""
+    """Reproduce a defect.
+
+    An MIT motor with the fault ``deaf`` raised OverflowError at the first remote or extended frame.
+    """
     bench = SimulatedDriveBench([drive_spec(protocol, 2)], fault=fault)
     specials = [b"\xff" * 7 + bytes((code,)) for code in (0xFB, 0xFC, 0xFD, 0xFE, 0xFF)]
     payloads = [b"\xff" * size for size in range(9)] + [bytes(size) for size in range(9)] + specials

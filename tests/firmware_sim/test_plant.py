@@ -275,7 +275,7 @@ def hand_with_coupled_fingers(coupling: list[list[float]], path: Path) -> Hand:
 def test_coupled_joints_of_spool_pairs_keep_their_coupling(
     coupling: list[list[float]], tmp_path: Path
 ) -> None:
-    """Regression: the joints of a digit with spool pairs turned freely against each other.
+    """Reproduce a defect: the joints of a digit with spool pairs turned freely against each other.
 
     Such a digit has no springs. While the fingers closed, their angles left the coupling by 49 to
     74 deg. The loopback tendons keep them within 1.4 deg.

@@ -168,7 +168,7 @@ def test_a_tick_is_answered_only_when_no_frame_waits() -> None:
 
 
 def test_an_answer_waits_for_one_stride_at_most(bench: ServerBench) -> None:
-    """Regression: the server caught up 10 ms before it replied.
+    """Reproduce a defect: the server caught up 10 ms before it replied.
 
     This took 2 ms, so the reply came after the next SYNC.
     """
@@ -213,7 +213,11 @@ def test_priority_is_taken_for_a_host_and_given_back_after_slips() -> None:
 
 
 def test_a_slow_machine_is_reported_once_a_second_with_an_advised_pace() -> None:
-    """Regression: a slow simulator printed 2,338 lines in 275 s, without the advice to choose a smaller time scale."""
+    """Reproduce a defect.
+
+    A slow simulator printed 2,338 lines in 275 s, without the advice to choose a smaller time
+    scale.
+    """
     now = {"wall": 0.0, "cpu": 0.0}
     lines: list[str] = []
     pace = PaceCounter(0, lambda: now["wall"], lambda: now["cpu"], lines.append)

@@ -76,7 +76,7 @@ def test_identity_is_of_the_content_and_not_of_its_spelling(hand):
 
 
 def test_limits_of_streams_do_not_change_the_identity(hand, tmp_path):
-    """Regression: a hand with other stream limits lost its calibration.
+    """Reproduce a defect: a hand with other stream limits lost its calibration.
 
     The log of a hand with the default limits did not contain these limits.
     """
@@ -213,7 +213,7 @@ def test_a_directory_is_no_hand(tmp_path):
 
 
 def test_a_copy_with_other_buses_has_their_names() -> None:
-    """Regression: a copy with changed fields kept cached properties of the original.
+    """Reproduce a defect: a copy with changed fields kept cached properties of the original.
 
     The names of the buses are such a property.
     """

@@ -384,7 +384,7 @@ def test_a_full_disk_leaves_a_whole_file(
 
 
 def test_a_log_that_is_renamed_during_the_run_is_completed(tmp_path: Path) -> None:
-    """Regression: the recorder process ended with FileNotFoundError, and the log had no end."""
+    """Reproduce a defect: the recorder process ended with FileNotFoundError, and the log had no end."""
     path = tmp_path / "run.mcap"
     writer = LogWriter(path, synthetic_run.synthetic_header(), lambda *what: None, 1)
     records = _make_records(100)

@@ -178,7 +178,7 @@ def overflow_socket(bus: SocketCanBus, far: socket.socket) -> None:
 def test_after_a_loss_frames_are_converted_as_batches_again(
     udp_bus: tuple[SocketCanBus, socket.socket], monkeypatch: pytest.MonkeyPatch, fd_flag: int
 ) -> None:
-    """Regression: after the first loss, every frame of the run took the slow way.
+    """Reproduce a defect: after the first loss, every frame of the run took the slow way.
 
     The kernel adds the counter of lost frames to each later frame.
     """

@@ -143,7 +143,7 @@ def test_amplifiers_are_set_up_and_read(value, tmp_path):
 
 @pytest.mark.parametrize("missed", [0, 1, 50])
 def test_missed_ticks_are_skipped_and_not_executed_later(missed):
-    """Regression: after a host stall, all missed requests were sent back to back."""
+    """Reproduce a defect: after a host stall, all missed requests were sent back to back."""
     place, watch = watched_hand("jamia")
     for _ in range(120):
         watch.run_tick()

@@ -73,7 +73,7 @@ def status_with_events(*texts):
     "theirs", ["refused: no digit 'x'", "request: Invalid JSON", "move index 3"]
 )
 def test_replies_to_other_programs_are_ignored(unserved_client, monkeypatch, theirs):
-    """Regression: two programs used one hand, and one of them reported refused requests of the other one."""
+    """Reproduce a defect: two programs used one hand, and one of them reported refused requests of the other one."""
     sent = []
     monkeypatch.setattr(
         unserved_client._watcher, "send", lambda data, timeout: sent.append(json.loads(data))
@@ -112,7 +112,11 @@ def test_a_hold_without_a_tension_brings_the_hand_to_rest(unserved_client, monke
 
 
 def test_digits_may_come_as_a_mapping(unserved_client, monkeypatch):
-    """Regression: a mapping as first argument was taken as the duration, and the client raised the error "no digit"."""
+    """Reproduce a defect.
+
+    A mapping as first argument was taken as the duration, and the client raised the error "no
+    digit".
+    """
     requests = []
     monkeypatch.setattr(unserved_client, "_set_goal", requests.append)
     unserved_client.move({"index": 10}, thumb=5, wait=False)
@@ -133,7 +137,7 @@ def test_digits_may_come_as_a_mapping(unserved_client, monkeypatch):
 
 
 def test_an_unknown_space_of_a_stream_names_all_spaces(unserved_client):
-    """Regression: the message left out the space ``fingertip``."""
+    """Reproduce a defect: the message left out the space ``fingertip``."""
     right = "stream.space: 'torque'; expected joint or digit or tension or tip_force or fingertip"
     with pytest.raises(ConfigError, match=right):
         unserved_client.stream(100, space="torque")

@@ -77,7 +77,7 @@ def test_a_good_drive_passes_although_the_host_is_late(protocol, seed, monkeypat
 
 
 def test_a_good_drive_passes_three_times_running(protocol):
-    """Regression: after the checks, ODrives and CiA 402 drives had a latched error.
+    """Reproduce a defect: after the checks, ODrives and CiA 402 drives had a latched error.
 
     These drives then failed the second series of checks.
     """
@@ -128,7 +128,7 @@ def test_a_broken_drive_fails_its_check(protocol, fault):
 @pytest.mark.parametrize("fault", ["deaf", "eager", "mute", "sign", "twin"])
 @pytest.mark.parametrize("protocol", sorted(PROTOCOL_TRAITS.keys() - set(GUARDED_PROTOCOLS)))
 def test_a_broken_motor_without_guards_fails_its_check(protocol, fault):
-    """Regression: a CubeMars drive that ignores commands passed all checks.
+    """Reproduce a defect: a CubeMars drive that ignores commands passed all checks.
 
     The feedback of a CubeMars drive does not report whether it is enabled.
     """
@@ -188,7 +188,7 @@ def test_a_motor_in_velocity_mode_is_set_to_mit_mode():
 
 @pytest.mark.parametrize("answers", ["each", "error", "never"])
 def test_an_error_is_cleared_whether_the_clear_command_is_answered_or_not(answers):
-    """Regression: the host waited for a reply to the clear command.
+    """Reproduce a defect: the host waited for a reply to the clear command.
 
     Without this reply, it never found the motor ready.
     """

@@ -235,7 +235,7 @@ def stall_host(place, rig, after_s, missed):
 @pytest.mark.parametrize("after_s", [0.1, 1.98])
 @pytest.mark.parametrize("mode", [DriveMode.TORQUE, DriveMode.POSITION, DriveMode.VELOCITY])
 def test_a_ramp_keeps_its_time_although_ticks_are_missed(mode, after_s, missed):
-    """Regression: after a host stall, the commands of all missed ticks were sent back to back."""
+    """Reproduce a defect: after a host stall, the commands of all missed ticks were sent back to back."""
     ramps = []
     for stall in (0, missed):
         place, rig, _ = bench_of("mit", mode)

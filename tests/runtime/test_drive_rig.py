@@ -11,7 +11,7 @@ from tests.drives.virtual_bench import OPTIONS_BY_PROTOCOL, VirtualBench, drive_
 
 
 def test_everything_is_compiled_before_the_clock_begins(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Regression: at the first command, the rig compiled code for a second.
+    """Reproduce a defect: at the first command, the rig compiled code for a second.
 
     In this second the watchdog of the drive fired.
     """
@@ -30,7 +30,7 @@ def test_everything_is_compiled_before_the_clock_begins(monkeypatch: pytest.Monk
 @pytest.mark.parametrize("protocol", OPTIONS_BY_PROTOCOL)
 @pytest.mark.parametrize("missed", [1, 3, 100])
 def test_missed_ticks_are_skipped_and_not_executed_later(protocol: str, missed: int) -> None:
-    """Regression: after a host stall, the rig sent the commands of all missed ticks back to back."""
+    """Reproduce a defect: after a host stall, the rig sent the commands of all missed ticks back to back."""
     place = VirtualBench(protocol)
     rig = drive_rig_on(place, protocol, 0.1)
     assert rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0)
@@ -52,7 +52,7 @@ def test_missed_ticks_are_skipped_and_not_executed_later(protocol: str, missed: 
 def test_the_velocity_after_missed_ticks_is_that_of_the_shaft(
     missed: int, delay_ticks: int
 ) -> None:
-    """Regression: the positions after a stall counted as those of adjacent ticks, and the shaft as too fast."""
+    """Reproduce a defect: the positions after a stall counted as those of adjacent ticks, and the shaft as too fast."""
     place = VirtualBench("mit", delay_ticks=delay_ticks)
     motor = place.bench.motors[0]
     wait = place.wait

@@ -87,7 +87,7 @@ def test_missing_fd_is_found_where_the_hand_needs_it():
 
 @pytest.mark.parametrize("data_bitrate", [None, 5 * MEGABIT_PER_S])
 def test_the_set_up_of_a_finding_is_that_of_bus_up(data_bitrate):
-    """Regression: the command in a finding left out ``restart-ms``, and the next finding then asked for it."""
+    """Reproduce a defect: the command in a finding left out ``restart-ms``, and the next finding then asked for it."""
     (finding, *_) = bad_findings(link_json(link={"flags": ["NOARP"]}), data_bitrate)
     commands = set_up_commands("can0", MEGABIT_PER_S, data_bitrate, exists=True)
     assert finding.fix.split(" && ") == ["sudo " + " ".join(command) for command in commands]

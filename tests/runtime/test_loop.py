@@ -310,7 +310,10 @@ def poll_times(run: RecordedLoop, answers: list[tuple[str, ...]]) -> list[int]:
 def test_an_error_after_the_commands_disables_from_the_state_with_these_commands(
     stage: str,
 ) -> None:
-    """Regression: the loop used the state before the tick, in which drives that were just enabled had no command."""
+    """Reproduce a defect.
+
+    The loop used the state before the tick, in which drives that were just enabled had no command.
+    """
     bus = FakeBus()
     run = RecordedLoop(5, buses=[bus], frames=(Frame(9, b"enable"),))
     states: list[int] = []
@@ -361,7 +364,7 @@ def test_a_drive_that_does_not_report_off_is_named_with_the_error() -> None:
 
 
 def test_after_a_stall_drives_are_polled_from_the_present_time_on() -> None:
-    """Regression: the polls began at the missed ticks, all at once, so that no time was left for answers."""
+    """Reproduce a defect: the polls began at the missed ticks, all at once, so that no time was left for answers."""
     run = RecordedLoop(600, clock=ScriptedClock([0, 600 * PERIOD_NS]))
     times: list[int] = []
 

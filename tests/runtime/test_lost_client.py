@@ -65,7 +65,7 @@ def wait_for_end(client, seconds):
     ["suspended", *[pytest.param(how, marks=pytest.mark.nightly) for how in ("killed", "hangs")]],
 )
 def test_a_lost_client_makes_the_hand_relax(work_folder, hand, calibrated, scale, how):
-    """Regression: the hand kept the tension of a lost client without a time limit."""
+    """Reproduce a defect: the hand kept the tension of a lost client without a time limit."""
     factor = float(scale[1])
     client = library.connect(
         "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale

@@ -104,7 +104,7 @@ def test_a_second_controller_is_refused_and_disturbs_nothing() -> None:
 def test_a_mailbox_that_fails_leaves_no_lock_and_no_socket(
     stage: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Regression: after a failed start, a retry in the same process found its own lock."""
+    """Reproduce a defect: after a failed start, a retry in the same process found its own lock."""
     path = mailbox_path("local:x")
     open_before = set(os.listdir("/proc/self/fd"))
     with monkeypatch.context() as patch:

@@ -41,7 +41,7 @@ def test_the_doctor_tries_real_time_priority_and_resets_it() -> None:
 
 
 def test_memory_is_locked_while_others_may_still_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Regression: the process locked its memory when it already had real-time priority (SCHED_FIFO).
+    """Reproduce a defect: the process locked its memory when it already had real-time priority (SCHED_FIFO).
 
     The lock then blocked all other processes on the core for a tenth of a second.
     """
@@ -53,7 +53,7 @@ def test_memory_is_locked_while_others_may_still_run(monkeypatch: pytest.MonkeyP
 
 
 def test_only_ticks_have_realtime_priority() -> None:
-    """Regression: a loop that was starting or was closing its log blocked all other processes on its core."""
+    """Reproduce a defect: a loop that was starting or was closing its log blocked all other processes on its core."""
     granted = priority.prepare_priority()
     seen = []
     assert scheduling_policy() == os.SCHED_OTHER

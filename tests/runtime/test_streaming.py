@@ -79,7 +79,7 @@ def test_a_stream_is_followed_observed_logged_and_repeated(work_folder, hand, ca
 
 @REALTIME
 def test_only_one_of_several_clients_commands_the_hand(live_hand):
-    """Regression: when one client disconnected, the hand stopped although other clients used it.
+    """Reproduce a defect: when one client disconnected, the hand stopped although other clients used it.
 
     Two threads of one client did not get the results of their moves.
     """

@@ -226,7 +226,10 @@ def test_a_drive_that_still_reports_torque_after_a_cut_is_detected(group, before
 
 @pytest.mark.parametrize(("step", "found"), [(0.0, True), (0.1, True), (1.2, False)])
 def test_a_step_of_a_coarse_torque_report_is_no_pull(step, found):
-    """Regression: a CubeMars AK70-10 has no code for zero torque. After a cut it reports 1.2 N, which was N16."""
+    """Reproduce a defect.
+
+    A CubeMars AK70-10 has no code for zero torque. After a cut it reports 1.2 N, which was N16.
+    """
     tendons = FilteredTendons(1)
     tendons.set_constants(torque_step=step)
     tendons.tick(measured_force=1.2, asked=1.2)

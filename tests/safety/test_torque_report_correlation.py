@@ -75,7 +75,7 @@ def test_a_report_that_follows_is_never_doubted(seed: int, size: float) -> None:
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("fraction", [0.1, 0.2, 0.3, 0.5, 1.0])
 def test_a_report_in_coarse_steps_is_never_doubted(seed: int, fraction: float) -> None:
-    """Regression: commissioning ended with the fault N17 (drives exchanged, or obeying late).
+    """Reproduce a defect: commissioning ended with the fault N17 (drives exchanged, or obeying late).
 
     One count of an AK80-6 motor's torque report is 1.17 N at a spool of 5 mm.
     """
@@ -126,7 +126,7 @@ def test_one_outlier_is_not_a_fault() -> None:
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("size", [0.02, 0.1, 1.0])
 def test_a_report_that_is_a_tick_late_is_not_a_fault(seed: int, size: float) -> None:
-    """Regression: a demo in real time ended with the fault N17 (drives exchanged, or obeying late).
+    """Reproduce a defect: a demo in real time ended with the fault N17 (drives exchanged, or obeying late).
 
     A busy host had read every reply one tick late.
     """
@@ -248,7 +248,7 @@ def test_one_report_that_contradicts_its_command_is_not_a_fault() -> None:
 def test_a_late_report_is_no_fault_with_a_load_cell_or_at_a_high_rate(
     group: list[int], period_s: float
 ) -> None:
-    """Regression: at 1 kHz on a computer that was busy for 4 ms, a run ended with N14."""
+    """Reproduce a defect: at 1 kHz on a computer that was busy for 4 ms, a run ended with N14."""
     motors = ReportingMotors()
     motors.set_constants(cell_group=group, period=period_s)
     commanded = np.repeat(np.array([[9.0, 9.0], [40.0, 40.0]]), 40, axis=0)

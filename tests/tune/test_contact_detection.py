@@ -65,7 +65,7 @@ UNDISTURBED_SAMPLE = {("jamia", 5)}
 def test_springs_of_fingers_that_touch_each_other_are_not_kept(
     tmp_path: Path, hand: str, thumb_mm: int, seed: int
 ) -> None:
-    """Regression: spring parameters of 1.41 and 1.73 were accepted without a message.
+    """Reproduce a defect: spring parameters of 1.41 and 1.73 were accepted without a message.
 
     The true value of this parameter is 1.2.
     """

@@ -37,7 +37,7 @@ FEW_PLANTS = 2
 
 @pytest.mark.parametrize("name", packaged_hands())
 def test_the_packaged_gains_keep_their_margins(name: str) -> None:
-    """Regression: with the gains of the hand jamia, the hand orca_like oscillated at 140 Hz.
+    """Reproduce a defect: with the gains of the hand jamia, the hand orca_like oscillated at 140 Hz.
 
     The hand t42 had a gain margin of only 2.4 dB.
     """

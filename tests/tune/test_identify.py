@@ -264,7 +264,7 @@ def test_delay_is_judged_by_an_absolute_limit() -> None:
 
 @pytest.mark.parametrize("name", ["jamia", "jamia11"])
 def test_each_parameter_has_one_row_with_its_value_or_the_reason(name: str) -> None:
-    """Regression: a parameter without value appeared twice, and a unit "1" looked like a value."""
+    """Reproduce a defect: a parameter without value appeared twice, and a unit "1" looked like a value."""
     hand = load_hand(name)
     with RunLog(GOLDEN_LOGS / f"{name}-grasp.mcap") as log:
         results = identify_tendons(log, hand)
@@ -284,7 +284,7 @@ def test_each_parameter_has_one_row_with_its_value_or_the_reason(name: str) -> N
 
 @pytest.mark.parametrize("encoders", [False, True])
 def test_springs_of_a_digit_with_several_tendons_need_joint_encoders(encoders: bool) -> None:
-    """Regression: the reason was "no data depend on this parameter"."""
+    """Reproduce a defect: the reason was "no data depend on this parameter"."""
     content = hand_content("jamia11")
     node = content["sensor_node"]
     content["sensor_node"] = node | {"joints": node["joints"] if encoders else []}

@@ -13,7 +13,7 @@ GRASP_LOG = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 
 
 def test_a_digit_that_is_held_or_rests_on_a_stop_is_not_free() -> None:
-    """Regression: data of digits on their stops were used.
+    """Reproduce a defect: data of digits on their stops were used.
 
     The identified springs and friction were then a third too large.
     """

@@ -17,7 +17,7 @@ from handctl.tune.search.ensemble import draw_ensemble
 
 @pytest.mark.parametrize("seed", [1000, 1002])
 def test_motor_short_of_its_goal_is_no_stuck_encoder(seed: int) -> None:
-    """Regression: a motor had stopped 0.4 mm short of its goal.
+    """Reproduce a defect: a motor had stopped 0.4 mm short of its goal.
 
     The lagging goal then continued to move, and after 2.5 s the controller reported a stuck encoder
     (N04).
@@ -32,7 +32,7 @@ def test_motor_short_of_its_goal_is_no_stuck_encoder(seed: int) -> None:
 
 @pytest.mark.parametrize("hand", ["jamia", "t42"])
 def test_a_trial_may_cross_a_process_boundary(hand: str) -> None:
-    """Regression: every trial of `tune search --jobs 2` failed, because JSON converts tuples to lists."""
+    """Reproduce a defect: every trial of `tune search --jobs 2` failed, because JSON converts tuples to lists."""
     job = {
         "hand": load_hand(hand).to_toml(),
         "rate_hz": 500.0,

@@ -25,7 +25,7 @@ def test_rows_are_in_one_block_each(seed: int) -> None:
 
 @pytest.mark.parametrize("span", [0.0, 0.1, 20.0])
 def test_equal_times_take_a_few_seconds_at_most(span: float) -> None:
-    """Regression: the jackknife took minutes for 4000 rows in one block."""
+    """Reproduce a defect: the jackknife took minutes for 4000 rows in one block."""
     random = np.random.default_rng(0)
     jacobian, residual = random.normal(size=(4010, 10)), random.normal(size=4010)
     begin = time.process_time()

@@ -245,7 +245,11 @@ def rest_test_of(model: HandModel) -> RestTest:
 
 
 def test_closing_spool_pairs_are_not_reported_as_torn_tendons() -> None:
-    """Regression: every step test ended with a torn tendon (T01), when a digit without load cells closed with 30 N."""
+    """Reproduce a defect.
+
+    Every step test ended with a torn tendon (T01), when a digit without load cells closed with 30
+    N.
+    """
     model = HandModel.from_hand(load_hand("orca_like"), Gains(), RATE_BY_HAND_HZ["orca_like"])
     swing = simulate_swing(model.hand, model, {}, 0)
     assert swing.failure == ""

@@ -82,7 +82,7 @@ OPPOSED_HANDS = [("1", "40,30", "each"), ("1", "24,16", "each"), ("1", "60,40", 
 def test_digits_that_meet_are_named_and_not_blamed_on_the_gains(
     tmp_path: Path, fingers: str, links: str, tendons: str
 ) -> None:
-    """Regression: digits blocked near 17 deg by each other counted as a tracking error of 20 deg."""
+    """Reproduce a defect: digits blocked near 17 deg by each other counted as a tracking error of 20 deg."""
     file = tmp_path / "mine.toml"
     words = ["--fingers", fingers, "--opposed", "1", "--links", links, "--tendons", tendons]
     assert main(["config", "init", "--yes", *words, "--output", str(file)]) == 0

@@ -65,7 +65,7 @@ def test_every_byte_of_growth_within_a_chunk_is_safe(jamia_path: Path, tmp_path:
 def test_a_call_reads_no_record_again(
     jamia_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Regression: each call scanned all records from the start of the log, several times per second."""
+    """Reproduce a defect: each call scanned all records from the start of the log, several times per second."""
     whole, path, part = jamia_path.read_bytes(), tmp_path / "run.mcap", tmp_path / "part.mcap"
     offsets = list[int]()
     read_range = LogFile.read_range
