@@ -33,7 +33,7 @@ def test_motors_of_the_hand_that_do_not_answer_are_named(capsys):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--bus", "local:nobody"], "type: python -m firmware_sim"),
+        (["--bus", "local:nobody"], "type: handctl sim --bus local:nobody"),
         (["--bus", "virtual:x"], "120 ohm"),
     ],
 )

@@ -153,7 +153,7 @@ def test_exports_name_meshes_relative_to_their_own_folder(copy_t42_with_meshes: 
 def test_a_hand_in_another_protocol_keeps_its_meshes(copy_t42_with_meshes: Path) -> None:
     from argparse import Namespace
 
-    args = Namespace(hand=str(copy_t42_with_meshes), protocol="odrive")
+    args = Namespace(hand=str(copy_t42_with_meshes), protocol="odrive", motor_type=None)
     with hand_in_protocol(args):
         assert args.hand != str(copy_t42_with_meshes)
         assert not list(mesh_mistakes(load_hand(args.hand), Path(args.hand).parent))

@@ -163,6 +163,8 @@ def test_a_truncated_log_is_checked_and_executed_in_part(
 
 def test_log_info_prints_readable_text(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["log", "info", GRASP_LOG]) == 0
+    assert "motion.force_N: " not in capsys.readouterr().out
+    assert main(["log", "info", GRASP_LOG, "-v"]) == 0
     output = capsys.readouterr().out
     assert max(map(len, output.splitlines())) < 120
     assert "motion.force_N: " in output

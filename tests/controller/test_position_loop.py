@@ -525,7 +525,7 @@ def test_a_hand_without_position_loops_has_no_servo_table_and_keeps_its_identity
     layouts = [
         make_controller(
             one, packaged_gains("jamia"), RATE_HZ, to_and_fro_program(one, 1, 1.0), None, True
-        ).layout
+        ).derived.layout
         for one in (hand, loop)
     ]
     assert [layout.axes["servo"] for layout in layouts] == [0, 4]

@@ -229,7 +229,7 @@ def test_python_cans_logger_writes_what_was_sent(
 
 def test_a_bus_without_a_hub_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(RUN_DIR_VARIABLE, str(tmp_path))
-    with pytest.raises(can.CanInitializationError, match="firmware_sim"):
+    with pytest.raises(can.CanInitializationError, match="handctl sim --bus local:nobody"):
         can.Bus("nobody", interface="local", ignore_config=True)
 
 

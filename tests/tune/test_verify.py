@@ -122,5 +122,8 @@ def test_the_page_about_tuning_quotes_the_report() -> None:
     why = "motor torques oscillate by 60.9 N m/s, limit 60.0"
     quote = return_text({"t_s": 13.298, "k": 6649, "amplitude": 0.3, "why": why})
     assert f'"{quote}"' in text
-    later_rounds = {_gains_label(i, {"amplitude": 0.3}) for i in range(2, 5)}
+    rounds = round_amplitudes(1.0)
+    later_rounds = {
+        _gains_label(i, {"amplitude": end}, rounds) for end in rounds[2:] for i in range(2, 5)
+    }
     assert all(f'"{label}"' in text for label in later_rounds)

@@ -64,8 +64,6 @@ IS_SPOOL_PAIR = _whole("pair", "tendon", "",
 HAS_RETURN_SPRINGS = _whole("sprung", "tendon", "",
     "1 if springs return the digit to its lower joint limits")  # fmt: skip
 HAS_SURPLUS = _whole("redundant", "tendon", "", "1 if the digit has more tendons than coordinates")
-KEEPS_POSITION = _whole("keeps_position", "tendon", "",
-    "1 if the tendon keeps its joints at an angle while other tendons pull in a hold")  # fmt: skip
 KEEPS_LENGTH = _whole("absolute", "tendon", "",
     "1 if the tendon keeps its length when it becomes taut, so that its excursion follows")  # fmt: skip
 

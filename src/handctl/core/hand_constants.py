@@ -82,17 +82,6 @@ class HandConstants:
         self.block.flags.writeable = bool(model.hand.has_varying_arm.any())
 
 
-def _keeps_position(model: HandModel) -> NDArray[np.bool_]:
-    """Return True for each tendon that keeps its joints at an angle in a hold, (N,).
-
-    Such a tendon moves its digit sideways, or its digit carries others. In a digit with surplus
-    tendons, the integral of a tendon belongs to the null space.
-    """
-    carries = np.array([name in model.hand.carrier_digits for name in model.hand.digit_names])
-    sideways = model.redundancy.side == 0.0
-    return np.asarray((sideways | carries[list(model.digit_of)]) & ~model.redundancy.surplus)
-
-
 def _motor_constants(model: HandModel) -> dict[str, object]:
     space = model.space
     return {
@@ -120,7 +109,6 @@ def _motor_constants(model: HandModel) -> dict[str, object]:
         "pretension": model.hand.pretension,
         "sprung": model.redundancy.sprung,
         "redundant": model.redundancy.surplus,
-        "keeps_position": _keeps_position(model),
         "absolute": ~model.redundancy.sprung & ~model.hand.tendons_with_encoders,
         "period": model.period,
         "period_ns": round(model.period * 1e9),

@@ -221,8 +221,7 @@ REQUIRED_TENSION = _real("load", "tendon", "N",
     "tension at the joints that the trajectory requires")  # fmt: skip
 REQUIRED_JOINT_TORQUE = _real("joint_required", "joint", "N m",
     "joint torque that the trajectory requires")  # fmt: skip
-TENSION_INTEGRAL = _real("integral", "tendon", "N",
-    "integral of the tension error, or of the error of a held position, as a force")  # fmt: skip
+TENSION_INTEGRAL = _real("integral", "tendon", "N", "integral of the tension error, as a force")
 PLANNED_TENSION = _real("planned", "tendon", "N",
     "planned tension of a moving tendon a period from now; 0 for other tendons")  # fmt: skip
 TRIM = _real("trim", "tendon", "N",

@@ -37,18 +37,12 @@ from handctl.core.control_law.digit_reference import (
     is_tendon_streamed,
 )
 from handctl.core.control_law.friction_band import predict_moving_tension
-from handctl.core.control_law.held_position import (
-    holds_position,
-    is_hand_pulling,
-    position_integral,
-)
 from handctl.core.control_law.null_space import INTEGRAL_LIMIT_N, raise_tensions_to_floor
 from handctl.core.control_law.servo_commands import (
     begin_servo_commands,
     command_torque_only,
     is_loop_closed_by_drive,
     servo_force,
-    servo_stiffness,
     write_servo_command,
 )
 from handctl.core.estimation.blocked_digits import MAX_PRESS_N
@@ -146,12 +140,10 @@ def present_tension_limits(x: StateTables, c: ConstantTables) -> Vector:
 
     The limit of a warm drive falls from the ceiling at the soft temperature to the floor at the
     hard temperature. The limit of a blocked digit is ``MAX_PRESS_N`` above the tension that the
-    trajectory requires, except for tendons that keep a position in a planned hold. During a hold
-    that safety demands, the limit is ``HOLD_MARGIN_N`` above the tension at its start. The limit of
-    a spool pair applies to the net tension in both directions.
+    trajectory requires. During a hold that safety demands, the limit is ``HOLD_MARGIN_N`` above the
+    tension at its start. The limit of a spool pair applies to the net tension in both directions.
     """
     limit = np.full(x.tendon.shape[1], math.inf)
-    pulling = is_hand_pulling(x)
     warm = False
     for n in range(len(limit)):
         warm |= x.tendon[s.TEMPERATURE, n] > c.run[h.TEMPERATURE_SOFT]
@@ -161,8 +153,7 @@ def present_tension_limits(x: StateTables, c: ConstantTables) -> Vector:
         planned = x.tendon[s.PLANNED_TENSION, n]
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
             planned = abs(planned)
-        blocked = x.digit_int[s.BLOCKED, c.tendon_int[h.DIGIT_OF_TENDON, n]]
-        if blocked and planned > 0.0 and not holds_position(x, c, n, pulling):
+        if x.digit_int[s.BLOCKED, c.tendon_int[h.DIGIT_OF_TENDON, n]] and planned > 0.0:
             limit[n] = min(limit[n], planned + MAX_PRESS_N)
         if x.run_int[s.HOLDING]:
             limit[n] = min(limit[n], x.tendon[s.HOLD_LIMIT, n])
@@ -224,12 +215,10 @@ def write_motor_torques(
         by_drive = _is_moved_by_drive(x, c, n)
         if kind == MOTION:
             force = _motion_force(x, c, n, terms[0, n], terms[1, n], rate, acceleration)
-            integral = internal[1, n]
-            load[n] = x.tendon[s.REQUIRED_TENSION, n]
             if c.tendon_int[h.HAS_SURPLUS, n]:
+                integral = internal[1, n]
                 force += internal[0, n] + integral
-            else:
-                load[n] += integral  # the tension goal contains the integral
+            load[n] = x.tendon[s.REQUIRED_TENSION, n]
         if kind == TENSION:
             force, setpoint, integral = _tension_force(x, c, n, limit[n])
             force += _force_for_carriers(c, n, carried_rate, carried_acceleration)
@@ -375,7 +364,6 @@ def _motion_terms(
     terms = np.zeros((2, count))
     internal = np.zeros((2, count))
     surplus = False
-    pulling = is_hand_pulling(x)
     for n in range(count):
         if x.tendon_int[s.GOAL_KIND, n] != MOTION:
             continue
@@ -415,9 +403,6 @@ def _motion_terms(
             terms[0, n] = min(
                 max(x.tendon[s.REQUIRED_TENSION, n] / passed, c.tendon[h.TENSION_FLOOR, n]), ceiling
             )
-        if c.tendon_int[h.KEEPS_POSITION, n]:
-            holds = holds_position(x, c, n, pulling)
-            _add_position_integral(x, c, n, holds, excursion - place, ceiling, terms, internal)
         terms[1, n] = c.tendon[h.FEEDBACK_MASS, n] * feedback
         if _is_moved_by_drive(x, c, n):
             terms[1, n] = servo_force(x, c, n, excursion, rate, terms[0, n])
@@ -425,41 +410,6 @@ def _motion_terms(
         raise_tensions_to_floor(x, c, limit, terms, internal)
     _take_up_slack(x, c, trajectory, terms, internal)
     return efficiency, terms, internal
-
-
-@kernel_helper
-def _add_position_integral(
-    x: StateTables,
-    c: ConstantTables,
-    n: int,
-    holds: bool,
-    error: float,
-    ceiling: float,
-    terms: Matrix,
-    internal: Matrix,
-) -> None:
-    """Add the integral of the position error to the tension goal of a tendon, within the tension limits.
-
-    Args:
-        x: state tables.
-        c: constants of the hand.
-        n: index of the tendon.
-        holds: True if the tendon holds a position, see ``held_position``.
-        error: excursion on the trajectory less estimated excursion [m].
-        ceiling: largest tension [N].
-        terms: (2, N) tension goal and feedback of motion [N], modified in place.
-        internal: (2, N) null-space force and integral [N], modified in place.
-    """
-    stiffness = c.tendon[h.FEEDBACK_MASS, n] * c.tendon[h.ERROR_GAIN, n]
-    if _is_moved_by_drive(x, c, n):
-        spool = c.tendon[h.SPOOL_RADIUS, n]
-        stiffness = servo_stiffness(x, c, n) / (spool * spool)
-    integral = position_integral(x, c, n, holds, error, stiffness)
-    low = -ceiling if c.tendon_int[h.IS_SPOOL_PAIR, n] else c.tendon[h.TENSION_FLOOR, n]
-    # The goal without integral is within the limits, so the integral stops at the limits.
-    goal = min(max(terms[0, n] + integral, low), ceiling)
-    internal[1, n] = goal - terms[0, n]
-    terms[0, n] = goal
 
 
 @kernel_helper
