@@ -238,7 +238,8 @@ def test_streamed_targets_have_a_topic_and_no_line_in_rosout(tmp_path: Path) -> 
             target_request_text(StreamTarget("t", 1, 0, (1e308,))),
         ),
         3: (
-            target_request_text(StreamTarget("s", 2**70, 0, ())),
+            target_request_text(StreamTarget("s", 2**63 - 1, 0, ())),
+            target_request_text(StreamTarget("s", 2**70, 0, ())),  # refused, so it has no message
             '{"do": "target", nonsense',
             '{"do": "stop"}',
         ),

@@ -68,7 +68,7 @@ class TargetTopic:
         out.put_number("I", log_ns % 10**9)
         out.put_string("")
         out.put_string(target.stream)
-        out.put_number("q", int(np.clip(target.number, -(2**63), 2**63 - 1)))
+        out.put_number("q", target.number)
         out.put_number("d", age_s)
         out.put_strings(names if len(names) == len(target.values) else ())
         out.put_length(len(target.values))
