@@ -434,7 +434,7 @@ NEW_FAULTS = _whole("found_now", "run", "", "number of faults that became active
 
 # State of the whole run.
 K = _whole("k", "run", "", "number of the last tick; -1 before the first", initial=-1)
-MODE = _whole("mode", "run", "", "mode of the hand, core.tick_types.Mode")
+MODE = _whole("mode", "run", "", "mode of the hand, core.tick_types.HandMode")
 MODE_SINCE = _real("mode_since", "run", "s", "time at which the mode began")
 GOAL_TIME = _real("goal_time", "run", "s",
     "time of the program, which stands still while safety holds the hand")  # fmt: skip
