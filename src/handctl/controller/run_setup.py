@@ -25,7 +25,7 @@ from handctl.drives.sensors.sensor_node import SensorNode
 from handctl.drives.signals import SignalQuantity
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.file.error_text import shortened_list
+from handctl.hand.file.error_text import lines_by_text
 from handctl.hand.file.quantities import MAX_POSITION_RANGE_RAD
 from handctl.hand.file.sections import Motor
 from handctl.hand.hand_loading import hand_from_content, parse_toml
@@ -180,12 +180,8 @@ def caution_lines(drives: Iterable[Drive]) -> tuple[str, ...]:
 
     The lines about the watchdog come first. Without a watchdog, a dead host leaves torque on.
     """
-    names: dict[str, list[str]] = {}
-    for drive in drives:
-        for text in drive.unverified_protections:
-            names.setdefault(text, []).append(drive.name)
-    texts = sorted(names, key=lambda text: not text.startswith("watchdog"))
-    return tuple(f"{shortened_list(names[text])}: {text}" for text in texts)
+    named = [(drive.name, text) for drive in drives for text in drive.unverified_protections]
+    return lines_by_text(sorted(named, key=lambda one: not one[1].startswith("watchdog")))
 
 
 def make_drives(hand: Hand) -> tuple[Drive, ...]:

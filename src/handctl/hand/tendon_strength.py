@@ -11,7 +11,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from handctl.hand.description import Hand
-from handctl.hand.file.error_text import shortened_list
+from handctl.hand.file.error_text import lines_by_text
 from handctl.hand.moment_arms import arms_at
 
 STRENGTH_MARGIN = 1.5
@@ -40,32 +40,30 @@ def strength_warnings(hand: Hand) -> tuple[str, ...]:
 
     Tendons or joints with equal values share a line.
     """
-    rows: dict[str, list[str]] = {}
+    named: list[tuple[str, str]] = []
     for tendon in hand.tendon:
         motor = hand.motor_of(tendon.name)
         strength = tendon.rated_breaking_force_N
         peak = motor.torque_peak_N_m / motor.spool_radius_m
         for key, force in (("drive_limit_N", tendon.drive_limit_N), ("torque_peak_N_m", peak)):
             if strength < STRENGTH_MARGIN * runaway_tension(force):
-                rows.setdefault(
-                    _runaway_text(key, force, strength, motor.spool_radius_m), []
-                ).append(tendon.name)
+                text = _runaway_text(key, force, strength, motor.spool_radius_m)
+                named.append((tendon.name, text))
     for key, slides in (("joint_rated_torque_N_m", False), ("joint_rated_force_N", True)):
-        unrated = [
-            digit.name
+        text = f"{key} is missing: the strength of the joints in a runaway is unknown"
+        named += [
+            (digit.name, text)
             for digit in hand.digit
             if slides in digit.is_prismatic and getattr(digit, key) is None
         ]
-        if unrated:
-            rows[f"{key} is missing: the strength of the joints in a runaway is unknown"] = unrated
     for digit in hand.digit:
         for joint, torque, rated in _joint_loads(hand, digit.name):
             if rated < STRENGTH_MARGIN * torque:
                 unit = "N" if hand.is_prismatic[hand.joints.index(joint)] else "N m"
                 load = f"{torque:.3g} {unit}, and {rated:g} {unit} is its rating"
                 text = f"a runaway at torque_peak_N_m loads it with {load}"
-                rows.setdefault(text, []).append(joint)
-    return tuple(f"{shortened_list(names)}: {text}" for text, names in rows.items())
+                named.append((joint, text))
+    return lines_by_text(named)
 
 
 def _runaway_text(key: str, force: float, strength: float, spool: float) -> str:

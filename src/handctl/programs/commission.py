@@ -32,7 +32,7 @@ from handctl.drives.sensors.sensor_node import TARE_MAX_N, TARE_MIN_N
 from handctl.drives.signals import SignalCoding, SignalQuantity
 from handctl.hand.description import Hand
 from handctl.hand.dynamics import static_torque
-from handctl.hand.file.error_text import shortened_list
+from handctl.hand.file.error_text import lines_by_text
 from handctl.programs.program import TARE_PHASE, ProgramProgress, ProgressAndEvents
 
 PULL_TENSION_N = 3.0
@@ -540,7 +540,7 @@ def idle_torque_warnings(hand: Hand, drives: Sequence[Drive]) -> tuple[str, ...]
         drives: drive of each tendon, in the order of the tendons.
     """
     largest = MAX_CROSSTALK_FRACTION * PULL_TENSION_N
-    names: dict[str, list[str]] = {}
+    named: list[tuple[str, str]] = []
     for tendon, drive in zip(hand.tendon_names, drives, strict=True):
         motor = hand.motor_of(tendon)
         torque = _idle_torque(drive)
@@ -552,8 +552,8 @@ def idle_torque_warnings(hand: Hand, drives: Sequence[Drive]) -> tuple[str, ...]
             f"{torque / motor.spool_radius_m:.1f} N, and handctl commission needs at most {largest:g} N; "
             f"expected spool_radius_m of {torque / largest:.2g}, or a motor of less torque"
         )
-        names.setdefault(text, []).append(motor.name)
-    return tuple(f"{shortened_list(motors)}: {text}" for text, motors in names.items())
+        named.append((motor.name, text))
+    return lines_by_text(named)
 
 
 def _idle_torque(drive: Drive) -> float:

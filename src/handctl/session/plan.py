@@ -15,7 +15,7 @@ from handctl.drives.frame_time import MAX_BUS_LOAD, highest_rate
 from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.file.error_text import shortened_list
+from handctl.hand.file.error_text import lines_by_text
 from handctl.hand.hand_loading import hand_path, load_hand
 from handctl.hand.readiness import reasons_not_ready
 from handctl.log.attached_meshes import mesh_attachments
@@ -252,11 +252,8 @@ def default_rate(hand: Hand) -> float:
 
 def hint_lines(hand: Hand) -> tuple[str, ...]:
     """Return one line for each protocol of a hand that has a hint, with the names of its motors."""
-    names: dict[str, list[str]] = {}
-    for motor in hand.motor:
-        if hint := PROTOCOL_TRAITS[motor.protocol].hint:
-            names.setdefault(hint, []).append(motor.name)
-    return tuple(f"{shortened_list(motors)}: {hint}" for hint, motors in names.items())
+    hints = ((motor.name, PROTOCOL_TRAITS[motor.protocol].hint) for motor in hand.motor)
+    return lines_by_text((name, hint) for name, hint in hints if hint)
 
 
 def check_gain_margins(hand: Hand, gains: Gains, rate_hz: float | None = None) -> None:

@@ -218,6 +218,18 @@ def shortened_list(names: Sequence[str]) -> str:
     )
 
 
+def lines_by_text(named_texts: Iterable[tuple[str, str]]) -> tuple[str, ...]:
+    """Return one line for each text, with the names to which it applies, in the order of the first names.
+
+    Args:
+        named_texts: pairs of a name and its text.
+    """
+    names: dict[str, list[str]] = {}
+    for name, text in named_texts:
+        names.setdefault(text, []).append(name)
+    return tuple(f"{shortened_list(names[text])}: {text}" for text in names)
+
+
 def _path_in_file(path: str, origins: Mapping[str, str]) -> str:
     """Return the key path in the file for a key path of the resolved content.
 
