@@ -82,8 +82,7 @@ def apply_requests(
     events = list[TickEvent]()
     for text in requests:
         if isinstance(text, StreamTarget) or is_stream_target(text):
-            target = text if isinstance(text, StreamTarget) else parse_target(text)
-            events += apply_target(model, state, target, state.run_integer(s.T_NS))
+            events += apply_target(model, state, parse_target(text), state.run_integer(s.T_NS))
             continue
         request = parse_request(text)
         if isinstance(request, str):

@@ -250,10 +250,12 @@ def is_routine_request(request: TickRequest) -> bool:
     return is_stream_target(request) or request.startswith(_ALIVE_START)
 
 
-def parse_target(text: str) -> StreamTarget | None:
-    """Parse the text of a target. Return None for a text of another form, or with an integer beyond 64 bits."""
+def parse_target(request: TickRequest) -> StreamTarget | None:
+    """Return the target in a request. Return None for a text of another form, or with an integer beyond 64 bits."""
+    if isinstance(request, StreamTarget):
+        return request
     try:
-        fields = json.loads(text)
+        fields = json.loads(request)
         stream, number, sent_ns = fields["stream"], fields["n"], fields["sent_ns"]
         values = tuple([float(value) for value in fields["values"]])
     except (ValueError, KeyError, TypeError, RecursionError, OverflowError):

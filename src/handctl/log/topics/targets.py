@@ -15,7 +15,6 @@ from handctl.programs.requests import (
     is_stream_target,
     parse_request,
     parse_target,
-    request_text,
 )
 
 
@@ -51,13 +50,14 @@ class TargetTopic:
         The request that opens a stream gives the names of the values in all later targets of this
         stream.
         """
-        for text in map(request_text, requests):
-            if not is_stream_target(text):
-                request = parse_request(text)
-                if isinstance(request, OpenStream):
-                    self._names[request.stream] = request.names
-            elif (target := parse_target(text)) is not None:
-                yield target
+        for request in requests:
+            if isinstance(request, StreamTarget) or is_stream_target(request):
+                if (target := parse_target(request)) is not None:
+                    yield target
+                continue
+            opening = parse_request(request)
+            if isinstance(opening, OpenStream):
+                self._names[opening.stream] = opening.names
 
     def _target_message(self, log_ns: int, target: StreamTarget) -> bytes:
         """Encode a streamed target as a handctl_msgs/StreamTarget message."""
