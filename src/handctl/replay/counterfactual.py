@@ -69,13 +69,15 @@ class CommandCollector:
 
 
 def command_change(
-    log: RunLog, commands: CommandCollector
+    log: RunLog, commands: CommandCollector, ticks: int
 ) -> dict[str, dict[str, dict[str, float]]]:
     """Return RMS and peak of the new minus the logged command, for each motor [N m] and tendon [N].
 
-    Only the comparable ticks count.
+    Args:
+        log: log of the run.
+        commands: commands that the other gains gave.
+        ticks: number of ticks that count, see ``CommandCollector.comparable_ticks``.
     """
-    ticks = commands.comparable_ticks(log)
     torque = (commands.motor_torques - log.field("motor_torque_goal"))[:ticks]
     tension = (commands.tendon_tensions - log.field("tension_goal"))[:ticks]
     return {
@@ -88,7 +90,9 @@ def command_change(
     }
 
 
-def draw_commands(path: Path, log: RunLog, commands: CommandCollector, title: str) -> None:
+def draw_commands(
+    path: Path, log: RunLog, commands: CommandCollector, ticks: int, title: str
+) -> None:
     """Draw the logged commands and the commands of other gains as PNG: tension and torque of each tendon.
 
     The time after the comparable ticks is grey.
@@ -97,6 +101,7 @@ def draw_commands(path: Path, log: RunLog, commands: CommandCollector, title: st
         path: PNG file to write.
         log: log of the run.
         commands: commands that the other gains gave.
+        ticks: number of comparable ticks.
         title: title of the figure.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -121,14 +126,13 @@ def draw_commands(path: Path, log: RunLog, commands: CommandCollector, title: st
             commands.motor_torques,
         ),
     )
-    end = commands.comparable_ticks(log)
     for column, (unit, names, was, now) in enumerate(pairs):
         for i, name in enumerate(names):
             axes = rows[i, column]
             axes.plot(log.times, was[:, i], color=LOGGED_COLOR, linewidth=0.9, label="as logged")
             axes.plot(log.times, now[:, i], color=OTHER_COLOR, linewidth=0.7, label="these gains")
-            if end < len(log.times):
-                axes.axvspan(log.times[end], log.times[-1], color="0.85", label="not comparable")
+            if ticks < len(log.times):
+                axes.axvspan(log.times[ticks], log.times[-1], color="0.85", label="not comparable")
             axes.set_ylabel(f"{name}\n{unit}", fontsize=8)
             axes.grid(alpha=0.3)
             axes.margins(x=0)

@@ -152,14 +152,15 @@ def _compare_with_other_gains(args: argparse.Namespace, log: Any) -> bool:
         execution = execute_log(log, gains, commands.add_tick, update_progress)
     if not execution.ticks:
         raise LogError("contains no tick", str(args.recorded), "a run with motor commands")
+    compared = commands.comparable_ticks(log)
     draw_commands(
         picture,
         log,
         commands,
+        compared,
         f"{log.header.metadata.get('hand', '?')}: {args.recorded.name} with {args.gains.name}",
     )
-    change = command_change(log, commands)
-    compared = commands.comparable_ticks(log)
+    change = command_change(log, commands, compared)
     faults = commands.faults_at(compared)
     if args.json:
         first = execution.first_difference._asdict() if execution.first_difference else None
