@@ -93,6 +93,19 @@ def check_closed(recorder: Recorder, log: Path) -> None:
     assert scan_path(log).complete
 
 
+def check_failed_lockstep_run(recorders, folder, start_display):
+    """Check that a run in lockstep whose display fails has closed its recorder."""
+    path, plan, controller = plan_and_controller(folder, start_display)
+    log = folder / "run.mcap"
+    with (
+        SimulatorSettings(path, homed=True).lockstep_clock(plan.period_ns) as clock,
+        pytest.raises(StartError),
+    ):
+        run.run_lockstep(plan, controller, log, clock)
+    (recorder,) = recorders
+    check_closed(recorder, log)
+
+
 @pytest.mark.parametrize("failing", ["display", "view", "handlers"])
 def test_a_live_run_that_does_not_start_closes_its_recorder(
     failing, recorders, tmp_path, monkeypatch
@@ -118,29 +131,13 @@ def test_a_live_run_that_does_not_start_closes_its_recorder(
 
 
 def test_a_lockstep_run_that_does_not_start_closes_its_recorder(recorders, tmp_path):
-    path, plan, controller = plan_and_controller(tmp_path, raise_error)
-    log = tmp_path / "run.mcap"
-    with (
-        SimulatorSettings(path, homed=True).lockstep_clock(plan.period_ns) as clock,
-        pytest.raises(StartError),
-    ):
-        run.run_lockstep(plan, controller, log, clock)
-    (recorder,) = recorders
-    check_closed(recorder, log)
+    check_failed_lockstep_run(recorders, tmp_path, raise_error)
 
 
 def test_a_display_that_does_not_close_leaves_no_recorder(recorders, tmp_path):
     display = ClosableDisplay()
     display.close = raise_error
-    path, plan, controller = plan_and_controller(tmp_path, lambda plan: display)
-    log = tmp_path / "run.mcap"
-    with (
-        SimulatorSettings(path, homed=True).lockstep_clock(plan.period_ns) as clock,
-        pytest.raises(StartError),
-    ):
-        run.run_lockstep(plan, controller, log, clock)
-    (recorder,) = recorders
-    check_closed(recorder, log)
+    check_failed_lockstep_run(recorders, tmp_path, lambda plan: display)
 
 
 def test_bus_watch_closes_the_first_bus_if_the_second_does_not_open(tmp_path, monkeypatch, capsys):

@@ -78,6 +78,16 @@ def motor_types_text() -> str:
     )
 
 
+def check_protocol_given(protocol: str | None, motor_type: str | None) -> None:
+    """Check that a protocol is chosen together with a motor type.
+
+    Raises:
+        ConfigError: the operator has chosen a motor type, and no protocol.
+    """
+    if motor_type is not None and protocol is None:
+        raise ConfigError(motor_type, "--motor-type", "--protocol with it")
+
+
 def options_with_motor_type(protocol: str, motor_type: str | None) -> dict[str, Any]:
     """Return the options of the drives of a protocol, with the motor type that the operator has chosen.
 

@@ -13,7 +13,7 @@ from handctl.report.frame_counts import frame_counts
 from handctl.report.lift_judgement import judge_lift, lift_failure
 from handctl.report.run_figure import draw_run
 from handctl.report.summary import summarise_run
-from handctl.report.truth_record import TruthRecord, read_truth
+from handctl.report.truth_record import TruthRecord, read_truth, truth_path_of
 from handctl.session.notices import NoticeCallback
 from handctl.session.plan import RunPlan
 from handctl.session.run import RunOutcome
@@ -82,7 +82,7 @@ def _copy_truth(log: Path, truth: Path, tell: NoticeCallback) -> Path:
 
     If this fails, return the original path.
     """
-    beside = log.with_suffix(".truth")
+    beside = truth_path_of(log)
     if truth == beside:
         return beside
     try:

@@ -20,7 +20,11 @@ from handctl.cli.console.questions import (
     check_terminal,
     write_with_schema,
 )
-from handctl.drives.motor_description import PROTOCOL_TRAITS, options_with_motor_type
+from handctl.drives.motor_description import (
+    PROTOCOL_TRAITS,
+    check_protocol_given,
+    options_with_motor_type,
+)
 from handctl.errors import ConfigError
 from handctl.hand.file.error_text import FileMistake
 from handctl.hand.file.imported_file import (
@@ -67,13 +71,12 @@ def run(args: argparse.Namespace) -> int:
     _check_answers(answers)
     if not tendons:
         check_springs(answers.tendons, answers.springs)
+    check_protocol_given(answers.protocol, answers.motor_type)
     traits = PROTOCOL_TRAITS[answers.protocol] if answers.protocol else None
     options = ""
     if answers.protocol:
         drive_options = options_with_motor_type(answers.protocol, answers.motor_type)
         options = options_line(answers.protocol, drive_options)
-    elif answers.motor_type:
-        raise ConfigError(answers.motor_type, "--motor-type", "--protocol with it")
     text = described_text(described, answers, options, traits is not None and traits.can_fd)
     mistakes = inspect_content(parse_toml(text, str(args.output))).mistakes
     missing = [mistake for mistake in mistakes if UNMEASURED_PLACEHOLDER in mistake.what]

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from handctl.drives.motor_description import check_protocol_given
 from handctl.errors import ConfigError
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.formats.link_meshes import with_meshes_from
@@ -25,9 +26,8 @@ def hand_in_protocol(args: argparse.Namespace) -> Iterator[None]:
     Raises:
         ConfigError: the hand does not exist, or the protocol has no such motor type.
     """
+    check_protocol_given(args.protocol, args.motor_type)
     if args.protocol is None:
-        if args.motor_type is not None:
-            raise ConfigError(args.motor_type, "--motor-type", "--protocol with it")
         yield
         return
     original_hand = args.hand

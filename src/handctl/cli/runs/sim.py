@@ -11,7 +11,7 @@ from handctl.cli.console.options import (
     wire_option_words,
 )
 from handctl.cli.runs.other_protocol import hand_in_protocol, path_in_protocol, write_in_protocol
-from handctl.errors import ConfigError
+from handctl.drives.motor_description import check_protocol_given
 from handctl.hand.hand_loading import load_hand
 from handctl.session.gains import gain_assignments
 from handctl.session.tasks import scene_for_hand
@@ -22,10 +22,9 @@ def run(args: argparse.Namespace) -> int:
     args.scene = scene_for_hand(args.scene, load_hand(args.hand))
     if args.dry_run:
         return _check_and_print(args)
+    check_protocol_given(args.protocol, args.motor_type)
     if args.protocol:
         args.hand = str(write_in_protocol(args))
-    elif args.motor_type:
-        raise ConfigError(args.motor_type, "--motor-type", "--protocol with it")
     return os.execv(sys.executable, _simulator_command(args, args.hand))
 
 
