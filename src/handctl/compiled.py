@@ -39,7 +39,8 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 KERNEL_SOURCES = (
     "compiled.py", "core", "safety",
-    "drives/contract.py", "drives/frame.py", "drives/frame_records.py", "drives/signals.py",
+    "drives/contract.py", "drives/frame.py", "drives/frame_records.py", "drives/readback.py",
+    "drives/signals.py",
     "hand/file/quantities.py", "hand/rigid_body.py", "hand/tendons.py",
 )  # fmt: skip
 """Files and folders of this package that contain functions and constants of kernels.

@@ -314,13 +314,14 @@ def _enabled_drive_state(drive: Any, protocol: str) -> DriveState:
     state: DriveState = drive.initial_state()
     private: Any = state.private
     if protocol != "odrive":
-        private = private._replace(enable_sent=True, check=readback.first_recheck(drive.node_id, 0))
+        private = private._replace(enable_sent=True)
     if protocol in ("mit", "moteus", "robstride"):
         private = private._replace(configured=True)
     if protocol == "cia402":
         cursor = private.cursor._replace(step=len(drive.steps))
         private = private._replace(cursor=cursor, power=cia402.OPERATION_ENABLED, life_sign_ns=0)
-    return state._replace(phase=DrivePhase.ENABLED, private=private)
+    check = readback.first_recheck(drive.node_id, 0)
+    return state._replace(phase=DrivePhase.ENABLED, recheck=check, private=private)
 
 
 def tick_hashes(tendons: int, seed: int) -> list[str]:

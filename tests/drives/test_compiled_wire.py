@@ -14,6 +14,7 @@ from tempfile import TemporaryDirectory
 import pytest
 
 from fuzz.drives import FUZZED_DRIVES, FuzzedDrive
+from handctl.drives import readback
 from handctl.drives.cia402.drive import Cia402Drive
 from handctl.drives.contract import NO_STEADY_STATUS, Drive, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import BRS, ERROR_FLAG, FDF, REMOTE_FLAG, Frame
@@ -27,6 +28,8 @@ DRIVE_VARIANTS = FUZZED_DRIVES | {
     "mit-fd": FuzzedDrive("mit", "[motor.options]\nfd = true\n"),
     "odrive-torque": FuzzedDrive("odrive", "torque_feedback = true\n"),
 }
+UNCHECKED_VARIANTS = ("moteus", "cubemars", "odrive-0.5", "robstride_mit")
+"""Variants without settings that one frame requests and one frame answers."""
 RANDOM_FRAME_SEEDS, TICKS_PER_SEED = range(20), 150
 NO_SENSORS = SensorNode(0, 0x7F0, (0x7F1,), ((),), (1,), 0, (-1,), 1)
 
@@ -115,11 +118,12 @@ def test_compiled_code_and_state_machine_give_equal_results(name: str, seed: int
     for _, target in zip(range(TICKS_PER_SEED), random_targets(chance), strict=False):
         wired.begin_tick()
         for _ in range(chance.randrange(4)):
+            known = [*heard, *open_reply(drive, state)]
             good = chance.random() < 0.7
             frame = (
-                chance.choice(heard)._replace(t_ns=t_ns)
+                chance.choice(known)._replace(t_ns=t_ns)
                 if good
-                else random_frame(chance, heard, t_ns)
+                else random_frame(chance, known, t_ns)
             )
             state = drive.receive(state, frame)
             wired.receive([frame])
@@ -130,20 +134,76 @@ def test_compiled_code_and_state_machine_give_equal_results(name: str, seed: int
         assert wired.send(target, [torque], t_ns) == list(frames)
         assert are_states_equal(wired.drive_state(0), state, drive)
         if drive.steady_status(state) == NO_STEADY_STATUS and chance.random() < 0.3:
-            state = enabled_now(begin, t_ns)
+            state = enabled_now(begin, drive.node_id, t_ns)
             wired.store_drive_state(0, state)
         t_ns += PERIOD_NS
     assert steady > TICKS_PER_SEED // 4, "compiled code has hardly read a frame"
 
 
-def enabled_now(state: DriveState, t_ns: int) -> DriveState:
-    """Return the state of an enabled drive with its times changed, as if it had been enabled at ``t_ns``."""
+def enabled_now(state: DriveState, node_id: int, t_ns: int) -> DriveState:
+    """Return the state of an enabled drive with its times changed, as if it had been enabled at ``t_ns``.
+
+    A setting is read again within a period.
+    """
     private = state.private
     clocks = ("heartbeat_ns", "life_sign_ns", "heartbeat_sent_ns", "temperature_request_ns")
     times = {name: t_ns for name in clocks if name in private._fields}
-    if "check" in private._fields:
-        times["check"] = private.check._replace(due_ns=t_ns + 50_000_000)
-    return state._replace(feedback_t_ns=t_ns, private=private._replace(**times))
+    recheck = readback.first_recheck(node_id, t_ns - readback.RECHECK_PERIOD_NS)
+    return state._replace(feedback_t_ns=t_ns, recheck=recheck, private=private._replace(**times))
+
+
+def open_reply(drive: Drive, state: DriveState) -> list[Frame]:
+    """Return the right reply to the open request of the repeated read-back, several times to make it frequent."""
+    if not (state.recheck.waiting and drive.rechecks):
+        return []
+    return [drive.rechecks[state.recheck.step].reply] * 20
+
+
+RECHECKED_VARIANTS = [name for name in DRIVE_VARIANTS if name not in UNCHECKED_VARIANTS]
+
+
+@pytest.mark.parametrize("name", RECHECKED_VARIANTS)
+def test_compiled_code_reads_every_setting_again(name: str) -> None:
+    """Compiled code sends each request and accepts each right reply. The state machine gets only a wrong reply."""
+    drive, state, t_ns, _ = enable_drive(name)
+    wired = WiredDrives([drive], NO_SENSORS)
+    count = len(drive.rechecks)
+    for i in range(2 * count):
+        recheck = readback.RecheckCursor(step=i % count, due_ns=t_ns)
+        state = enabled_now(state, drive.node_id, t_ns)._replace(recheck=recheck)
+        wired.store_drive_state(0, state)
+        one = drive.rechecks[i % count]
+        sent = wired.send(DriveTarget.ENABLE, [0.0], t_ns)
+        assert one.request in sent
+        waiting = wired.drive_state(0)
+        assert waiting.recheck == (i % count, t_ns + readback.RECHECK_PERIOD_NS, 1)
+        wired.begin_tick()
+        wired.receive([one.reply._replace(t_ns=t_ns)])
+        assert not wired.frames_for_drives
+        right = waiting.recheck._replace(step=(i + 1) % count, tries=0)
+        assert wired.drive_state(0).recheck == right
+        wired.store_drive_state(0, waiting)
+        bits = bytearray(one.reply.data)
+        bits[one.compared_bytes[1] - 1] ^= 1
+        wrong = one.reply._replace(data=bytes(bits), t_ns=t_ns)
+        wired.receive([wrong])
+        assert wired.frames_for_drives == [wrong]
+        assert wired.drive_state(0).phase == DrivePhase.FAULT
+        assert "settings are lost" in wired.drive_state(0).error_text
+
+
+@pytest.mark.parametrize("name", RECHECKED_VARIANTS)
+def test_compiled_code_leaves_a_setting_without_answers_to_the_state_machine(name: str) -> None:
+    drive, state, t_ns, _ = enable_drive(name)
+    wired = WiredDrives([drive], NO_SENSORS)
+    for tries in range(readback.RECHECK_TRIES):
+        state = enabled_now(state, drive.node_id, t_ns)
+        recheck = readback.RecheckCursor(due_ns=t_ns, tries=tries)
+        wired.store_drive_state(0, state._replace(recheck=recheck))
+        sent = wired.send(DriveTarget.ENABLE, [0.0], t_ns)
+        assert drive.rechecks[0].request in sent
+        is_last = tries + 1 == readback.RECHECK_TRIES
+        assert (wired.drive_state(0).phase == DrivePhase.FAULT) == is_last
 
 
 @pytest.mark.parametrize("name", DRIVE_VARIANTS)
@@ -166,6 +226,7 @@ def test_invalid_torque_is_never_sent(name: str) -> None:
 @pytest.mark.parametrize("name", DRIVE_VARIANTS)
 def test_an_enabled_drive_is_steady_until_it_is_due(name: str) -> None:
     drive, state, t_ns, _ = enable_drive(name)
+    assert bool(drive.rechecks) == (name in RECHECKED_VARIANTS)
     assert drive.steady_status(state) != NO_STEADY_STATUS
     due = drive.due_ns(state)
     assert due > t_ns - PERIOD_NS

@@ -185,14 +185,13 @@ drive_states = st.builds(
         disabling=st.booleans(),
         disabling_ns=st.integers(0, 10),
         clearing=st.integers(0, 6),
-        # Without this strategy, hypothesis invents an index of a setting that does not exist.
-        check=st.builds(
-            RecheckCursor,
-            st.integers(0, len(mit_drive_of().rechecked_settings) - 1),
-            st.integers(0, 10),
-            st.booleans(),
-            st.integers(0, 9),
-        ),
+    ),
+    # Without this strategy, hypothesis invents an index of a setting that does not exist.
+    recheck=st.builds(
+        RecheckCursor,
+        st.integers(0, len(mit_drive_of().rechecked_settings) - 1),
+        st.integers(0, 10),
+        st.integers(0, 9),
     ),
 )
 frame_identifiers = st.one_of(st.just(0x11), st.integers(0, 2047))

@@ -194,10 +194,11 @@ def test_a_number_that_cannot_be_encoded_becomes_a_torque_command(row: int, valu
 
 def sent_frames(block, layout, tables, torque) -> list[bytes]:
     """Encode the commands in a state block, and return their payloads."""
-    out = np.zeros((len(tables.templates), WORDS_PER_RECORD), np.uint64)
+    out = np.zeros((tables.max_frames, WORDS_PER_RECORD), np.uint64)
     first, count = cyclic_frames.encode_commands(
         block, layout.places, out, tables.commands, tables.sent_wholes, tables.sent_reals, tables.templates, torque,
-        tables.servos, tables.servo_templates, tables.servo_wholes, tables.servo_reals, 0, 0,
+        tables.servos, tables.servo_templates, tables.servo_wholes, tables.servo_reals, tables.recheck_ranges,
+        tables.rechecks, 0, 0,
     )  # fmt: skip
     assert first == len(torque)
     return [frame.data for frame in Frames.of_rows(out[:count])]

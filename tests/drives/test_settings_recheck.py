@@ -31,7 +31,8 @@ def enabled_mit_drive(node_id: int) -> tuple[MitDrive, object]:
     check = readback.first_recheck(node_id, 0)
     state = drive.initial_state()._replace(
         phase=DrivePhase.ENABLED,
-        private=MitProgress(configured=True, enable_sent=True, check=check),
+        recheck=check,
+        private=MitProgress(configured=True, enable_sent=True),
     )
     return drive, state
 

@@ -82,7 +82,8 @@ class WiredDrives:
         while True:
             at = cyclic_frames.receive_frames(
                 self.block, self.layout.places, *self._constants, frames.rows, known.keys, known.entries, known.wholes,
-                known.reals, at, self.sensors.earliest_answer_ns(self.field_number("t_ns")),
+                known.reals, known.recheck_ranges, known.rechecks, at,
+                self.sensors.earliest_answer_ns(self.field_number("t_ns")),
             )  # fmt: skip
             if at >= len(frames):
                 return self
@@ -101,11 +102,11 @@ class WiredDrives:
         tables, sent, first = self.tables, list[Frame](), 0
         while True:
             if target == DriveTarget.ENABLE:
-                out = np.zeros((len(tables.templates), WORDS_PER_RECORD), np.uint64)
+                out = np.zeros((tables.max_frames, WORDS_PER_RECORD), np.uint64)
                 first, count = cyclic_frames.encode_commands(
                     self.block, self.layout.places, out, tables.commands, tables.sent_wholes, tables.sent_reals,
                     tables.templates, np.asarray(torque, dtype=np.float64), tables.servos, tables.servo_templates,
-                    tables.servo_wholes, tables.servo_reals, first, 0,
+                    tables.servo_wholes, tables.servo_reals, tables.recheck_ranges, tables.rechecks, first, 0,
                 )  # fmt: skip
                 sent += Frames.of_rows(out[:count])
             if first >= len(self.drives):
@@ -125,6 +126,7 @@ class WiredDrives:
         )
         table[s.POSITION : s.POSITION + 4, i] = known[1:5]
         whole[s.FEEDBACKS, i], whole[s.FEEDBACK_NS, i] = known.feedback_count, known.feedback_t_ns
+        whole[s.RECHECK_STEP : s.RECHECK_TRIES + 1, i] = known.recheck
         whole[s.PHASE, i] = known.phase
         whole[s.STATUS_EXPECTED, i], whole[s.DUE_NS, i] = (
             drive.steady_status(known),

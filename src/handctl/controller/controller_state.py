@@ -18,6 +18,7 @@ from handctl.core.state_block import STATE_SCHEMA
 from handctl.core.tick_types import HandMode
 from handctl.drives.cia404.amplifier import AmplifierState
 from handctl.drives.contract import DrivePhase, DriveState
+from handctl.drives.readback import RecheckCursor
 from handctl.programs.program import ProgramProgress
 from handctl.programs.stream_plans import StreamPlan
 from handctl.safety.tick_verdict import CountedFault, LatchedFault
@@ -122,7 +123,7 @@ def layout_of_state(model: HandModel, groups: int) -> BlockLayout:
 
 def drive_values(
     tendon: NDArray[np.float64], tendon_int: NDArray[np.int64], n: int
-) -> tuple[float, float, float, float, int, int]:
+) -> tuple[float, float, float, float, int, int, RecheckCursor]:
     """Return the values of a drive from the state block, as arguments of ``DriveState.with_values``."""
     position, velocity, torque, temperature = tendon[s.POSITION : s.POSITION + 4, n].tolist()
     return (
@@ -132,6 +133,7 @@ def drive_values(
         temperature,
         int(tendon_int[s.FEEDBACK_NS, n]),
         int(tendon_int[s.FEEDBACKS, n]),
+        RecheckCursor(*tendon_int[s.RECHECK_STEP : s.RECHECK_TRIES + 1, n].tolist()),
     )
 
 

@@ -370,7 +370,7 @@ class Controller:
         while True:
             at = cyclic_frames.receive_frames(
                 state.block, self.derived.layout.places, *self.derived.constant_args, rows, tables.keys, entries,
-                tables.wholes, tables.reals, at, fresh_ns,
+                tables.wholes, tables.reals, tables.recheck_ranges, tables.rechecks, at, fresh_ns,
             )  # fmt: skip
             if at >= len(rows):
                 return tuple(dict.fromkeys(signs))
@@ -426,7 +426,8 @@ class Controller:
         before = state.decisions.drives[n]
         drive = self.drives[n]
         tick_stages.store_drive(
-            state.block, self.derived.layout.places, n, *drive_state[1:7], int(drive_state.phase), drive_state.error,
+            state.block, self.derived.layout.places, n, *drive_state[1:7], *drive_state.recheck,
+            int(drive_state.phase), drive_state.error,
             int(drive.fault_cause(drive_state.error)) if drive_state.phase == DrivePhase.FAULT else -1,
             drive.steady_status(drive_state), drive.due_ns(drive_state), int(drive_state.misread != before.misread),
         )  # fmt: skip
@@ -599,7 +600,7 @@ class Controller:
         mode = state.mode
         if mode in (SILENT, DONE):
             return frames_as_records(hand_modes.shutdown_frames(self.drives, state))
-        out = np.empty((1 + len(self.derived.wire.templates), WORDS_PER_RECORD), dtype=np.uint64)
+        out = np.empty((self.derived.wire.max_frames, WORDS_PER_RECORD), dtype=np.uint64)
         # A hand without sensors has no SYNC, so row 0 is not sent.
         start = 0 if self.derived.sends_sync else 1
         if self.derived.sends_sync:
@@ -658,7 +659,7 @@ class Controller:
                 first, count = cyclic_frames.encode_commands(
                     state.block, self.derived.layout.places, frame_words, tables.commands, tables.sent_wholes,
                     tables.sent_reals, tables.templates, torque, tables.servos, tables.servo_templates,
-                    tables.servo_wholes, tables.servo_reals, first, count,
+                    tables.servo_wholes, tables.servo_reals, tables.recheck_ranges, tables.rechecks, first, count,
                 )  # fmt: skip
             if first >= n:
                 break

@@ -416,6 +416,11 @@ OUTSTANDING_REQUESTS = _whole("open_questions", "tendon", "",
     "number of requests that the motor has not answered")  # fmt: skip
 REQUEST_TICKS = _whole("question", "tendon", "",
     "tick of each outstanding request, the oldest first", rows=8)  # fmt: skip
+RECHECK_STEP = _whole("recheck_step", "tendon", "",
+    "index of the setting that is read again next from the enabled drive")  # fmt: skip
+RECHECK_DUE_NS = _whole("recheck_due_ns", "tendon", "ns", "time at which this setting is requested")
+RECHECK_TRIES = _whole("recheck_tries", "tendon", "",
+    "number of requests for this setting without an answer")  # fmt: skip
 FAULT_TICKS = _whole("fault_ticks", "instance", "",
     "number of ticks in a row in which each fault is present", rows=64)  # fmt: skip
 

@@ -78,7 +78,7 @@ def begin_tick(
     x.run_int[s.REFUSED_REQUESTS_NOW] = x.run_int[s.CONSISTENCY_CHANGED] = 0
 
 
-@kernel("block", "layout", "count", "real", "real", "real", "real", *("count",) * 8)
+@kernel("block", "layout", "count", "real", "real", "real", "real", *("count",) * 11)
 def store_drive(
     block: BlockArray,
     at: TablePlaces,
@@ -89,6 +89,9 @@ def store_drive(
     temperature: float,
     feedback_t_ns: int,
     feedback_count: int,
+    recheck_step: int,
+    recheck_due_ns: int,
+    recheck_tries: int,
     phase: int,
     fault_code: int,
     fault_cause: int,
@@ -108,6 +111,9 @@ def store_drive(
         temperature: hottest sensor of the drive [degC].
         feedback_t_ns: reception time of the latest feedback [ns].
         feedback_count: number of feedback frames since the start.
+        recheck_step: index of the setting that is read again next.
+        recheck_due_ns: time at which this setting is requested [ns].
+        recheck_tries: number of requests for this setting without an answer.
         phase: ``drives.contract.DrivePhase`` of the drive.
         fault_code: error code of the drive.
         fault_cause: ``drives.contract.DriveFaultCause`` of the error code, -1 without a fault.
@@ -123,6 +129,9 @@ def store_drive(
     x.tendon_int[s.FEEDBACKS_NOW, n] += feedback_count - x.tendon_int[s.FEEDBACKS, n]
     x.tendon_int[s.FEEDBACKS, n] = feedback_count
     x.tendon_int[s.FEEDBACK_NS, n] = feedback_t_ns
+    x.tendon_int[s.RECHECK_STEP, n] = recheck_step
+    x.tendon_int[s.RECHECK_DUE_NS, n] = recheck_due_ns
+    x.tendon_int[s.RECHECK_TRIES, n] = recheck_tries
     x.tendon_int[s.PHASE, n] = phase
     x.tendon_int[s.FAULT_CODE, n] = fault_code
     x.tendon_int[s.FAULT_CAUSE, n] = fault_cause

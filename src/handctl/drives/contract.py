@@ -7,8 +7,9 @@ one bus. All changing values are in an immutable ``DriveState``. In each tick th
 ``receive`` of each drive for every received frame. The controller then calls ``advance`` of each
 drive once, with the requested drive state. While a drive is enabled and its state machine has
 nothing to do, compiled code in ``core.wire.cyclic_frames`` does this work, from the tables of
-``cyclic_messages``. The controller calls ``advance`` again if the status of the feedback is not
-``steady_status``, or when the time ``due_ns`` comes. No function here reads a clock or a socket.
+``cyclic_messages`` and ``rechecks``. The controller calls ``advance`` again if the status of the
+feedback is not ``steady_status``, or when the time ``due_ns`` comes. No function here reads a clock
+or a socket.
 """
 
 import enum
@@ -16,6 +17,7 @@ import math
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from handctl.drives.frame import Frame
+from handctl.drives.readback import RecheckCursor, SettingRecheck
 
 if TYPE_CHECKING:  # imported for types only: signals imports numba, which programs that only read a log do not need
     from handctl.drives.signals import CyclicMessages
@@ -24,6 +26,9 @@ NO_STEADY_STATUS = -1
 """Value of ``steady_status`` for a drive whose state machine must process every received frame."""
 END_OF_TIME_NS = (1 << 63) - 1
 """Largest time [ns]. ``due_ns`` returns it if no call of ``advance`` is scheduled."""
+
+FIRST_RECHECK = RecheckCursor()
+"""Position in the repeated read-back before a drive is enabled."""
 
 
 class DriveTarget(enum.IntEnum):
@@ -102,6 +107,7 @@ class DriveState(NamedTuple):
             a sensor.
         feedback_t_ns: reception time of the latest feedback [ns], -1 before the first.
         feedback_count: number of feedback frames since the start.
+        recheck: position in the repeated read-back of the enabled drive.
         error: error code of the drive, 0 without an error.
         error_text: the error of the drive in words, empty without an error.
         misread: number of frames that had one of the drive's identifiers but an invalid payload.
@@ -116,6 +122,7 @@ class DriveState(NamedTuple):
     temperature: float = math.nan
     feedback_t_ns: int = -1
     feedback_count: int = 0
+    recheck: RecheckCursor = FIRST_RECHECK
     error: int = 0
     error_text: str = ""
     misread: int = 0
@@ -129,15 +136,16 @@ class DriveState(NamedTuple):
         temperature: float = math.nan,
         feedback_t_ns: int = -1,
         feedback_count: int = 0,
+        recheck: RecheckCursor = FIRST_RECHECK,
     ) -> "DriveState":
-        """Return the state with other feedback values.
+        """Return the state with other values of the fields that the state block contains.
 
         The defaults are the values before the first feedback.
         """
-        # The constructor takes a third of the time of ``_replace``. A tick in which settings are
-        # read back calls this often.
+        # The constructor takes a third of the time of ``_replace``. While drives are configured,
+        # every tick calls this method for each drive.
         return DriveState(
-            self.phase, position, velocity, torque, temperature, feedback_t_ns, feedback_count,
+            self.phase, position, velocity, torque, temperature, feedback_t_ns, feedback_count, recheck,
             self.error, self.error_text, self.misread, self.private,
         )  # fmt: skip
 
@@ -175,6 +183,8 @@ class Drive(Protocol):
             additional frame is then a duplicate, or comes from a second drive with the same number.
         position_step: resolution of the measured position [rad at the spool], 0 if unknown.
         cyclic_messages: signal tables of the frames that a tick exchanges with the enabled drive.
+        rechecks: settings that are read again while the drive is enabled, each with one request
+            and one reply. Empty if the state machine itself does the repeated read-back.
         feedback_period_s: period of the drive's unrequested feedback [s], 0 if every tick requests
             feedback.
     """
@@ -244,6 +254,11 @@ class Drive(Protocol):
         """Return the signal tables of the frames exchanged in each tick while the drive is enabled."""
         ...
 
+    @property
+    def rechecks(self) -> tuple[SettingRecheck, ...]:
+        """Return the settings that are read again while the drive is enabled, see the class."""
+        ...
+
     def steady_status(self, state: DriveState) -> int:
         """Return the status in the feedback at which the state machine has nothing to do, or NO_STEADY_STATUS.
 
@@ -253,7 +268,10 @@ class Drive(Protocol):
         ...
 
     def due_ns(self, state: DriveState) -> int:
-        """Return the time at which ``advance`` must be called even if the status does not change [ns]."""
+        """Return the time at which ``advance`` must be called even if the status does not change [ns].
+
+        The repeated read-back of ``rechecks`` does not count, because compiled code does it.
+        """
         ...
 
     def initial_state(self) -> DriveState:

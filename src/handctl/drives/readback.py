@@ -9,9 +9,15 @@ may then be enabled again. After the restart, the drive has its saved settings, 
 the host wrote before arming. The feedback of the drive does not show such a restart. Every half
 second, the host reads one setting of each drive, in turn. Each drive has its own time offset, so
 that no tick contains the requests of several drives.
+
+If one frame requests a setting and one frame answers, the protocol describes both frames as a
+``SettingRecheck``. While the drive is steady, compiled code in ``core.wire.cyclic_frames`` sends the
+request and accepts a reply with the required value. The state machine handles every other reply.
 """
 
 from typing import NamedTuple
+
+from handctl.drives.frame import Frame
 
 REQUEST_TIMEOUT_NS = 20_000_000
 """Time after which a request without an answer is repeated [ns]."""
@@ -128,14 +134,36 @@ class RecheckCursor(NamedTuple):
     Attributes:
         step: index of the next setting.
         due_ns: time of the next request [ns].
-        waiting: True if a request has no answer yet.
         tries: number of consecutive requests without an answer.
     """
 
     step: int = 0
     due_ns: int = 0
-    waiting: bool = False
     tries: int = 0
+
+    @property
+    def waiting(self) -> bool:
+        """Return True if a request has no answer yet."""
+        return self.tries > 0
+
+
+class SettingRecheck(NamedTuple):
+    """Request and reply with which a setting of an enabled drive is read again.
+
+    Attributes:
+        name: name of the setting.
+        request: frame of the request.
+        reply: frame of the reply with the required value, with at most 8 bytes of payload.
+        key_bytes: first byte of the payload that identifies the reply to this request, and the
+            byte after the last. Another reply differs in these bytes.
+        compared_bytes: first byte of the payload that is compared, and the byte after the last.
+    """
+
+    name: str
+    request: Frame
+    reply: Frame
+    key_bytes: tuple[int, int]
+    compared_bytes: tuple[int, int]
 
 
 def first_recheck(node_id: int, t_ns: int) -> RecheckCursor:
@@ -156,7 +184,7 @@ def next_recheck(
         node_id: node number of the drive.
         t_ns: time of the tick [ns].
     """
-    check = check._replace(due_ns=_next_slot_ns(node_id, t_ns), waiting=True, tries=check.tries + 1)
+    check = check._replace(due_ns=_next_slot_ns(node_id, t_ns), tries=check.tries + 1)
     return check, f"{name} is not answered while enabled" if check.tries >= RECHECK_TRIES else ""
 
 

@@ -4,11 +4,13 @@ Each protocol has its own progress, a named tuple in ``DriveState.private``. A f
 only those fields of ``EnablingProgress`` that its text names, and returns the next drive state.
 """
 
+from collections.abc import Sequence
 from typing import Any, Protocol, Self
 
 from handctl.drives import readback
 from handctl.drives.contract import DrivePhase, DriveState
-from handctl.drives.readback import ReadbackCursor, RecheckCursor
+from handctl.drives.frame import Frame
+from handctl.drives.readback import ReadbackCursor, SettingRecheck
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
 
@@ -28,7 +30,6 @@ class EnablingProgress(Protocol):
         disabling_ns: time of the first disable command [ns].
         clearing: number of feedback frames with an error still to be ignored.
         ready_ns: time at which the last setting was verified [ns].
-        check: position in the repeated read-back of the enabled drive.
         serial: serial number of the drive, 0 if unknown.
     """
 
@@ -40,7 +41,6 @@ class EnablingProgress(Protocol):
     disabling_ns: int
     clearing: int
     ready_ns: int
-    check: RecheckCursor
     serial: int
 
     @property
@@ -56,22 +56,28 @@ def enter_fault(state: DriveState, error_code: int, text: str) -> DriveState:
     return state._replace(phase=FAULT, error=error_code, error_text=text)
 
 
-def after_recheck_request(
-    state: DriveState, error_code: int, name: str, node_id: int, t_ns: int
-) -> DriveState:
-    """Return the state after a request that reads a setting of the enabled drive again. Uses ``check``.
+def request_recheck(
+    state: DriveState,
+    rechecks: Sequence[SettingRecheck],
+    error_code: int,
+    node_id: int,
+    t_ns: int,
+) -> tuple[DriveState, tuple[Frame, ...]]:
+    """Return the next state, and the request that reads a setting of the enabled drive again, if it is due.
 
     Args:
         state: state of the drive.
+        rechecks: settings of the repeated read-back.
         error_code: error code of a setting that the drive does not answer.
-        name: name of the setting.
         node_id: node number of the drive.
         t_ns: time of the tick [ns].
     """
-    progress: EnablingProgress = state.private
-    check, problem = readback.next_recheck(progress.check, name, node_id, t_ns)
-    state = state._replace(private=progress._replace(check=check))
-    return enter_fault(state, error_code, problem) if problem else state
+    if not rechecks or t_ns < state.recheck.due_ns:
+        return state, ()
+    one = rechecks[state.recheck.step]
+    check, problem = readback.next_recheck(state.recheck, one.name, node_id, t_ns)
+    state = state._replace(recheck=check)
+    return enter_fault(state, error_code, problem) if problem else state, (one.request,)
 
 
 def after_recheck_reply(
@@ -83,7 +89,7 @@ def after_recheck_reply(
     answer: str,
     expected: str,
 ) -> DriveState:
-    """Return the state after a setting of the enabled drive was read again. Uses ``check``.
+    """Return the state after a setting of the enabled drive was read again.
 
     Args:
         state: state of the drive.
@@ -94,26 +100,20 @@ def after_recheck_reply(
         answer: answer of the drive in words, such as ``reads 3``.
         expected: required value, as text.
     """
-    progress: EnablingProgress = state.private
     check, problem = readback.on_recheck_reply(
-        progress.check, setting_count, is_equal, name, answer, expected
+        state.recheck, setting_count, is_equal, name, answer, expected
     )
-    state = state._replace(private=progress._replace(check=check))
+    state = state._replace(recheck=check)
     return enter_fault(state, error_code, problem) if problem else state
 
 
 def is_steady(state: DriveState) -> bool:
-    """Return True if this host has enabled the drive, and no answer is open.
+    """Return True if this host has enabled the drive, and does not disable it.
 
-    Uses ``enable_sent``, ``disabling`` and ``check``.
+    Uses ``enable_sent`` and ``disabling``.
     """
     progress: EnablingProgress = state.private
-    return (
-        state.phase == ENABLED
-        and progress.enable_sent
-        and not progress.disabling
-        and not progress.check.waiting
-    )
+    return state.phase == ENABLED and progress.enable_sent and not progress.disabling
 
 
 def may_have_lost_power(state: DriveState, t_ns: int) -> bool:
@@ -142,12 +142,12 @@ def after_configuration(state: DriveState, t_ns: int, serial: int) -> DriveState
 
 
 def start_enabling(state: DriveState, node_id: int, t_ns: int) -> DriveState:
-    """Return the state of a drive to which an enable command is sent. Uses ``enable_sent`` and ``check``."""
+    """Return the state of a drive to which an enable command is sent. Uses ``enable_sent``."""
     progress: EnablingProgress = state.private
     if progress.enable_sent:
         return state
     check = readback.first_recheck(node_id, t_ns)
-    return state._replace(private=progress._replace(enable_sent=True, check=check))
+    return state._replace(recheck=check, private=progress._replace(enable_sent=True))
 
 
 def start_disabling(state: DriveState, t_ns: int) -> DriveState:

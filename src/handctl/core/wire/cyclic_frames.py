@@ -31,6 +31,11 @@ from handctl.core.wire.wire_tables import (
     NEAREST_ONLY_COLUMN,
     OWNER_COLUMN,
     PAYLOAD_BYTES_COLUMN,
+    REPLY_BYTES_WORD,
+    REPLY_ENTRY_WORD,
+    REPLY_KEY_MASK_WORD,
+    REPLY_MASK_WORD,
+    REPLY_WORD,
     SENSOR_FRAMES,
     SENSOR_NODE_OWNER,
     STATE_MACHINE_FRAMES,
@@ -48,6 +53,7 @@ from handctl.drives.frame_records import (
     WORDS_PER_RECORD,
     WordRows,
 )
+from handctl.drives.readback import RECHECK_PERIOD_NS, RECHECK_TRIES
 from handctl.drives.signals import (
     CHANNEL_COLUMN,
     ORDER_COLUMN,
@@ -77,6 +83,8 @@ NUMBER_MASK = 0x1FFFFFFF
 """Mask of a CAN identifier without its flags."""
 STANDARD_IDS = 0x800
 """Number of possible 11-bit identifiers."""
+OTHER_FRAME, RIGHT_REPLY, WRONG_REPLY = range(3)
+"""Results of the comparison of a frame with the reply to a repeated read-back."""
 
 
 @kernel_helper
@@ -103,6 +111,8 @@ def find_key(keys: IntArray, key: Any) -> int:
     "table_int",
     "table_int",
     "table",
+    "table_int",
+    "words",
     "count",
     "count",
 )
@@ -116,6 +126,8 @@ def receive_frames(
     entries: IntArray,
     wholes: IntArray,
     reals: FloatArray,
+    recheck_ranges: IntArray,
+    rechecks: WordRows,
     first: int,
     fresh_ns: int,
 ) -> int:
@@ -131,6 +143,8 @@ def receive_frames(
         entries: see ``WireTables``.
         wholes: see ``WireTables``.
         reals: see ``WireTables``.
+        recheck_ranges: see ``WireTables``.
+        rechecks: see ``WireTables``.
         first: index of the first frame.
         fresh_ns: earliest arrival of an answer to the latest SYNC [ns]. It is negative if answers
             contain the counter of the SYNC.
@@ -146,6 +160,8 @@ def receive_frames(
     entries = borrowed_array(entries, 0, entries.shape)
     wholes = borrowed_array(wholes, 0, wholes.shape)
     reals = borrowed_array(reals, 0, reals.shape)
+    recheck_ranges = borrowed_array(recheck_ranges, 0, recheck_ranges.shape)
+    rechecks = borrowed_array(rechecks, 0, rechecks.shape)
     for r in range(first, len(rows)):
         # The word HEAD_WORD contains the identifier with its flags in bits 0 to 31, then the flags of
         # the frame, the bus (from BUS_BIT) and the payload length (from LENGTH_BIT).
@@ -164,6 +180,13 @@ def receive_frames(
         t_ns = np.int64(rows[r, TIME_WORD])
         payload = rows[r, PAYLOAD_WORD]
         fits = length == entries[entry, PAYLOAD_BYTES_COLUMN]
+        owner = entries[entry, OWNER_COLUMN]
+        if owner != SENSOR_NODE_OWNER and x.tendon_int[s.RECHECK_TRIES, owner] > 0:
+            reply = _compare_recheck(x, owner, payload, length, entry, recheck_ranges, rechecks)
+            if reply == RIGHT_REPLY:
+                continue
+            if reply == WRONG_REPLY:
+                return r
         if kind == SENSOR_FRAMES and fits and t_ns < fresh_ns:
             _count_stale_frame(x, entries[entry, GROUP_COLUMN])
         elif kind == SENSOR_FRAMES:
@@ -176,6 +199,89 @@ def receive_frames(
         ):
             return r
     return len(rows)
+
+
+@kernel_helper
+def _is_steady(x: StateTables, n: Any) -> bool:
+    """Return True if a drive is enabled and its state machine has nothing to do."""
+    steady: bool = (
+        x.tendon_int[s.PHASE, n] == ENABLED_PHASE and x.tendon_int[s.STATUS_EXPECTED, n] >= 0
+    )
+    return steady
+
+
+@kernel_helper
+def _compare_recheck(
+    x: StateTables,
+    n: Any,
+    payload: Any,
+    length: Any,
+    entry: Any,
+    ranges: IntArray,
+    rechecks: WordRows,
+) -> int:
+    """Compare a frame with the reply to the open request of a drive's repeated read-back.
+
+    After a reply with the required value, the next setting is due.
+
+    Args:
+        x: state tables.
+        n: index of the drive.
+        payload: first eight bytes of the frame's payload.
+        length: length of the payload [bytes].
+        entry: row of the frame's identifier in ``WireTables.entries``.
+        ranges: ``WireTables.recheck_ranges``.
+        rechecks: see ``WireTables``.
+
+    Returns:
+        ``RIGHT_REPLY``, ``WRONG_REPLY`` for another value or length, or ``OTHER_FRAME``.
+    """
+    first = ranges[n, 0]
+    count = ranges[n, 1] - first
+    if count == 0 or not _is_steady(x, n):
+        return OTHER_FRAME
+    one = rechecks[first + x.tendon_int[s.RECHECK_STEP, n]]
+    difference = payload ^ one[REPLY_WORD]
+    if np.int64(one[REPLY_ENTRY_WORD]) != entry or difference & one[REPLY_KEY_MASK_WORD]:
+        return OTHER_FRAME
+    if np.int64(one[REPLY_BYTES_WORD]) != length or difference & one[REPLY_MASK_WORD]:
+        return WRONG_REPLY
+    x.tendon_int[s.RECHECK_STEP, n] = (x.tendon_int[s.RECHECK_STEP, n] + 1) % count
+    x.tendon_int[s.RECHECK_TRIES, n] = 0
+    return RIGHT_REPLY
+
+
+@kernel_helper
+def _is_recheck_due(x: StateTables, n: Any, now_ns: Any, ranges: IntArray) -> bool:
+    """Return True if a setting of an enabled drive is to be requested again in this tick."""
+    due: bool = ranges[n, 0] < ranges[n, 1] and now_ns >= x.tendon_int[s.RECHECK_DUE_NS, n]
+    return due
+
+
+@kernel_helper
+def _is_recheck_regular(x: StateTables, n: Any, now_ns: Any) -> bool:
+    """Return True if compiled code can send the request that is due.
+
+    After a pause of a whole period, the state machine of the drive calculates the next time. The
+    state machine also reports a setting that the drive does not answer.
+    """
+    regular: bool = (
+        now_ns < x.tendon_int[s.RECHECK_DUE_NS, n] + RECHECK_PERIOD_NS
+        and x.tendon_int[s.RECHECK_TRIES, n] + 1 < RECHECK_TRIES
+    )
+    return regular
+
+
+@kernel_helper
+def _request_recheck(
+    x: StateTables, n: Any, row: Any, ranges: IntArray, rechecks: WordRows
+) -> None:
+    """Write the request that reads a setting of a drive again into the record of a frame."""
+    one = rechecks[ranges[n, 0] + x.tendon_int[s.RECHECK_STEP, n]]
+    for word in range(WORDS_PER_RECORD):
+        row[word] = one[word]
+    x.tendon_int[s.RECHECK_DUE_NS, n] += RECHECK_PERIOD_NS
+    x.tendon_int[s.RECHECK_TRIES, n] += 1
 
 
 @kernel_helper
@@ -293,9 +399,9 @@ def _decode_drive_frame(
         reals: see ``WireTables``.
     """
     n = entries[entry, OWNER_COLUMN]
-    expected = x.tendon_int[s.STATUS_EXPECTED, n]
-    if x.tendon_int[s.PHASE, n] != ENABLED_PHASE or expected < 0:
+    if not _is_steady(x, n):
         return False
+    expected = x.tendon_int[s.STATUS_EXPECTED, n]
     position = velocity = torque = temperature = math.nan
     status = 0
     payload = row[PAYLOAD_WORD]
@@ -383,9 +489,22 @@ def _write_position_command(
         write_window(row, PAYLOAD_WORD, wholes[i, WINDOW_COLUMN], bits)
 
 
+@kernel_helper
+def _write_torque_command(
+    row: Any, template: Any, torque: float, signal: Any, wholes: IntArray, reals: FloatArray
+) -> None:
+    """Write a command into the record of a frame. A command without a torque has the signal -1."""
+    for word in range(WORDS_PER_RECORD):
+        row[word] = template[word]
+    if signal >= 0:
+        bits = encode_signal(torque, wholes, reals, signal)
+        ordered = bytes_reversed(bits) if wholes[signal, ORDER_COLUMN] else bits
+        write_window(row, PAYLOAD_WORD, wholes[signal, WINDOW_COLUMN], ordered)
+
+
 @kernel(
     "block", "layout", "words", "matrix_int", "matrix_int", "matrix", "words", "vector", "matrix_int", "words",
-    "matrix_int", "matrix", "count", "count",
+    "matrix_int", "matrix", "matrix_int", "words", "count", "count",
 )  # fmt: skip
 def encode_commands(
     block: BlockArray,
@@ -400,10 +519,12 @@ def encode_commands(
     servo_templates: WordRows,
     servo_wholes: IntArray,
     servo_reals: FloatArray,
+    recheck_ranges: IntArray,
+    rechecks: WordRows,
     first: int,
     count: int,
 ) -> tuple[int, int]:
-    """Encode the commands of steady drives.
+    """Encode the commands of steady drives, and the requests of their repeated read-back.
 
     Args:
         block: state block.
@@ -418,6 +539,8 @@ def encode_commands(
         servo_templates: (N, WORDS) see ``WireTables``.
         servo_wholes: see ``WireTables``.
         servo_reals: see ``WireTables``.
+        recheck_ranges: see ``WireTables``.
+        rechecks: see ``WireTables``.
         first: index of the first drive.
         count: number of records that ``frame_words`` contains already.
 
@@ -432,39 +555,32 @@ def encode_commands(
         n = commands[i, 0]
         if n < first:
             continue
-        steady = (
-            x.tendon_int[s.PHASE, n] == ENABLED_PHASE and x.tendon_int[s.STATUS_EXPECTED, n] >= 0
-        )
         heard_ns = x.tendon_int[s.FEEDBACK_NS, n]
         timeout_ns = commands[i, 2]
         overdue = timeout_ns > 0 and heard_ns < now_ns - timeout_ns
-        if not steady or now_ns >= x.tendon_int[s.DUE_NS, n] or overdue:
+        if not _is_steady(x, n) or now_ns >= x.tendon_int[s.DUE_NS, n] or overdue:
+            return n, count
+        rechecked = _is_recheck_due(x, n, now_ns, recheck_ranges)
+        if rechecked and not _is_recheck_regular(x, n, now_ns):
             return n, count
         signal = commands[i, 1]
         if signal >= 0 and not abs(torque[n]) <= reals[signal, 2]:
             return n, count
-        for word in range(WORDS_PER_RECORD):
-            frame_words[count, word] = templates[i, word]
         begin = servos[n, 0]
         end = servos[n, 1]
-        if begin < end and x.servo[s.SERVO_KP, n] > 0.0:
-            if _can_be_encoded(x, n, servo_reals, begin, end):
-                _write_position_command(
-                    x,
-                    n,
-                    frame_words[count],
-                    servo_templates[n],
-                    servo_wholes,
-                    servo_reals,
-                    begin,
-                    end,
-                )
-                count += 1
-                continue
+        holds_position = begin < end and x.servo[s.SERVO_KP, n] > 0.0
+        if holds_position and not _can_be_encoded(x, n, servo_reals, begin, end):
             command_torque_only(x, n)
-        if signal >= 0:
-            bits = encode_signal(torque[n], wholes, reals, signal)
-            ordered = bytes_reversed(bits) if wholes[signal, ORDER_COLUMN] else bits
-            write_window(frame_words[count], PAYLOAD_WORD, wholes[signal, WINDOW_COLUMN], ordered)
+            holds_position = False
+        row = frame_words[count]
+        if holds_position:
+            _write_position_command(
+                x, n, row, servo_templates[n], servo_wholes, servo_reals, begin, end
+            )
+        else:
+            _write_torque_command(row, templates[i], torque[n], signal, wholes, reals)
         count += 1
+        if rechecked and signal >= 0:
+            _request_recheck(x, n, frame_words[count], recheck_ranges, rechecks)
+            count += 1
     return len(torque), count

@@ -7,7 +7,15 @@ from numpy.typing import NDArray
 
 from handctl.drives.contract import Drive
 from handctl.drives.frame import Frame
-from handctl.drives.frame_records import WORDS_PER_RECORD, WordRows, frames_as_records
+from handctl.drives.frame_records import (
+    HEAD_WORD,
+    LENGTH_BIT,
+    PAYLOAD_WORD,
+    WORDS_PER_RECORD,
+    WordRows,
+    frames_as_records,
+)
+from handctl.drives.readback import SettingRecheck
 from handctl.drives.sensors.contract import SensorInterface
 from handctl.drives.signals import INTEGER_COLUMN_COUNT, CyclicMessage, SignalQuantity, SignalTable
 
@@ -33,6 +41,19 @@ SENSOR_NODE_OWNER = -1
 """Value of the column ``OWNER_COLUMN`` for frames of the sensor node."""
 STATE_MACHINE_FRAMES, FEEDBACK_FRAMES, VALUE_FRAMES, SENSOR_FRAMES, HOST_FRAMES = range(5)
 """Kinds of frames: for a state machine, reply to a command, more drive values, sensor node, sent by this host only."""
+(
+    REPLY_WORD,
+    REPLY_KEY_MASK_WORD,
+    REPLY_MASK_WORD,
+    REPLY_ENTRY_WORD,
+    REPLY_BYTES_WORD,
+    WORDS_PER_RECHECK,
+) = range(WORDS_PER_RECORD, WORDS_PER_RECORD + 6)
+"""Words of a repeated read-back after the record of its request, and the number of all words.
+
+The words are: payload of the reply with the required value, bits that identify the reply, bits
+that are compared, index of the reply's entry, and length of the reply's payload [bytes].
+"""
 
 
 class WireTables:
@@ -55,6 +76,10 @@ class WireTables:
         servo_wholes: (p, INTEGER_COLUMN_COUNT) integers of the signals of position commands.
         servo_reals: (p, 4) real numbers of these signals: scale, offset, smallest and largest
             value, for the true torque of the motor.
+        recheck_ranges: (N, 2) first row of each drive in ``rechecks``, and the row after its last.
+        rechecks: (r, WORDS_PER_RECHECK) settings that are read again while a drive is enabled: the
+            record of the request, then the words from ``REPLY_WORD`` on.
+        max_frames: largest number of frames that one tick sends to steady drives, with a SYNC.
     """
 
     def __init__(
@@ -129,6 +154,8 @@ class WireTables:
         self.reals = np.concatenate([table.reals for table in self._signals])
         self._build_torque_commands(drives)
         self._build_position_commands(drives, holds_position or [False] * len(drives), torque_gain)
+        self._build_rechecks(drives)
+        self.max_frames = 1 + len(self.templates) + len(drives)
         self._entries_without: dict[tuple[int, ...], IntArray] = {}
 
     def entries_without(self, groups: tuple[int, ...]) -> IntArray:
@@ -200,6 +227,41 @@ class WireTables:
         self.servo_templates: WordRows = templates
         self.servo_wholes: IntArray = np.concatenate(wholes)
         self.servo_reals: FloatArray = np.concatenate(reals)
+
+    def _build_rechecks(self, drives: Sequence[Drive]) -> None:
+        """Build the table of the settings that are read again while a drive is enabled."""
+        ranges = list[tuple[int, int]]()
+        rows = list[WordRows]()
+        for drive in drives:
+            rechecks = drive.rechecks
+            ranges.append((len(rows), len(rows) + len(rechecks)))
+            for one in rechecks:
+                key = _frame_key(one.reply.bus, one.reply.can_id)
+                rows.append(_recheck_row(one, int(np.searchsorted(self.keys, key))))
+        self.recheck_ranges: IntArray = np.array(ranges, dtype=np.int64).reshape(-1, 2)
+        self.rechecks: WordRows = np.array(rows, dtype=np.uint64).reshape(-1, WORDS_PER_RECHECK)
+
+
+def _recheck_row(recheck: SettingRecheck, entry: int) -> WordRows:
+    """Return the row of a repeated read-back in ``WireTables.rechecks``, (WORDS_PER_RECHECK,).
+
+    Args:
+        recheck: request and reply.
+        entry: index of the entry of the reply.
+    """
+    request, reply = frames_as_records((recheck.request, recheck.reply)).rows
+    key_mask, mask = (
+        sum(0xFF << 8 * i for i in range(first, end))
+        for first, end in (recheck.key_bytes, recheck.compared_bytes)
+    )
+    row = np.empty(WORDS_PER_RECHECK, dtype=np.uint64)
+    row[:WORDS_PER_RECORD] = request
+    row[REPLY_WORD] = reply[PAYLOAD_WORD]
+    row[REPLY_KEY_MASK_WORD] = key_mask
+    row[REPLY_MASK_WORD] = mask
+    row[REPLY_ENTRY_WORD] = entry
+    row[REPLY_BYTES_WORD] = int(reply[HEAD_WORD]) >> LENGTH_BIT
+    return row
 
 
 def _ranges_of_signals(message: CyclicMessage, torque_gain: float) -> FloatArray:

@@ -56,6 +56,12 @@ def upload_request(index: int, subindex: int) -> bytes:
     return struct.pack("<BHB4x", 0x40, index, subindex)
 
 
+def upload_reply(index: int, subindex: int, value_bytes: bytes) -> bytes:
+    """Return the SDO payload with which a node sends an object of one to four bytes."""
+    # 0x43 is an expedited value. Bits 2..3 contain the number of unused bytes.
+    return struct.pack("<BHB4s", 0x43 | (4 - len(value_bytes)) << 2, index, subindex, value_bytes)
+
+
 def download_request(index: int, subindex: int, value_bytes: bytes) -> bytes:
     """Return the SDO payload that writes one to four bytes to an object."""
     # 0x23 starts an expedited download. Bits 2..3 contain the number of unused bytes.

@@ -45,11 +45,12 @@ from handctl.drives.option_checks import (
     checked_whole_number,
     refuse_unknown_options,
 )
+from handctl.drives.readback import SettingRecheck
 from handctl.drives.signals import CyclicMessage, CyclicMessages, SignalTable
 from handctl.drives.state_machine import (
     after_recheck_reply,
-    after_recheck_request,
     enter_fault,
+    request_recheck,
     start_enabling,
 )
 from handctl.errors import ConfigError
@@ -277,15 +278,33 @@ class Cia402Drive:
         return codec.ENABLED_STATUS if steady else NO_STEADY_STATUS
 
     def due_ns(self, state: DriveState) -> int:
-        """Return the time at which this host must send its heartbeat or read an object back [ns]."""
-        progress = progress_of(state)
-        return min(progress.check.due_ns, progress.heartbeat_sent_ns + self.heartbeat_period_ns)
+        """Return the time at which this host must send its heartbeat [ns]."""
+        return progress_of(state).heartbeat_sent_ns + self.heartbeat_period_ns
 
     @property
     def rechecked_settings(self) -> tuple[setup.SetupStep, ...]:
         """Return the objects read again while the drive is enabled."""
         return tuple(
             step for step in self.steps if (step.number, step.sub) in settings.PROTECTION_OBJECTS
+        )
+
+    @property
+    def rechecks(self) -> tuple[SettingRecheck, ...]:
+        """Return request and reply of each object that is read again, see ``contract.Drive``."""
+        return tuple(
+            SettingRecheck(
+                step.name,
+                self._sdo_frame(canopen.upload_request(step.number, step.sub)),
+                Frame(
+                    canopen.SDO_REPLY + self.node_id,
+                    canopen.upload_reply(step.number, step.sub, step.raw),
+                    0,
+                    self.bus,
+                ),
+                key_bytes=(1, 4),
+                compared_bytes=(0, 4 + len(step.raw)),
+            )
+            for step in self.rechecked_settings
         )
 
     def initial_state(self) -> DriveState:
@@ -314,8 +333,8 @@ class Cia402Drive:
         """Return the state after an SDO reply of the drive."""
         progress = progress_of(state)
         reply = canopen.decode_sdo_reply(data)
-        if reply is not None and state.phase == ENABLED and progress.check.waiting:
-            return self._on_recheck_reply(state, progress, reply)
+        if reply is not None and state.phase == ENABLED and state.recheck.waiting:
+            return self._on_recheck_reply(state, reply)
         if (
             reply is None
             or progress.cursor.step >= len(self.steps)
@@ -327,11 +346,9 @@ class Cia402Drive:
         updated = state._replace(phase=CONFIGURING, private=progress)
         return enter_fault(updated, SETTING_MISMATCH_ERROR, problem) if problem else updated
 
-    def _on_recheck_reply(
-        self, state: DriveState, progress: Cia402Progress, reply: canopen.SdoReply
-    ) -> DriveState:
+    def _on_recheck_reply(self, state: DriveState, reply: canopen.SdoReply) -> DriveState:
         """Compare an object, read again from the enabled drive, with the required value."""
-        step = self.rechecked_settings[progress.check.step]
+        step = self.rechecked_settings[state.recheck.step]
         if reply[:2] != (step.number, step.sub) or not (reply.raw or reply.abort):
             return state
         value = int.from_bytes(reply.raw, "little")
@@ -404,7 +421,9 @@ class Cia402Drive:
         ):
             return self._disable(state, progress, t_ns)
         if state.phase == ENABLED:
-            state, recheck = self._next_recheck(state, progress, t_ns)
+            state, recheck = request_recheck(
+                state, self.rechecks, SETTING_MISMATCH_ERROR, self.node_id, t_ns
+            )
             return state, (self._rpdo_frame(codec.ENABLE_OPERATION, command), *recheck)
         if state.phase == FAULT:
             return state, self.cut_frames() if progress.may_be_enabled else ()
@@ -418,24 +437,6 @@ class Cia402Drive:
             enabling = start_enabling(state._replace(private=progress), self.node_id, t_ns)
             return enabling, (self._rpdo_frame(control_word, self._rest_command(state)),)
         return state._replace(private=progress), ()
-
-    def _next_recheck(
-        self, state: DriveState, progress: Cia402Progress, t_ns: int
-    ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state, and the next read-back request to the enabled drive if due."""
-        if t_ns < progress.check.due_ns:
-            return state, ()
-        step = self.rechecked_settings[progress.check.step]
-        name = step.name
-        state = after_recheck_request(state, SETTING_MISMATCH_ERROR, name, self.node_id, t_ns)
-        return state, (
-            Frame(
-                canopen.SDO_REQUEST + self.node_id,
-                canopen.upload_request(step.number, step.sub),
-                0,
-                self.bus,
-            ),
-        )
 
     def _disable(
         self, state: DriveState, progress: Cia402Progress, t_ns: int
@@ -471,7 +472,7 @@ class Cia402Drive:
         updated = state._replace(private=progress._replace(cursor=cursor))
         if problem:
             return enter_fault(updated, SETTING_MISMATCH_ERROR, problem), ()
-        frames = (Frame(canopen.SDO_REQUEST + self.node_id, data, 0, self.bus),) if data else ()
+        frames = (self._sdo_frame(data),) if data else ()
         return updated, (
             self._nmt_frame(canopen.PRE_OPERATIONAL),
             *frames,
@@ -510,6 +511,10 @@ class Cia402Drive:
     def _rest_command(self, state: DriveState) -> float:
         """Return the command to a drive that is being enabled: zero torque."""
         return 0.0
+
+    def _sdo_frame(self, data: bytes) -> Frame:
+        """Return the frame of an SDO request with the given payload."""
+        return Frame(canopen.SDO_REQUEST + self.node_id, data, 0, self.bus)
 
     def _nmt_frame(self, order: int) -> Frame:
         """Return the frame of an NMT command to the node."""
@@ -552,7 +557,7 @@ class Cia402Drive:
         if state.phase != READY:
             return ()
         data = canopen.download_request(*settings.END_OF_SUPERVISION)
-        return (Frame(canopen.SDO_REQUEST + self.node_id, data, 0, self.bus),)
+        return (self._sdo_frame(data),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the state and the frames that reset the fault.

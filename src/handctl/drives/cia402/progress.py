@@ -7,7 +7,7 @@ from handctl.drives.canopen.setup import REPEAT_PERIOD_NS
 from handctl.drives.cia402 import codec
 from handctl.drives.contract import DriveFaultCause, DrivePhase, DriveState
 from handctl.drives.frame import Frame
-from handctl.drives.readback import ReadbackCursor, RecheckCursor
+from handctl.drives.readback import ReadbackCursor
 from handctl.drives.state_machine import enter_fault
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
@@ -47,7 +47,6 @@ class Cia402Progress(NamedTuple):
         disabling_ns: time of the first disable command [ns], -1 if none was sent.
         clearing: number of status words with a fault still to be ignored, while the fault is being
             cleared.
-        check: position in the repeated read-back of the enabled drive.
         serial: serial number of the drive, 0 if unknown.
     """
 
@@ -60,7 +59,6 @@ class Cia402Progress(NamedTuple):
     enable_sent: bool = False
     disabling_ns: int = -1
     clearing: int = 0
-    check: RecheckCursor = RecheckCursor()
     serial: int = 0
 
     @property

@@ -394,6 +394,11 @@ def register_bytes(register: int, value: float) -> bytes:
     return layout.pack(int(value)) if layout is _INTEGER_STRUCT else layout.pack(value)
 
 
+def register_reply(node_id: int, operation: int, register: int, value: float) -> bytes:
+    """Return the payload with which a motor answers a register request, see ``register_request``."""
+    return struct.pack("<HBB", node_id, operation, register) + register_bytes(register, value)
+
+
 class RegisterReply(NamedTuple):
     """Reply to a register request: operation, register number, and the four bytes of the value."""
 

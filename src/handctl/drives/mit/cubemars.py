@@ -39,6 +39,7 @@ from handctl.drives.option_checks import (
     pop_motor_model,
     refuse_unknown_options,
 )
+from handctl.drives.readback import SettingRecheck
 from handctl.drives.signals import CyclicMessages, Signal, SignalQuantity, SignalTable
 from handctl.errors import ConfigError
 
@@ -278,6 +279,11 @@ class CubemarsDrive:
     def feedback_period_s(self) -> float:
         """Return 0, because the motor sends feedback only as the answer to a command."""
         return 0.0
+
+    @property
+    def rechecks(self) -> tuple[SettingRecheck, ...]:
+        """Return an empty tuple, because the motor has no settings that can be read."""
+        return ()
 
     @property
     def cyclic_messages(self) -> CyclicMessages:

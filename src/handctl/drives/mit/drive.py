@@ -13,6 +13,7 @@ from typing import Any
 
 from handctl.drives import readback
 from handctl.drives.contract import (
+    END_OF_TIME_NS,
     NO_STEADY_STATUS,
     DriveFaultCause,
     DrivePhase,
@@ -33,14 +34,15 @@ from handctl.drives.mit.progress import (
 )
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.option_checks import MotorOption, checked_boolean, refuse_unknown_options
+from handctl.drives.readback import SettingRecheck
 from handctl.drives.signals import CyclicMessages, SignalTable
 from handctl.drives.state_machine import (
     after_configuration,
     after_recheck_reply,
-    after_recheck_request,
     enter_fault,
     is_steady,
     may_have_lost_power,
+    request_recheck,
     start_disabling,
     start_enabling,
 )
@@ -208,6 +210,25 @@ class MitDrive:
         return ((codec.TIMEOUT, self.timeout), (codec.TMAX, self.ranges.torque))
 
     @property
+    def rechecks(self) -> tuple[SettingRecheck, ...]:
+        """Return request and reply of each register that is read again, see ``contract.Drive``."""
+        return tuple(
+            SettingRecheck(
+                registers.register_name(register),
+                self._register_frame(codec.register_request(self.node_id, codec.READ, register)),
+                Frame(
+                    self.reply_id,
+                    codec.register_reply(self.node_id, codec.READ, register, value),
+                    0,
+                    self.bus,
+                ),
+                key_bytes=(0, 4),
+                compared_bytes=(0, 8),
+            )
+            for register, value in self.rechecked_settings
+        )
+
+    @property
     def cyclic_messages(self) -> CyclicMessages:
         """Return the signal tables of the commands and of the feedback."""
         position = codec.impedance_message(
@@ -222,8 +243,8 @@ class MitDrive:
         return codec.ENABLED << 4 | self.node_id & 0xF
 
     def due_ns(self, state: DriveState) -> int:
-        """Return the time of the next read-back request [ns]."""
-        return progress_of(state).check.due_ns
+        """Return END_OF_TIME_NS, because the state machine of an enabled motor has no schedule."""
+        return END_OF_TIME_NS
 
     def initial_state(self) -> DriveState:
         """Return the state of the motor before the first frame."""
@@ -236,14 +257,13 @@ class MitDrive:
             return state
         if len(data) != 8:
             return state._replace(misread=state.misread + 1)
-        progress = progress_of(state)
-        if state.phase == ENABLED and progress.check.waiting:
+        if state.phase == ENABLED and state.recheck.waiting:
             reply = codec.decode_register_reply(data, self.node_id)
             if reply is not None and reply[:2] == (
                 codec.READ,
-                self.rechecked_settings[progress.check.step][0],
+                self.rechecked_settings[state.recheck.step][0],
             ):
-                return self._on_recheck_reply(state, progress, reply)
+                return self._on_recheck_reply(state, reply)
         # Byte 0 of feedback from an enabled motor is 0x10 | node nibble. If the node number is from
         # 0x10 to 0x1f, byte 0 of a register reply is the same. The frame then counts as feedback.
         if state.phase != ENABLED or self.node_id >> 4 != codec.ENABLED:
@@ -275,11 +295,9 @@ class MitDrive:
             return enter_fault(state, SETTING_MISMATCH_ERROR, problem)
         return state._replace(private=progress._replace(cursor=cursor))
 
-    def _on_recheck_reply(
-        self, state: DriveState, progress: MitProgress, reply: codec.RegisterReply
-    ) -> DriveState:
+    def _on_recheck_reply(self, state: DriveState, reply: codec.RegisterReply) -> DriveState:
         """Compare a register, read again from the enabled motor, with the required value."""
-        register, value = self.rechecked_settings[progress.check.step]
+        register, value = self.rechecked_settings[state.recheck.step]
         same = reply.raw == codec.register_bytes(register, value)
         answer = f"reads {reply.value:g}"
         return after_recheck_reply(
@@ -314,11 +332,10 @@ class MitDrive:
         progress: MitProgress = state.private
         if target == ENABLE and state.phase == ENABLED and not progress.disabling:
             sent = self._command_frame(command)
-            # In a running hand this is the usual case: one command, and no change of the state.
-            if t_ns < progress.check.due_ns:
-                return state, (sent,)
-            state, question = self._next_recheck(state, progress, t_ns)
-            return state, (sent, question)
+            state, recheck = request_recheck(
+                state, self.rechecks, SETTING_MISMATCH_ERROR, self.node_id, t_ns
+            )
+            return state, (sent, *recheck)
         if target == LISTEN:
             return state, ()
         if target == DISABLE or state.phase == ENABLED:
@@ -344,17 +361,6 @@ class MitDrive:
             return state._replace(private=progress), self.cut_frames()
         # The manual does not say if the clear command has an answer, so feedback is requested too.
         return state._replace(private=progress), (*clear, self._refresh_frame())
-
-    def _next_recheck(
-        self, state: DriveState, progress: MitProgress, t_ns: int
-    ) -> tuple[DriveState, Frame]:
-        """Return the next state and the request to read a protection register of the enabled motor."""
-        register, _ = self.rechecked_settings[progress.check.step]
-        name = registers.register_name(register)
-        state = after_recheck_request(state, SETTING_MISMATCH_ERROR, name, self.node_id, t_ns)
-        return state, self._register_frame(
-            codec.register_request(self.node_id, codec.READ, register)
-        )
 
     def _configure(
         self, state: DriveState, progress: MitProgress, t_ns: int

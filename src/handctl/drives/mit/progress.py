@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 from handctl.drives.contract import DriveFaultCause, DrivePhase, DriveState
 from handctl.drives.mit import codec
-from handctl.drives.readback import ReadbackCursor, RecheckCursor
+from handctl.drives.readback import ReadbackCursor
 from handctl.drives.state_machine import enter_fault, state_when_off, state_when_on
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
@@ -53,7 +53,6 @@ class MitProgress(NamedTuple):
         clearing: number of feedback frames with an error still to be ignored, while the error is
             being cleared.
         ready_ns: time at which the last register was verified [ns].
-        check: position in the repeated read-back of the enabled motor.
         serial: serial number of the motor, 0 if unknown.
     """
 
@@ -65,7 +64,6 @@ class MitProgress(NamedTuple):
     disabling_ns: int = 0
     clearing: int = 0
     ready_ns: int = 0
-    check: RecheckCursor = RecheckCursor()
     serial: int = 0
 
     @property

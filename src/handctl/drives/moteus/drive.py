@@ -33,6 +33,7 @@ from handctl.drives.moteus.progress import (
 )
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.option_checks import refuse_unknown_options
+from handctl.drives.readback import SettingRecheck
 from handctl.drives.signals import CyclicMessages, SignalTable
 from handctl.drives.state_machine import (
     after_configuration,
@@ -204,15 +205,20 @@ class MoteusDrive:
             moves_target=position is not None,
         )
 
+    @property
+    def rechecks(self) -> tuple[SettingRecheck, ...]:
+        """Return an empty tuple, because the text channel needs several frames for each setting."""
+        return ()
+
     def steady_status(self, state: DriveState) -> int:
         """Return the status of feedback in position mode without a fault code, or NO_STEADY_STATUS."""
-        if not is_steady(state):
+        if not is_steady(state) or state.recheck.waiting:
             return NO_STEADY_STATUS
         return codec.joined_status(codec.POSITION, 0)
 
     def due_ns(self, state: DriveState) -> int:
         """Return the time of the next read-back request [ns]."""
-        return progress_of(state).check.due_ns
+        return state.recheck.due_ns
 
     def initial_state(self) -> DriveState:
         """Return the state of the drive before the first frame."""
@@ -270,8 +276,8 @@ class MoteusDrive:
             and progress.cursor.step < len(self.required)
         ):
             return self.required[progress.cursor.step]
-        if state.phase == ENABLED and progress.check.waiting:
-            return self.configuration[progress.check.step]
+        if state.phase == ENABLED and state.recheck.waiting:
+            return self.configuration[state.recheck.step]
         return None
 
     def _on_text_reply(
@@ -351,7 +357,7 @@ class MoteusDrive:
         if target == ENABLE and state.phase == ENABLED and not progress.disabling:
             sent = self._frame_to_drive(self._torque_payload(command))
             # In a running hand this is the usual case: one command, and no change of the state.
-            if t_ns < progress.check.due_ns and not progress.check.waiting:
+            if t_ns < state.recheck.due_ns and not state.recheck.waiting:
                 return state, (sent,)
             state, requests = self._next_recheck(state, progress, t_ns)
             return state, (sent, *requests)
@@ -382,18 +388,18 @@ class MoteusDrive:
         self, state: DriveState, progress: MoteusProgress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the request that reads a setting of the enabled drive, or the next part of its answer, if due."""
-        setting = self.configuration[progress.check.step]
+        setting = self.configuration[state.recheck.step]
         channel = progress.channel
         data = b""
         problem = ""
         if channel.is_awaiting_answer(t_ns):
             channel, data = channel.poll()
-        elif t_ns >= progress.check.due_ns:
+        elif t_ns >= state.recheck.due_ns:
             # If a request has no answer, its text may still arrive, so the channel is emptied
             # first.
-            channel = items.DiagnosticChannel() if progress.check.waiting else channel
-            check, problem = readback.next_recheck(progress.check, setting.name, self.node_id, t_ns)
-            progress = progress._replace(check=check)
+            channel = items.DiagnosticChannel() if state.recheck.waiting else channel
+            check, problem = readback.next_recheck(state.recheck, setting.name, self.node_id, t_ns)
+            state = state._replace(recheck=check)
             channel, data = self._setting_request(channel, setting, False, t_ns)
         elif channel.empty and channel.asked_ns < 0:
             channel, data = self._setting_request(channel, setting, False, t_ns)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 from handctl.drives.contract import DriveFaultCause, DrivePhase, DriveState
 from handctl.drives.moteus import codec
 from handctl.drives.moteus.settings import DiagnosticChannel
-from handctl.drives.readback import ReadbackCursor, RecheckCursor
+from handctl.drives.readback import ReadbackCursor
 from handctl.drives.state_machine import (
     enter_fault,
     state_when_off,
@@ -47,7 +47,6 @@ class MoteusProgress(NamedTuple):
         clearing: number of feedback frames with an error still to be ignored, while the error is
             being cleared.
         ready_ns: time at which the last setting was verified [ns].
-        check: position in the repeated read-back of the enabled drive.
         serial: serial number of the drive, 0 if unknown.
     """
 
@@ -61,7 +60,6 @@ class MoteusProgress(NamedTuple):
     disabling_ns: int = 0
     clearing: int = 0
     ready_ns: int = 0
-    check: RecheckCursor = RecheckCursor()
     serial: int = 0
 
     @property

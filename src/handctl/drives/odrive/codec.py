@@ -310,6 +310,11 @@ def sdo_request(operation: int, endpoint: int, value: bytes = b"") -> bytes:
     return struct.pack("<BHB", operation, endpoint, 0) + value
 
 
+def sdo_reply(endpoint: int, value: bytes) -> bytes:
+    """Return the payload of TxSdo, with which the drive sends the value of an endpoint."""
+    return struct.pack("<BHB", 0, endpoint, 0) + value
+
+
 def decode_sdo_reply(data: bytes) -> tuple[int, bytes]:
     """Decode the payload of TxSdo. Return the endpoint and the bytes of its value."""
     return int.from_bytes(data[1:3], "little"), data[4:]

@@ -40,12 +40,12 @@ from handctl.drives.odrive.progress import (
     state_after_timeout,
 )
 from handctl.drives.option_checks import refuse_unknown_options
-from handctl.drives.readback import ReadbackCursor
+from handctl.drives.readback import ReadbackCursor, SettingRecheck
 from handctl.drives.signals import CyclicMessages, SignalTable
 from handctl.drives.state_machine import (
     after_recheck_reply,
-    after_recheck_request,
     enter_fault,
+    request_recheck,
 )
 from handctl.errors import ConfigError
 
@@ -236,20 +236,32 @@ class OdriveDrive:
         )
 
     def due_ns(self, state: DriveState) -> int:
-        """Return the time of the next step that is due [ns]: heartbeat timeout, temperature request, or read-back."""
+        """Return the time of the next step that is due [ns]: heartbeat timeout or temperature request."""
         progress = progress_of(state)
         temperature_rate = (
             END_OF_TIME_NS
             if self.firmware_05
             else progress.temperature_request_ns + TEMPERATURE_PERIOD_NS
         )
-        recheck = progress.check.due_ns if self.settings else END_OF_TIME_NS
         return min(
             temperature_rate,
-            recheck,
             progress.heartbeat_ns + self.heartbeat_timeout_ns + 1
             if progress.heartbeat_ns >= 0
             else END_OF_TIME_NS,
+        )
+
+    @property
+    def rechecks(self) -> tuple[SettingRecheck, ...]:
+        """Return request and reply of each endpoint that is read again, see ``contract.Drive``."""
+        return tuple(
+            SettingRecheck(
+                one.name,
+                self._data_frame(codec.RX_SDO, codec.sdo_request(codec.SDO_READ, one.endpoint)),
+                self._data_frame(codec.TX_SDO, codec.sdo_reply(one.endpoint, one.raw)),
+                key_bytes=(1, 3),
+                compared_bytes=(1, 4 + len(one.raw)),
+            )
+            for one in self.settings
         )
 
     def initial_state(self) -> DriveState:
@@ -327,19 +339,17 @@ class OdriveDrive:
     def _on_setting(self, state: DriveState, data: bytes) -> DriveState:
         """Return the state after a TxSdo with the value of a setting."""
         progress = progress_of(state)
-        if state.phase == ENABLED and progress.check.waiting:
-            return self._on_recheck_reply(state, progress, data)
+        if state.phase == ENABLED and state.recheck.waiting:
+            return self._on_recheck_reply(state, data)
         if state.phase != CONFIGURING or progress.cursor.step >= len(self.settings):
             return state
         cursor, problem = endpoints.on_reply(progress.cursor, self.settings, data)
         updated = state._replace(private=progress._replace(cursor=cursor))
         return enter_fault(updated, SETTING_MISMATCH_ERROR, problem) if problem else updated
 
-    def _on_recheck_reply(
-        self, state: DriveState, progress: OdriveProgress, data: bytes
-    ) -> DriveState:
+    def _on_recheck_reply(self, state: DriveState, data: bytes) -> DriveState:
         """Compare a setting, read again from the enabled drive, with the required value."""
-        setting = self.settings[progress.check.step]
+        setting = self.settings[state.recheck.step]
         endpoint, raw = codec.decode_sdo_reply(data)
         if endpoint != setting.endpoint or len(raw) < len(setting.raw):
             return state
@@ -376,8 +386,10 @@ class OdriveDrive:
             return start_disabling(state, progress, t_ns), (self._axis_state_frame(codec.IDLE),)
         if state.phase == ENABLED:
             state, requests = self._feedback_requests(state, t_ns)
-            state, recheck = self._next_recheck(state, t_ns)
-            return state, (self._command_frame(command), *requests, *recheck)
+            state, recheck = request_recheck(
+                state, self.rechecks, SETTING_MISMATCH_ERROR, self.node_id, t_ns
+            )
+            return state, (self._command_frame(command), *recheck, *requests)
         if state.phase == FAULT:
             return state, self.cut_frames() if progress.may_be_enabled else ()
         state = state._replace(private=progress._replace(disabling_ns=-1))
@@ -406,9 +418,10 @@ class OdriveDrive:
             return state._replace(phase=CONFIGURING, private=recheck), requests
         check = readback.first_recheck(self.node_id, t_ns)
         parsed = state._replace(
+            recheck=check,
             private=progress._replace(
-                enable_sent_ns=t_ns, enable_commands=progress.enable_commands + 1, check=check
-            )
+                enable_sent_ns=t_ns, enable_commands=progress.enable_commands + 1
+            ),
         )
         return parsed, (
             *self._setup_frames(), self._command_frame(self._rest_command(state)),
@@ -512,18 +525,6 @@ class OdriveDrive:
             frames.append(self._remote_frame(codec.TEMPERATURE))
             state = state._replace(private=progress._replace(temperature_request_ns=t_ns))
         return state, tuple(frames)
-
-    def _next_recheck(self, state: DriveState, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state, and the next read-back request to the enabled drive if due."""
-        progress = progress_of(state)
-        if not self.settings or t_ns < progress.check.due_ns:
-            return state, ()
-        setting = self.settings[progress.check.step]
-        name = setting.name
-        state = after_recheck_request(state, SETTING_MISMATCH_ERROR, name, self.node_id, t_ns)
-        return state, (
-            self._data_frame(codec.RX_SDO, codec.sdo_request(codec.SDO_READ, setting.endpoint)),
-        )
 
     def _command_frame(self, command: float) -> Frame:
         """Return the frame of a command, in the unit of ``command_limit``."""

@@ -9,7 +9,7 @@ from handctl.drives.contract import DriveFaultCause, DrivePhase, DriveState
 from handctl.drives.frame import Frame
 from handctl.drives.odrive import codec
 from handctl.drives.odrive import firmware_05 as odrive_05
-from handctl.drives.readback import ReadbackCursor, RecheckCursor
+from handctl.drives.readback import ReadbackCursor
 from handctl.drives.state_machine import enter_fault
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
@@ -70,7 +70,6 @@ class OdriveProgress(NamedTuple):
         just_verified: True if all settings were verified in the last tick. The drive has had no
             time to restart since then.
         enable_commands: number of enable commands not obeyed by the drive.
-        check: position in the repeated read-back of the enabled drive.
     """
 
     version: bool = False
@@ -88,7 +87,6 @@ class OdriveProgress(NamedTuple):
     clearing: int = 0
     just_verified: bool = False
     enable_commands: int = 0
-    check: RecheckCursor = RecheckCursor()
 
     @property
     def may_be_enabled(self) -> bool:

@@ -7,10 +7,12 @@ without data stops the motor, and does not clear faults. The host also sends thi
 request feedback from a disabled motor, because such a motor answers no other request with feedback.
 """
 
+import struct
 from dataclasses import dataclass, field
 
 from handctl.drives import readback
 from handctl.drives.contract import (
+    END_OF_TIME_NS,
     NO_STEADY_STATUS,
     DriveFaultCause,
     DrivePhase,
@@ -27,6 +29,7 @@ from handctl.drives.option_checks import (
     pop_motor_model,
     refuse_unknown_options,
 )
+from handctl.drives.readback import SettingRecheck
 from handctl.drives.robstride import codec
 from handctl.drives.robstride import settings as parameters
 from handctl.drives.robstride.progress import (
@@ -42,10 +45,10 @@ from handctl.drives.signals import CyclicMessages, SignalTable
 from handctl.drives.state_machine import (
     after_configuration,
     after_recheck_reply,
-    after_recheck_request,
     enter_fault,
     is_steady,
     may_have_lost_power,
+    request_recheck,
     start_disabling,
     start_enabling,
 )
@@ -203,6 +206,25 @@ class RobstrideDrive:
         )
         return CyclicMessages((self.feedback.message,), (self.command.message,), position=position)
 
+    @property
+    def rechecks(self) -> tuple[SettingRecheck, ...]:
+        """Return request and reply of each parameter that is read again, see ``contract.Drive``."""
+        return tuple(
+            SettingRecheck(
+                one.name,
+                self._request_frame(codec.READ, codec.parameter_request(one.number)),
+                Frame(
+                    codec.reply_id(codec.READ, self.node_id, self.host),
+                    codec.parameter_request(one.number, one.raw),
+                    0,
+                    self.bus,
+                ),
+                key_bytes=(0, 2),
+                compared_bytes=(0, 4 + struct.calcsize(one.coding)),
+            )
+            for one in self.required
+        )
+
     def steady_status(self, state: DriveState) -> int:
         """Return 0 for an enabled motor, because the status is in the identifier of feedback, not in its payload."""
         if not is_steady(state):
@@ -210,8 +232,8 @@ class RobstrideDrive:
         return 0
 
     def due_ns(self, state: DriveState) -> int:
-        """Return the time of the next read-back request [ns]."""
-        return progress_of(state).check.due_ns
+        """Return END_OF_TIME_NS, because the state machine of an enabled motor has no schedule."""
+        return END_OF_TIME_NS
 
     def initial_state(self) -> DriveState:
         """Return the state of the motor before the first frame."""
@@ -265,8 +287,8 @@ class RobstrideDrive:
         """Return the state after a parameter reply, whose value is compared with the required value."""
         progress = progress_of(state)
         number, raw = codec.decode_parameter_reply(data)
-        if state.phase == ENABLED and progress.check.waiting:
-            one = self.required[progress.check.step]
+        if state.phase == ENABLED and state.recheck.waiting:
+            one = self.required[state.recheck.step]
             if number != one.number:
                 return state
             same = one.is_right(raw) and not failed
@@ -303,11 +325,10 @@ class RobstrideDrive:
         progress: RobstrideProgress = state.private
         if target == ENABLE and state.phase == ENABLED and not progress.disabling:
             sent = self._torque_frame(command)
-            # In a running hand this is the usual case: one command, and no change of the state.
-            if t_ns < progress.check.due_ns:
-                return state, (sent,)
-            state, question = self._next_recheck(state, progress, t_ns)
-            return state, (sent, question)
+            state, recheck = request_recheck(
+                state, self.rechecks, SETTING_MISMATCH_ERROR, self.node_id, t_ns
+            )
+            return state, (sent, *recheck)
         if target == LISTEN:
             return state, ()
         if target == DISABLE or state.phase == ENABLED:
@@ -336,14 +357,6 @@ class RobstrideDrive:
         if progress.clearing:
             return self._request_frame(codec.STOP, codec.CLEAR_FAULT_DATA)
         return self._request_frame(codec.GET_ID)
-
-    def _next_recheck(
-        self, state: DriveState, progress: RobstrideProgress, t_ns: int
-    ) -> tuple[DriveState, Frame]:
-        """Return the next state, and the request to read the next parameter of the enabled motor again."""
-        one = self.required[progress.check.step]
-        state = after_recheck_request(state, SETTING_MISMATCH_ERROR, one.name, self.node_id, t_ns)
-        return state, self._request_frame(codec.READ, codec.parameter_request(one.number))
 
     def _configure(
         self, state: DriveState, progress: RobstrideProgress, t_ns: int

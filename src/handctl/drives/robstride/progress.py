@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 from handctl.drives.contract import DriveFaultCause, DrivePhase, DriveState
-from handctl.drives.readback import ReadbackCursor, RecheckCursor
+from handctl.drives.readback import ReadbackCursor
 from handctl.drives.robstride import codec
 from handctl.drives.state_machine import (
     enter_fault,
@@ -52,7 +52,6 @@ class RobstrideProgress(NamedTuple):
         clearing: number of feedback frames with a fault still to be ignored, while the fault is
             being cleared.
         ready_ns: time at which the last parameter was verified [ns].
-        check: position in the repeated read-back of the enabled motor.
         serial: identifier of the motor's processor, 0 if unknown.
     """
 
@@ -64,7 +63,6 @@ class RobstrideProgress(NamedTuple):
     disabling_ns: int = 0
     clearing: int = 0
     ready_ns: int = 0
-    check: RecheckCursor = RecheckCursor()
     serial: int = 0
 
     @property
