@@ -41,6 +41,27 @@ with SimulatorSettings(hand.name, homed=True).begin_run(controller) as run:
 print(*sorted(set(sys.modules) - before))
 """
 
+GRASP_CODE = """
+import sys
+from handctl.campaign.run_stages import homed_run
+from handctl.hand.hand_loading import load_hand
+
+with homed_run(load_hand(sys.argv[1]), 200.0, 0) as run:
+    run.run_tick()
+    before = set(sys.modules)
+    assert run.run_until(lambda out: out.phase == "hold", 10.0)
+print(*sorted(set(sys.modules) - before))
+"""
+
+
+def run_code(code: str, hand: str) -> list[str]:
+    """Run a program in a process of its own, and return the words that it prints."""
+    ran = subprocess.run(
+        [sys.executable, "-c", code, hand], capture_output=True, text=True, check=False
+    )
+    assert ran.returncode == 0, ran.stderr
+    return ran.stdout.split()
+
 
 @pytest.mark.parametrize("hand", ["jamia", "n_plus_1"])
 def test_no_tick_imports_a_module(hand: str) -> None:
@@ -49,8 +70,10 @@ def test_no_tick_imports_a_module(hand: str) -> None:
     The first task with a phase ``follow`` imported 202 modules of scipy in a tick, which took 0.3
     s.
     """
-    ran = subprocess.run(
-        [sys.executable, "-c", RUN_CODE, hand], capture_output=True, text=True, check=False
-    )
-    assert ran.returncode == 0, ran.stderr
-    assert ran.stdout.split() == []
+    assert run_code(RUN_CODE, hand) == []
+
+
+@pytest.mark.parametrize("hand", ["jamia", "jamia11"])
+def test_no_tick_of_a_grasp_imports_a_module(hand: str) -> None:
+    """Reproduce a defect: the first bounded allocation of tensions imported daqp in a tick of a closing hand."""
+    assert run_code(GRASP_CODE, hand) == []

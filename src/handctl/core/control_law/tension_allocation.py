@@ -10,6 +10,7 @@ Tsai (1991).
 from typing import NamedTuple
 
 import numpy as np
+from daqp import solve
 
 from handctl.core.tick_types import Vector
 
@@ -106,8 +107,6 @@ def solve_bounded(
             solver starts with the bounds that these tensions violate as its active set. This start
             halves the number of its steps.
     """
-    from daqp import solve
-
     arms, mean, weight, unconstrained = _cached_problem(moment_arms)
     linear = -(arms.dot(torque / mean) + REGULARISATION_WEIGHT * floor)
     start = np.minimum(np.maximum(preferred_tension, floor), ceiling)
