@@ -34,6 +34,7 @@ SHORT_RECORD_BYTES = 24
 """Length of a record up to the eighth byte of the payload [bytes]."""
 RecordArray = NDArray[np.void]
 WordRows = NDArray[np.uint64]
+_WORD = np.dtype(np.uint64)
 WORDS_PER_RECORD = FRAME_RECORD_BYTES // 8
 """Size of a record in words of eight bytes."""
 # Indices of the words of a record. TIME_WORD is the time. HEAD_WORD contains identifier, flags, bus and
@@ -62,12 +63,13 @@ class Frames(Sequence[Frame]):
     @staticmethod
     def of_rows(rows: WordRows) -> "Frames":
         """Return the frames stored in contiguous words (n, WORDS_PER_RECORD)."""
-        return Frames(rows.reshape(-1).view(FRAME_RECORD_DTYPE))
+        # This takes a quarter of the time of ``view``, which checks the fields of the record.
+        return Frames(np.ndarray(len(rows), FRAME_RECORD_DTYPE, rows))
 
     @property
     def rows(self) -> WordRows:
         """Return the records as words of eight bytes (n, WORDS_PER_RECORD), for compiled code."""
-        return self.records.view(np.uint64).reshape(-1, WORDS_PER_RECORD)
+        return np.ndarray((len(self.records), WORDS_PER_RECORD), _WORD, self.records)
 
     def __len__(self) -> int:
         """Return the number of frames."""
