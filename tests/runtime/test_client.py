@@ -143,6 +143,14 @@ def test_an_unknown_space_of_a_stream_names_all_spaces(unserved_client):
         unserved_client.stream(100, space="torque")
 
 
+def test_the_names_of_a_stream_are_a_list(unserved_client):
+    """Reproduce a defect: each letter of a text counted as a name, and the message said "no digit 'i'"."""
+    with pytest.raises(
+        ConfigError, match=r"stream.names: 'index'; expected a list, as in \['index'\]"
+    ):
+        unserved_client.stream(50, "digit", "index")
+
+
 def test_a_silent_controller_is_one_line(unserved_client):
     with pytest.raises(BusError, match="the controller is silent"):
         unserved_client.state(-1.0)
@@ -227,6 +235,30 @@ def test_a_program_moves_holds_and_reads_the_state(work_folder, hand, calibrated
     assert client.child.returncode == 0
     assert client.result["log"] == "live.mcap"
     modes_of_complete_log(work_folder / "live.mcap")
+
+
+@REALTIME
+def test_a_stopped_run_and_a_closed_client_are_named(work_folder, hand, calibrated, scale):
+    """Reproduce a defect: the message about a stopped run quoted an unrelated notice of the controller.
+
+    After the end of its block, a client raised the error "mmap closed or invalid".
+    """
+    with library.connect(
+        "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale
+    ) as client:
+        with library.connect("jamia", LOCAL_BUS) as other:
+            ticks = other.observations()
+            next(ticks)
+        for call in (other.observe, lambda: next(ticks), lambda: next(other.observations())):
+            with pytest.raises(BusError, match="this client is closed"):
+                call()
+        assert run_handctl("stop", "--bus", LOCAL_BUS).returncode == 0
+        for call in (lambda: client.move(index=10.0), client.observe):
+            with pytest.raises(DriveError, match="the controller ended: it was stopped"):
+                call()
+    for call in (lambda: client.move(index=10.0), client.observe, client.state):
+        with pytest.raises(BusError, match="this client is closed"):
+            call()
 
 
 @REALTIME

@@ -351,6 +351,8 @@ class HandClient:
         """
         if space not in get_args(StreamSpace):
             raise ConfigError(repr(space), "stream.space", " or ".join(get_args(StreamSpace)))
+        if isinstance(names, str):  # otherwise each letter would count as a name
+            raise ConfigError(repr(names), "stream.names", f"a list, as in [{names!r}]")
         hand = self.description
         everything = {"joint": hand.joints, "tension": hand.tendon_names}.get(
             space, hand.digit_names
@@ -467,12 +469,13 @@ class HandClient:
 
         Raises:
             DriveError: the run has ended. The message has the reason.
-            BusError: no tick of the controller arrives in this time.
+            BusError: no tick of the controller arrives in this time, or this client is closed.
         """
         self._note_call()
         reader = self._open_reader()
         end = time.monotonic() + timeout_s
         while True:
+            self._check_not_closed()
             record = (
                 reader.latest_record()
                 if not wait or reader.written_count > reader.last_read_number
@@ -512,6 +515,7 @@ class HandClient:
         reader.last_read_number = reader.written_count
         end = time.monotonic() + timeout_s
         while True:
+            self._check_not_closed()
             if (record := reader.next_record()) is not None:
                 end = time.monotonic() + timeout_s
                 self._note_call()
@@ -720,6 +724,7 @@ class HandClient:
 
         If the controller has ended, the method first waits for the result of the run.
         """
+        self._check_not_closed()
         self._print_new_messages()
         if self.child is not None and (
             self.child.poll() is not None or (self._has_been_live and not is_running(self.bus))
@@ -727,6 +732,9 @@ class HandClient:
             self._collect_result()
             self._error_raised = True
             raise self._run_error()
+
+    def _check_not_closed(self) -> None:
+        """Raise an error if this client is closed."""
         if self._closed:
             raise BusError("this client is closed", f"bus {self.bus}", "another handctl.connect")
 
@@ -751,9 +759,11 @@ class HandClient:
                         self._watcher, {"do": "leave", "client": self.name}, repeat=True
                     )
         finally:
-            if self._observations is not None:
-                self._observations.close()
-            self._watcher.close()
+            # Another thread may still read the shared memory or wait for a status line. The memory
+            # is unmapped when its last reader ends.
+            self._observations = None
+            with self._lock:
+                self._watcher.close()
             self._collect_result()
             self._stderr.close()
         code = self.child.returncode if self.child else 0
@@ -772,7 +782,9 @@ class HandClient:
         """Return the exception for the error that ended the run."""
         code = self.child.returncode if self.child else 0
         killed = f"killed by signal {-code}" if code < 0 else ""
-        reason = self.result.get("failure") or killed or self._last_message or "it was stopped"
+        # If no failure ended the run, its last message is a notice that explains nothing.
+        message = self._last_message if code else ""
+        reason = self.result.get("failure") or killed or message or "it was stopped"
         if code == ExitCode.REMOVE_POWER:
             return PowerError(reason, f"bus {self.bus}", "its power removed")
         return DriveError(f"the controller ended: {reason}", f"bus {self.bus}")
