@@ -1,10 +1,12 @@
 """Test the Python client of a running hand: requests, replies, errors, and the end of a run."""
 
 import json
+import re
 import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
 
 import numpy as np
@@ -259,6 +261,34 @@ def test_a_stopped_run_and_a_closed_client_are_named(work_folder, hand, calibrat
     for call in (lambda: client.move(index=10.0), client.observe, client.state):
         with pytest.raises(BusError, match="this client is closed"):
             call()
+
+
+@REALTIME
+def test_every_thread_gets_the_end_of_the_run(work_folder, hand, calibrated, scale):
+    """Reproduce a defect: threads that shared a client raised "Bad file descriptor" and "flush of closed file".
+
+    All of them read the output of the controller when the run ended.
+    """
+    client = library.connect(
+        "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale
+    ).open()
+    calls = [client.state, lambda: client.observe(wait=True), client.state] * 2
+    calls.append(lambda: client.move(index=10.0, duration_s=0.2))
+
+    def repeat(call):
+        while True:
+            call()
+
+    with ThreadPoolExecutor(len(calls)) as threads:
+        running = [threads.submit(repeat, call) for call in calls]
+        assert run_handctl("stop", "--bus", LOCAL_BUS).returncode == 0
+        ends = [one.exception(60.0) for one in running]
+    expected = "the controller ended: it was stopped|the hand no longer accepts goals"
+    for error in ends:
+        assert isinstance(error, DriveError), error
+        assert re.search(expected, str(error))
+    client.close()
+    assert client.result["failure"] == ""
 
 
 @REALTIME

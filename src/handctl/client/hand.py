@@ -199,6 +199,7 @@ class HandClient:
             self._is_hand_off
         ) = False
         self._lock = threading.RLock()  # at any time, only one call may wait for a status line
+        self._output_lock = threading.RLock()  # one call may read the output of the controller
         self._observations: ObservationReader | None = None
         self._description: Hand | None = None
         self._watcher = StatusWatcher(bus)
@@ -765,14 +766,20 @@ class HandClient:
             with self._lock:
                 self._watcher.close()
             self._collect_result()
-            self._stderr.close()
+            with self._output_lock:
+                self._stderr.close()
         code = self.child.returncode if self.child else 0
         if code and not self._error_raised and (raise_error or code == ExitCode.REMOVE_POWER):
             raise self._run_error()
 
     def _collect_result(self) -> None:
-        """End the controller by closing its standard input, and read the result of the run."""
-        if self.child is not None and self.child.stdout and not self.child.stdout.closed:
+        """End the controller by closing its standard input, and read the result of the run.
+
+        If another thread already does this, wait until the result is read.
+        """
+        with self._output_lock:
+            if self.child is None or self.child.stdout is None or self.child.stdout.closed:
+                return
             out, _ = self.child.communicate()
             self._print_new_messages()
             with suppress(ValueError):  # a killed process leaves no output, or incomplete output
@@ -791,15 +798,16 @@ class HandClient:
 
     def _print_new_messages(self) -> None:
         """Print new messages of the controller to the standard error of this program."""
-        if self._stderr.closed:
-            return
-        new = os.pread(self._stderr.fileno(), 1 << 16, self._printed_bytes)
-        self._printed_bytes += len(new)
-        if text := new.decode("utf-8", "replace"):
-            self._last_message = (
-                text.strip().splitlines()[-1].removeprefix("handctl: ") if text.strip() else ""
-            )
-            print(escape_text(text, "\n\t"), end="", file=sys.stderr, flush=True)
+        with self._output_lock:
+            if self._stderr.closed:
+                return
+            new = os.pread(self._stderr.fileno(), 1 << 16, self._printed_bytes)
+            self._printed_bytes += len(new)
+            if text := new.decode("utf-8", "replace"):
+                self._last_message = (
+                    text.strip().splitlines()[-1].removeprefix("handctl: ") if text.strip() else ""
+                )
+                print(escape_text(text, "\n\t"), end="", file=sys.stderr, flush=True)
 
 
 def _values_by_digit(do: str, goals: object, named: Mapping[str, Any]) -> dict[str, Any]:
