@@ -251,6 +251,14 @@ def test_a_stopped_run_and_a_closed_client_are_named(work_folder, hand, calibrat
         with library.connect("jamia", LOCAL_BUS) as other:
             ticks = other.observations()
             next(ticks)
+        # A program for another hand got a client of this hand, without a word.
+        with (
+            pytest.raises(
+                ConfigError, match=r"controls jamia; expected hand='jamia', or the bus of"
+            ),
+            library.connect("t42", LOCAL_BUS),
+        ):
+            pass
         for call in (other.observe, lambda: next(ticks), lambda: next(other.observations())):
             with pytest.raises(BusError, match="this client is closed"):
                 call()

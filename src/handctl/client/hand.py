@@ -27,7 +27,7 @@ from handctl.core.tick_types import SHUTTING_DOWN
 from handctl.document import validate_content
 from handctl.errors import BusError, ConfigError, DriveError, PowerError, UnconfirmedError
 from handctl.hand.description import Hand
-from handctl.hand.hand_loading import hand_from_content, parse_toml
+from handctl.hand.hand_loading import hand_from_content, load_hand, parse_toml
 from handctl.printing import escape_text
 from handctl.programs.requests import (
     LONGEST_LEASE_S,
@@ -101,7 +101,8 @@ def connect(
 
     Args:
         hand: packaged hand or hand file for a new controller. On a real bus a hand is required. On
-            other buses the default is ``"jamia"``.
+            other buses the default is ``"jamia"``. A controller that already runs must control a
+            hand of this name.
         bus: bus as for the option ``--bus``. For a hand with several buses, give all buses,
             beginning with the first bus of the hand.
         arguments: further arguments of ``handctl run``, e.g. ``"--log", "run.mcap"``. On a real bus
@@ -123,7 +124,8 @@ def connect(
     if not specs:
         raise ConfigError("no bus", "bus", "one, as in 'local:demo'")
     if is_running(specs[0]):
-        return HandClient(specs[0], (), lease_s, watchdog_s)
+        expected = None if hand is None else load_hand(os.fspath(hand)).name
+        return HandClient(specs[0], (), lease_s, watchdog_s, expected)
     if hand is None:
         refuse_default_hand(specs, "hand")
     options = [
@@ -182,13 +184,16 @@ class HandClient:
         command: Sequence[str] = (),
         lease_s: float | None = DEFAULT_LEASE_S,
         watchdog_s: float | None = None,
+        hand: str | None = None,
     ) -> None:
         """Create the client.
 
-        If ``command`` is given, this command starts a controller. Programs call ``connect`` instead
-        of this constructor.
+        If ``command`` is given, this command starts a controller. If ``hand`` is given, the
+        controller must control a hand of this name. Programs call ``connect`` instead of this
+        constructor.
         """
         self.bus = bus
+        self._expected_hand = hand
         self._lease_s = lease_s
         self._watchdog_s = watchdog_s
         self._heartbeat: Heartbeat | None = None
@@ -218,6 +223,7 @@ class HandClient:
         A hand without a calibration is commissioned first.
 
         Raises:
+            ConfigError: the running controller controls another hand than the program expects.
             DriveError: the controller does not start or accepts no goals. The message comes from
                 the controller.
         """
@@ -232,6 +238,10 @@ class HandClient:
         with ExitStack() as undo:
             undo.callback(self._end_command, False)
             self.wait(phase="live", timeout_s=START_TIMEOUT_S if self.child else ATTACH_TIMEOUT_S)
+            expected, found = self._expected_hand, self.description.name
+            if expected not in (None, found):
+                right = f"hand={found!r}, or the bus of {expected}"
+                raise ConfigError(f"controls {found}", f"the controller of {self.bus}", right)
             undo.pop_all()
         return self
 
