@@ -14,10 +14,12 @@ import numpy as np
 from lerobot.teleoperators.teleoperator import Teleoperator
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 from lerobot_robot_handctl.config_handctl import HandctlKeyboardConfig, HandctlLogConfig
-from lerobot_robot_handctl.names import named, positions
+from lerobot_robot_handctl.names import named
 
 from handctl.core.tick_types import HandMode
 from handctl.hand.hand_loading import load_hand
+from handctl.log.export.element_names import position_names
+from handctl.log.read.log_hand import prismatic_joints
 from handctl.log.read.reader import RunLog
 
 CLOSE, OPEN, OPEN_ALL = "qwertyuiop", "asdfghjkl;", " "
@@ -30,12 +32,12 @@ class Leader(Teleoperator):
     A teleoperator commands the joints of a hand, and has neither force feedback nor calibration.
     """
 
-    joints: tuple[str, ...]
+    names: tuple[str, ...]
 
     @cached_property
     def action_features(self) -> dict[str, Any]:
-        """Return the names and types of an action's elements: an angle for each joint."""
-        return positions(self.joints)
+        """Return the names and types of an action's elements: a position for each joint."""
+        return dict.fromkeys(self.names, float)
 
     @property
     def feedback_features(self) -> dict[str, Any]:
@@ -90,12 +92,12 @@ class HandctlKeyboard(Leader):
         """Load the description of the hand."""
         super().__init__(config)
         hand = load_hand(config.hand)
-        self.joints = hand.joints
+        self.names = position_names(hand.joints, hand.prismatic_joints)
         self._digits = [
             (hand.digit_joints[name], hand.digit_named(name)) for name in hand.digit_names
         ]
         self._step = np.radians(config.step_deg)
-        self._angles = np.zeros(len(self.joints))
+        self._angles = np.zeros(len(self.names))
         self._settings: Any = None
 
     def connect(self, calibrate: bool = True) -> None:
@@ -111,7 +113,7 @@ class HandctlKeyboard(Leader):
         self._check_open()
         for key in self._keys():
             self._press(key)
-        return named(self.joints, self._angles)
+        return named(self.names, self._angles)
 
     def disconnect(self) -> None:
         """Disconnect, and restore the mode of the terminal."""
@@ -157,7 +159,7 @@ class HandctlLog(Leader):
         """
         super().__init__(config)
         with RunLog(Path(config.log)) as log:
-            self.joints = log.names("q")
+            self.names = position_names(log.names("q"), prismatic_joints(log.header))
             active = log.mode == HandMode.ACTIVE
             goal = log.field("q_goal")[active]
             # The joints of a digit that holds a tension have no commanded angles. Their estimated
@@ -185,4 +187,4 @@ class HandctlLog(Leader):
         now = time.monotonic()
         self._start_s = now if self._start_s is None else self._start_s
         row = int(np.searchsorted(self._times, now - self._start_s, side="right")) - 1
-        return named(self.joints, self._angles[max(row, 0)])
+        return named(self.names, self._angles[max(row, 0)])

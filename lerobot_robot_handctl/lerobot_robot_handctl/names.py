@@ -1,4 +1,4 @@
-"""Names of joint angles and tensions in datasets. The command ``handctl log export --lerobot`` uses the same names."""
+"""Elements of actions and observations in datasets, by the names that ``handctl log export --lerobot`` uses."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -6,29 +6,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-POSITION = ".pos_rad"
 TENSION = ".tension_N"
 
 
-def positions(joints: Iterable[str]) -> dict[str, type]:
-    """Return the names and types of the elements with joint angles."""
-    return {f"{joint}{POSITION}": float for joint in joints}
+def named(names: Iterable[str], positions: Iterable[float]) -> dict[str, float]:
+    """Return joint positions by the names that they have in a dataset [rad, or m of prismatic joints].
+
+    Args:
+        names: names of the elements, see ``position_names``.
+        positions: position of each joint.
+    """
+    return {name: float(position) for name, position in zip(names, positions, strict=True)}
 
 
-def named(joints: Iterable[str], angles: Iterable[float]) -> dict[str, float]:
-    """Return joint angles by the names that they have in a dataset [rad]."""
-    return {f"{joint}{POSITION}": float(angle) for joint, angle in zip(joints, angles, strict=True)}
-
-
-def angles_of(joints: tuple[str, ...], action: Mapping[str, Any]) -> NDArray[np.float64]:
-    """Return the joint angles of an action in the order of the joints [rad].
+def positions_of(names: tuple[str, ...], action: Mapping[str, Any]) -> NDArray[np.float64]:
+    """Return the joint positions of an action in the order of the names [rad, or m of prismatic joints].
 
     Raises:
-        ValueError: the action has no angle for a joint.
+        ValueError: the action has no position for a joint.
     """
-    missing = [joint for joint in joints if f"{joint}{POSITION}" not in action]
+    missing = [name for name in names if name not in action]
     if missing:
-        raise ValueError(
-            f"action: no {missing[0]}{POSITION}; expected an angle for each joint of the hand"
-        )
-    return np.array([float(action[f"{joint}{POSITION}"]) for joint in joints])
+        raise ValueError(f"action: no {missing[0]}; expected a position for each joint of the hand")
+    return np.array([float(action[name]) for name in names])

@@ -11,11 +11,12 @@ from lerobot.cameras.utils import make_cameras_from_configs
 from lerobot.robots.robot import Robot
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 from lerobot_robot_handctl.config_handctl import HandctlRobotConfig
-from lerobot_robot_handctl.names import TENSION, angles_of, named, positions
+from lerobot_robot_handctl.names import TENSION, named, positions_of
 
 import handctl
 from handctl.client import HandClient, TargetStream
 from handctl.hand.hand_loading import load_hand
+from handctl.log.export.element_names import position_names
 
 PAUSE_S = 0.4
 """Time without an action after which the stream closes and the hand comes to rest [s]."""
@@ -36,6 +37,7 @@ class HandctlRobot(Robot):
         super().__init__(config)
         self.config = config
         self.description = load_hand(config.hand)
+        self._names = position_names(self.description.joints, self.description.prismatic_joints)
         self.cameras = make_cameras_from_configs(config.cameras)
         self._low, self._high = self.description.joint_limits
         # A prismatic joint moves 10 mm per rad.
@@ -55,12 +57,12 @@ class HandctlRobot(Robot):
         pictures = {
             name: (camera.height, camera.width, 3) for name, camera in self.config.cameras.items()
         }
-        return {**positions(self.description.joints), **tensions, **pictures}
+        return {**dict.fromkeys(self._names, float), **tensions, **pictures}
 
     @cached_property
     def action_features(self) -> dict[str, Any]:
-        """Return the names and types of an action's elements: an angle for each joint."""
-        return positions(self.description.joints)
+        """Return the names and types of an action's elements: a position for each joint."""
+        return dict.fromkeys(self._names, float)
 
     @property
     def is_connected(self) -> bool:
@@ -106,7 +108,7 @@ class HandctlRobot(Robot):
             for name, value in zip(tendons, seen.tension_N, strict=True)
         }
         pictures = {name: camera.async_read() for name, camera in self.cameras.items()}
-        return {**named(self.description.joints, seen.q_rad), **tensions, **pictures}
+        return {**named(self._names, seen.q_rad), **tensions, **pictures}
 
     def send_action(self, action: dict[str, Any]) -> dict[str, Any]:
         """Limit the angles of an action to the ranges and speed limits of the joints.
@@ -114,7 +116,7 @@ class HandctlRobot(Robot):
         Send and return the limited angles.
         """
         hand = self._connected()
-        wanted = np.clip(angles_of(self.description.joints, action), self._low, self._high)
+        wanted = np.clip(positions_of(self._names, action), self._low, self._high)
         with self._lock:
             if self._stream is None:
                 self._sent = np.clip(hand.observe().q_rad, self._low, self._high)
@@ -123,7 +125,7 @@ class HandctlRobot(Robot):
             self._stream.send(target)
             self._sent = target
             self._sent_s = time.monotonic()
-        return named(self.description.joints, target)
+        return named(self._names, target)
 
     def disconnect(self) -> None:
         """Close the stream and the client.

@@ -5,11 +5,13 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq  # type: ignore[import-untyped]
 import pytest
 
 from handctl.cli.main import main
 from handctl.hand.digit import DigitModel
 from handctl.hand.hand_loading import load_hand
+from handctl.replay.dataset_episode import find_episode
 from handctl.report.truth_record import read_truth
 from tests.cli.command_refusals import refusal_line
 
@@ -49,6 +51,47 @@ def test_a_gripper_grasps_holds_releases_and_is_re_executed(
     assert np.abs(opened).max() < 0.06
     assert main(["replay", "execute", "run.mcap", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["differing"] == 0
+
+
+@pytest.mark.parametrize("hand", [GRIPPER, MIXED])
+def test_exports_have_the_units_of_prismatic_joints(
+    hands: Path, capsys: pytest.CaptureFixture[str], hand: str
+) -> None:
+    """Reproduce a defect: positions in m had the unit rad, and forces in N the unit N m, in all exports.
+
+    The documentation promises the unit of every exported value.
+    """
+    assert main(["demo", "--lockstep", "--hand", hand, "--log", "run.mcap"]) == 0
+    for form in ("--csv", "--parquet", "--lerobot"):
+        assert main(["log", "export", "run.mcap", form]) == 0
+    capsys.readouterr()
+    described = load_hand(hand)
+    titles = Path("run.csv").read_text().partition("\n")[0].split(",")
+    schema = pq.read_schema("run.parquet")
+    info = json.loads(Path("run.lerobot/meta/info.json").read_text())
+    elements = info["features"]["action"]["names"][: len(described.joints)]
+    sigmas = info["features"]["observation.sigma"]["names"][: len(described.joints)]
+    for j, (joint, slides) in enumerate(
+        zip(described.joints, described.is_prismatic.tolist(), strict=True)
+    ):
+        position, effort = ("m", "N") if slides else ("rad", "N m")
+        units = {
+            "q": position, "q_sigma": position, "q_goal": position, "joint_encoder": position,
+            "dq": f"{position}/s", "dq_goal": f"{position}/s", "joint_torque": effort,
+        }  # fmt: skip
+        for field, unit in units.items():
+            assert f"{field}/{joint} [{unit}]" in titles
+            assert schema.field(f"{field}/{joint}").metadata == {b"unit": unit.encode()}
+        assert elements[j] == f"{joint}.pos_{position}"
+        assert sigmas[j] == f"{joint}.pos_sigma_{position}"
+    for title in titles:
+        assert title.endswith("]") is (
+            title not in ("k", "t_ns", "late_ns", "mode", "phase", "action")
+        )
+    goals = find_episode(Path("run.lerobot"), 0, described, 0.002, 300.0)
+    low, high = described.joint_limits
+    assert (goals.q.max(axis=0) > low + 0.2 * (high - low)).any()
+    assert ((goals.q >= low - 1e-6) & (goals.q <= high + 1e-6)).all()
 
 
 TYPES = 'joint_type = ["prismatic"]'

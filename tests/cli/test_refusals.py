@@ -350,3 +350,14 @@ def test_the_output_of_config_show_is_the_same_hand(work_folder, capsys, name):
     (work_folder / "mine.toml").write_text(text)
     assert load_hand("mine.toml").content == load_hand(name).content
     assert hand_from_content(tomllib.loads(text), "shown").identity == load_hand(name).identity
+
+
+@pytest.mark.parametrize("name", ["grasps/grasp.toml", "grasp.json", "pinch.v2", "grap"])
+def test_a_missing_task_file_is_not_replaced_by_a_packaged_task(work_folder, capsys, name):
+    """Reproduce a defect: a wrong path to an own task with the name of a packaged one ran the packaged task."""
+    words = ("demo", "--lockstep", "--dry-run", "--task")
+    right = "expected a task file, or one of grasp.toml, hook.toml, pinch-joints.toml, pinch.toml"
+    assert refusal_line(capsys, *words, name) == f"handctl: {name}: no such task; {right}\n"
+    for packaged in ("grasp", "grasp.toml"):
+        assert main([*words, packaged]) == 0
+        assert "power grasp" in capsys.readouterr().out

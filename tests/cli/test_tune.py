@@ -351,6 +351,30 @@ def test_for_a_digit_in_contact_only_motor_and_tendon_are_written(work_folder, c
     assert json.loads(capsys.readouterr().out)["met"] == {"middle": why}
 
 
+@pytest.mark.parametrize(
+    ("index", "reason"),
+    [
+        ({"met": "more load"}, "no parameter was identified"),
+        ({"blocked": "middle is blocked"}, "every digit was blocked"),
+    ],
+)
+def test_the_reason_why_no_calibration_is_written_is_true(
+    work_folder, capsys, monkeypatch, index, reason
+):
+    """Reproduce a defect: "there is no own.toml: handctl commission first", although the hand was commissioned."""
+    hand = load_hand("jamia")
+    nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
+    made = Calibration(
+        hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00",
+        tendon=dict.fromkeys(hand.tendon_names, nothing),
+    )  # fmt: skip
+    write_calibration(work_folder / "own.toml", made)
+    result = result_of_digit("index", 9e4, names=("spring_stiffness",), **index)
+    _replace_identification(monkeypatch, made, {"index_tendon": result})
+    assert main(["identify", "--lockstep", "--calibration", "own.toml", "--log", "x.mcap"]) == 1
+    assert capsys.readouterr().out.splitlines()[-1] == f"no calibration written: {reason}"
+
+
 @pytest.mark.parametrize("coherence", [0.08, 0.18, 0.25])
 def test_values_of_a_low_coherence_are_not_kept(work_folder, capsys, monkeypatch, coherence):
     """Reproduce a defect: at a coherence of 0.08 the values were written, and `tune search` was proposed."""
@@ -596,3 +620,39 @@ def test_parameters_identified_in_lockstep_are_tuned_verified_and_applied_in_loc
     [line] = [line for line in capsys.readouterr().out.splitlines() if "gains apply" in line]
     assert main(shlex.split(line.partition("handctl ")[2])) == 0
     assert (work_folder / "jamia.gains.toml").exists()
+
+
+@pytest.mark.parametrize(
+    ("bus", "other"),
+    [("local:lab", False), ("socketcan:vcan0 socketcan:vcan1", False), ("socketcan:can0", True)],
+)
+def test_a_log_does_not_change_the_calibration_of_another_hand(
+    work_folder, capsys, monkeypatch, bus, other
+):
+    """Reproduce a defect: a log of a simulated bus changed the identified parameters of the real hand."""
+    hand = load_hand("jamia")
+    nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
+    made = Calibration(
+        hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00",
+        tendon=dict.fromkeys(hand.tendon_names, nothing), simulated=other,
+    )  # fmt: skip
+    write_calibration(Path("jamia.calibration.toml"), made)
+    before = Path("jamia.calibration.toml").read_bytes()
+    with RunLog(Path(GOLDEN_LOG)) as log:
+        header = replace(
+            log.header, deterministic=False, metadata={**log.header.metadata, "bus": bus}
+        )
+        LogWriter(Path("run.mcap"), header, lambda *what: None, 1).finish("finished", 0)
+    monkeypatch.setattr("handctl.cli.tuning.identify.identify_tendons", lambda *words: {})
+    kinds = ("a real hand", "a simulated hand") if other else ("a simulated hand", "a real hand")
+    assert refusal_line(capsys, "identify", "--from-log", "run.mcap") == (
+        f"handctl: run.mcap: is of {kinds[0]}; "
+        f"expected --calibration FILE, because jamia.calibration.toml is of {kinds[1]}\n"
+    )
+    assert Path("jamia.calibration.toml").read_bytes() == before
+    assert main(["identify", "--from-log", "run.mcap", "--no-write"]) == 0
+    write_calibration(
+        Path("jamia.calibration.toml"), made.model_copy(update={"simulated": not other})
+    )
+    assert main(["identify", "--from-log", "run.mcap"]) == 0
+    assert "calibration written to jamia.calibration.toml" in capsys.readouterr().out

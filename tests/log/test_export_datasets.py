@@ -237,6 +237,8 @@ def test_a_lower_frame_rate_takes_the_latest_tick(
             "--csv --camera wrist one.mp4",
             "log export --csv: frame rate or camera; expected --lerobot",
         ),
+        # Reproduce a defect: the time of a camera was accepted and ignored.
+        ("--csv --camera-start 3", "log export --csv: frame rate or camera; expected --lerobot"),
         (
             "--lerobot --camera wrist",
             "--camera wrist: 0 videos for 1 logs; expected one video for each log",

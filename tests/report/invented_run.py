@@ -28,7 +28,9 @@ class InventedLog:
             "motor": len(hand.motor),
             "digit": len(hand.digit),
         }
-        self.header = SimpleNamespace(period_ns=PERIOD_NS, tendons=hand.tendon_names)
+        self.header = SimpleNamespace(
+            period_ns=PERIOD_NS, tendons=hand.tendon_names, attachments=dict[str, bytes]()
+        )
         self.k = np.arange(ticks)
         self.late_ns = np.zeros(ticks, np.int64)
         self.mode = np.full(ticks, int(HandMode.ACTIVE), np.uint8)

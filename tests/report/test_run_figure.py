@@ -1,6 +1,7 @@
 """The figure of a run can be drawn even if the run is incomplete."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from handctl.core.tick_types import HandMode
 from handctl.hand.hand_loading import load_hand
 from handctl.report.run_figure import MARK_WIDTH_FRACTION, _mark_positions, draw_run
 from handctl.report.truth_record import TruthRecord
-from tests.report.invented_run import InventedLog, zero_truth
+from tests.report.invented_run import InventedLog, set_truth_column, zero_truth
 
 
 def run_of(name: str, lively: bool) -> InventedLog:
@@ -22,6 +23,16 @@ def run_of(name: str, lively: bool) -> InventedLog:
     else:
         log.mode[:] = int(HandMode.SILENT)
     return log
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Return a list to which each figure is added that is drawn."""
+    figures: list[Any] = []
+    monkeypatch.setattr(
+        "handctl.report.run_figure.save_figure", lambda figure, path: figures.append(figure)
+    )
+    return figures
 
 
 @pytest.mark.parametrize("name", ["jamia", "jamia11"])
@@ -45,22 +56,49 @@ def test_figure_depends_on_the_run(tmp_path: Path) -> None:
     assert paths[0].read_bytes() != paths[1].read_bytes()
 
 
-def test_hidden_values_do_not_affect_the_height(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_hidden_values_do_not_affect_the_height(drawn: list[Any]) -> None:
     log = run_of("jamia", True)
     log.mode[60:] = int(HandMode.DONE)
     log.fields["q"][:], log.fields["q_goal"][:] = 0.1, np.nan
     log.fields["q"][:60] = np.linspace(0.0, 0.5, 60)[:, None]
     log.fields["q"][90:] = -9.0
-    drawn = []
-    monkeypatch.setattr(
-        "handctl.report.run_figure.save_figure", lambda figure, path: drawn.append(figure)
-    )
-    draw_run(tmp_path / "x.png", log, load_hand("jamia"), None, 0, "t")  # type: ignore[arg-type]
+    draw_run(Path("x.png"), log, load_hand("jamia"), None, 0, "t")  # type: ignore[arg-type]
     low, high = drawn[0].axes[0].get_ylim()
     assert -5.0 < low < 0.0
     assert np.degrees(0.5) < high < 35.0
+
+
+@pytest.mark.parametrize("field", ["tension", "tension_goal", "truth"])
+@pytest.mark.parametrize("name", ["jamia", "n_plus_1"])
+def test_all_tensions_are_inside_the_plot(drawn: list[Any], name: str, field: str) -> None:
+    """Reproduce a defect: with a dead load cell, the command and the true tension were above the plot."""
+    hand = load_hand(name)
+    log, truth = run_of(name, True), zero_truth(hand, 120)
+    for other in ("tension", "tension_goal", "tension_sigma"):
+        log.fields[other][:] = 0.5
+    if field == "truth":
+        set_truth_column(truth, f"tension/{hand.tendon_names[-1]}", 60.0)
+    else:
+        log.fields[field][30:90, -1] = 60.0
+    draw_run(Path("x.png"), log, hand, truth, 0, "t")  # type: ignore[arg-type]
+    low, high = drawn[0].axes[len(hand.digit)].get_ylim()
+    assert low == -2.0
+    assert high == pytest.approx(69.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "labels"),
+    [
+        ("parallel_gripper", ["mean joint position [mm]", ""]),
+        ("mixed_gripper", ["mean joint position [mm]", "mean joint angle [deg]"]),
+    ],
+)
+def test_every_unit_of_the_digits_is_named(drawn: list[Any], name: str, labels: list[str]) -> None:
+    """Reproduce a defect: the angle of a finger beside a jaw had no label, so that it seemed to be in mm."""
+    hand = load_hand(Path(__file__).parents[1] / "hand" / f"{name}.toml")
+    log = InventedLog(hand, 120, {0: "silent"})
+    draw_run(Path("x.png"), log, hand, None, 0, "t")  # type: ignore[arg-type]
+    assert [axes.get_ylabel() for axes in drawn[0].axes[:2]] == labels
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -1,5 +1,6 @@
 """Compare the numbers in the summary of a run with numbers that were computed by hand."""
 
+import json
 import math
 
 import numpy as np
@@ -154,6 +155,34 @@ def test_a_hold_is_judged_from_half_a_second_after_its_ramp_to_its_end() -> None
     two.fields["tension_goal"][:] = 9.0
     windows = [np.flatnonzero(window).tolist() for window in hold_windows(two, JAMIA)]
     assert windows == [list(range(50, 150)), list(range(250, 400))]
+
+
+def test_a_hold_is_a_phase_of_that_kind_whatever_its_name() -> None:
+    """Reproduce a defect: the tension error, tip forces and motion of a hold named "squeeze" were missing."""
+    log = hold_log()
+    log.phases = [
+        phase._replace(name={"hold": "squeeze"}.get(phase.name, phase.name)) for phase in log.phases
+    ]
+    phases = [
+        {"kind": "move", "name": "hold open", "angle_deg": 0.0, "duration_s": 1.0},
+        {"kind": "hold", "name": "squeeze", "tension_N": 25.0},
+    ]
+    lines = [
+        "[[phase]]\n" + "\n".join(f"{key} = {json.dumps(value)}" for key, value in phase.items())
+        for phase in phases
+    ]
+    assert not hold_windows(log, JAMIA), "a log without its task"
+    log.header.attachments["task.toml"] = "\n".join(['schema = 1\nname = "grip"', *lines]).encode()
+    (window,) = hold_windows(log, JAMIA)
+    assert np.flatnonzero(window).tolist() == list(range(119 + 50, 300))
+    truth = zero_truth(JAMIA, 400)
+    set_truth_column(truth, f"tension/{JAMIA.tendon_names[0]}", 22.0)
+    set_truth_column(truth, f"tension/{JAMIA.tendon_names[3]}", 25.0)
+    assert summarise_run(log, JAMIA, truth, 0)["tension_hold_error_n"] == pytest.approx(3.0)
+    log.phases = [log.phases[0]._replace(name="hold open"), *log.phases[1:]]
+    assert len(hold_windows(log, JAMIA)) == 1, "a move is no hold"
+    log.header.attachments["task.toml"] = b"\xff = ["
+    assert len(hold_windows(log, JAMIA)) == 1, "the names alone, if the task is damaged"
 
 
 def test_a_hold_with_a_stiffness_is_judged_although_its_goals_follow_every_angle() -> None:

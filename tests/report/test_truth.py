@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from handctl.errors import LogError
-from handctl.report.truth_record import TruthRecord, read_truth
+from handctl.report.truth_record import TruthRecord, copy_truth, read_truth
 from tests.report.invented_run import JAMIA, set_truth_column, write_truth, zero_truth
 
 
@@ -106,3 +106,37 @@ def test_the_header_is_kept(tmp_path: Path) -> None:
     path = tmp_path / "t.truth"
     path.write_bytes(json.dumps({"columns": ["a"], "seed": 7}).encode() + b"\n" + bytes(16))
     assert read_truth(path).header["seed"] == 7
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "rows"), [(0, 99, range(100)), (3, 5, range(3, 6)), (-9, 2, range(3))]
+)
+def test_a_copy_has_the_rows_between_two_times(
+    tmp_path: Path, start: int, end: int, rows: range
+) -> None:
+    """Reproduce a defect: each run copied and read everything since the start of the simulator, 1.6 GB per hour."""
+    truth = zero_truth(JAMIA, 96)
+    values = np.arange(truth.values.size, dtype=np.float64).reshape(truth.values.shape)
+    whole = TruthRecord({}, truth.t_ns + 10**15, values, truth.columns)
+    write_truth(tmp_path / "whole", whole)
+    with (tmp_path / "whole").open("ab") as file:
+        file.write(b"an incomplete row")
+    first, step = int(whole.t_ns[0]), int(whole.t_ns[1] - whole.t_ns[0])
+    copied = copy_truth(
+        tmp_path / "whole", tmp_path / "part", first + step * start, first + step * end
+    )
+    assert copied == len(rows)
+    part = read_truth(tmp_path / "part")
+    assert part.columns == whole.columns
+    np.testing.assert_array_equal(part.t_ns, whole.t_ns[rows.start : rows.stop])
+    np.testing.assert_array_equal(part.values, values[rows.start : rows.stop])
+
+
+def test_a_copy_without_rows_is_no_file(tmp_path: Path, small_truth: TruthRecord) -> None:
+    write_truth(tmp_path / "whole", small_truth)
+    late = int(small_truth.t_ns[-1]) + 1
+    assert copy_truth(tmp_path / "whole", tmp_path / "part", late, late + 10**9) == 0
+    assert not (tmp_path / "part").exists()
+    (tmp_path / "other").write_bytes(b"no truth")
+    with pytest.raises(LogError, match="is not a truth file"):
+        copy_truth(tmp_path / "other", tmp_path / "part", 0, 1)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import handctl as library
-from handctl import ConfigError, DriveError
+from handctl import BusError, ConfigError, DriveError
 from tests.runtime.processes import LOCAL_BUS, modes_of_complete_log
 
 REALTIME = pytest.mark.realtime
@@ -89,6 +89,29 @@ def test_an_exception_in_the_block_stops_the_hand(work_folder, hand, calibrated,
     with pytest.raises(ZeroDivisionError):
         asyncio.run(fail())
     modes_of_complete_log(work_folder / "live.mcap")
+
+
+@REALTIME
+@pytest.mark.parametrize("wait_s", [0.0, 0.5])
+def test_a_cancelled_start_leaves_no_armed_hand(work_folder, hand, calibrated, scale, wait_s):
+    """Reproduce a defect: after a timeout at ``async with``, the controller armed the hand, and no program released it.
+
+    The block of the program had not begun, so nothing closed the client.
+    """
+
+    async def connect_too_briefly():
+        client = library.connect_async(
+            "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale
+        )
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(wait_s), client:
+                raise AssertionError("the hand needs longer to start")
+        return client
+
+    client = asyncio.run(connect_too_briefly())
+    assert client.client.child.poll() is not None, "the controller has ended"
+    with pytest.raises(BusError, match="this client is closed"):
+        client.observe()
 
 
 def test_a_controller_that_cannot_start_is_one_error(work_folder):

@@ -1,10 +1,12 @@
 """Test the Python client of a running hand: requests, replies, errors, and the end of a run."""
 
 import json
+import re
 import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
 
 import numpy as np
@@ -143,6 +145,14 @@ def test_an_unknown_space_of_a_stream_names_all_spaces(unserved_client):
         unserved_client.stream(100, space="torque")
 
 
+def test_the_names_of_a_stream_are_a_list(unserved_client):
+    """Reproduce a defect: each letter of a text counted as a name, and the message said "no digit 'i'"."""
+    with pytest.raises(
+        ConfigError, match=r"stream.names: 'index'; expected a list, as in \['index'\]"
+    ):
+        unserved_client.stream(50, "digit", "index")
+
+
 def test_a_silent_controller_is_one_line(unserved_client):
     with pytest.raises(BusError, match="the controller is silent"):
         unserved_client.state(-1.0)
@@ -227,6 +237,66 @@ def test_a_program_moves_holds_and_reads_the_state(work_folder, hand, calibrated
     assert client.child.returncode == 0
     assert client.result["log"] == "live.mcap"
     modes_of_complete_log(work_folder / "live.mcap")
+
+
+@REALTIME
+def test_a_stopped_run_and_a_closed_client_are_named(work_folder, hand, calibrated, scale):
+    """Reproduce a defect: the message about a stopped run quoted an unrelated notice of the controller.
+
+    After the end of its block, a client raised the error "mmap closed or invalid".
+    """
+    with library.connect(
+        "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale
+    ) as client:
+        with library.connect("jamia", LOCAL_BUS) as other:
+            ticks = other.observations()
+            next(ticks)
+        # A program for another hand got a client of this hand, without a word.
+        with (
+            pytest.raises(
+                ConfigError, match=r"controls jamia; expected hand='jamia', or the bus of"
+            ),
+            library.connect("t42", LOCAL_BUS),
+        ):
+            pass
+        for call in (other.observe, lambda: next(ticks), lambda: next(other.observations())):
+            with pytest.raises(BusError, match="this client is closed"):
+                call()
+        assert run_handctl("stop", "--bus", LOCAL_BUS).returncode == 0
+        for call in (lambda: client.move(index=10.0), client.observe):
+            with pytest.raises(DriveError, match="the controller ended: it was stopped"):
+                call()
+    for call in (lambda: client.move(index=10.0), client.observe, client.state):
+        with pytest.raises(BusError, match="this client is closed"):
+            call()
+
+
+@REALTIME
+def test_every_thread_gets_the_end_of_the_run(work_folder, hand, calibrated, scale):
+    """Reproduce a defect: threads that shared a client raised "Bad file descriptor" and "flush of closed file".
+
+    All of them read the output of the controller when the run ended.
+    """
+    client = library.connect(
+        "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale
+    ).open()
+    calls = [client.state, lambda: client.observe(wait=True), client.state] * 2
+    calls.append(lambda: client.move(index=10.0, duration_s=0.2))
+
+    def repeat(call):
+        while True:
+            call()
+
+    with ThreadPoolExecutor(len(calls)) as threads:
+        running = [threads.submit(repeat, call) for call in calls]
+        assert run_handctl("stop", "--bus", LOCAL_BUS).returncode == 0
+        ends = [one.exception(60.0) for one in running]
+    expected = "the controller ended: it was stopped|the hand no longer accepts goals"
+    for error in ends:
+        assert isinstance(error, DriveError), error
+        assert re.search(expected, str(error))
+    client.close()
+    assert client.result["failure"] == ""
 
 
 @REALTIME

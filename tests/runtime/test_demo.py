@@ -1,5 +1,8 @@
 """Test ``handctl demo`` in real and scaled time, with the shared clock of simulator and controller."""
 
+import os
+from pathlib import Path
+
 import pytest
 
 from handctl.log.read.reader import RunLog
@@ -31,6 +34,10 @@ def test_the_clock_of_the_demo_pauses_on_a_slow_machine(work_folder, processes):
     assert max(result["tracking_rmse_deg"].values()) < 1.0
     assert result["clock_pauses"] > 0
     modes_of_complete_log(work_folder / "run.mcap")
+    # Reproduce a defect: each demo left 10 MB of true values in the run folder, which may be in
+    # memory, although it had copied them.
+    assert result["truth"] == "run.truth"
+    assert not list(Path(os.environ["HANDCTL_RUN_DIR"]).rglob("*.truth"))
     with RunLog(work_folder / "run.mcap") as log:
         assert int(log.end["clock_pauses"]) == result["clock_pauses"]
         assert float(log.end["clock_paused_ms"]) == pytest.approx(

@@ -3,9 +3,11 @@
 One process is at both ends.
 """
 
+import copy
 import errno
 import math
 import os
+import pickle
 import struct
 import threading
 import time
@@ -14,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from handctl.client import Observation
 from handctl.core.tick_types import (
     TELEMETRY_AXES,
     TELEMETRY_FIELDS,
@@ -23,9 +26,15 @@ from handctl.core.tick_types import (
     TickOut,
 )
 from handctl.errors import BusError
+from handctl.hand.hand_loading import load_hand
 from handctl.programs.stream_plans import StreamStatus
 from handctl.runtime.mailbox import Mailbox
-from handctl.runtime.observations import RING_RECORDS, ObservationReader, ObservationWriter
+from handctl.runtime.observations import (
+    RING_RECORDS,
+    ObservationReader,
+    ObservationWriter,
+    observation_dtype,
+)
 from handctl.runtime.paths import observations_path, targets_path
 from handctl.runtime.targets import (
     HEADER_STRUCT,
@@ -109,6 +118,26 @@ def test_a_record_comes_back_with_every_field() -> None:
     assert 0 <= time.monotonic_ns() - int(record["published_ns"]) < 5e9
     reader.close()
     writer.close()
+
+
+@pytest.mark.parametrize("name", ["jamia", "n_plus_1"])
+def test_an_observation_is_copied_pickled_and_listed(name: str) -> None:
+    """Reproduce a defect: ``copy.copy`` and ``pickle`` ended in a RecursionError, and ``dir`` left out all fields.
+
+    Programs put observations into queues of processes, and notebooks complete names with ``dir``.
+    """
+    hand = load_hand(name)
+    axes = {"joint": len(hand.joints), "tendon": len(hand.tendon), "motor": len(hand.motor)}
+    record = np.zeros((), observation_dtype(axes | {"digit": len(hand.digit)}))
+    record["q_rad"] = np.arange(len(hand.joints))
+    seen = Observation(record, hand)
+    for again in (copy.copy(seen), copy.deepcopy(seen), pickle.loads(pickle.dumps(seen))):
+        assert again.record == seen.record
+        assert again.named("q_rad") == seen.named("q_rad")
+        assert repr(again) == repr(seen)
+    assert {"q_rad", "tension_N", "motor_age_s", "t_s", "named"} <= set(dir(seen))
+    with pytest.raises(AttributeError, match="no field 'q_red' in an observation"):
+        seen.q_red  # noqa: B018
 
 
 def test_a_reader_gets_every_tick_once_and_a_late_one_misses_the_oldest() -> None:

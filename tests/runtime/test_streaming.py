@@ -139,7 +139,9 @@ def test_every_watcher_gets_its_lines(work_folder):
         one.close()
 
 
-def test_values_are_checked_before_they_are_sent(work_folder):
+@pytest.fixture
+def fake_stream(work_folder):
+    """Return a stream of two angles [rad], and the list of the targets that it has sent [deg]."""
     from handctl.client.stream import TargetStream
 
     class Sender:
@@ -153,7 +155,11 @@ def test_values_are_checked_before_they_are_sent(work_folder):
     sent = []
     goal = {"stream": "1-1", "names": ["index_j1", "thumb_j1"], "rate_Hz": 100.0, "space": "joint"}
     owner = SimpleNamespace(description=load_hand("jamia"))
-    stream = TargetStream(owner, Sender(), goal, "rad", 0.012, 1.0)
+    return TargetStream(owner, Sender(), goal, "rad", 0.012, 1.0), sent
+
+
+def test_values_are_checked_before_they_are_sent(fake_stream):
+    stream, sent = fake_stream
     stream.send([0.0, np.pi])
     stream.send({"index_j1": np.pi / 2})
     assert sent == [[0.0, pytest.approx(180.0)], [pytest.approx(90.0), pytest.approx(180.0)]]
@@ -162,9 +168,26 @@ def test_values_are_checked_before_they_are_sent(work_folder):
         ({"c": 1.0}, "send: no 'c' in this stream; expected some of index_j1, thumb_j1"),
         ([1.0, np.nan], "send: thumb_j1 is not finite; expected a finite number"),
         ([np.inf, 0.0], "index_j1 is not finite"),
+        ("index=3", "send: 'index=3'; expected numbers"),
+        (["a", "b"], r"send: \['a', 'b'\]; expected numbers"),
+        ({"index_j1": "a"}, "send: 'a'; expected numbers"),
+        ({"index_j1": [1.0, 2.0]}, "send: 2 values for index_j1; expected one number"),
     ):
         with pytest.raises(ConfigError, match=text):
             stream.send(values)
+
+
+def test_a_program_may_reuse_the_array_of_a_target(fake_stream):
+    """Reproduce a defect: a name that was left out got a value that the program had never sent.
+
+    The stream kept the array of the program, and the program changed this array after the call.
+    """
+    stream, sent = fake_stream
+    angles = np.array([0.1, 0.2])
+    stream.send(angles)
+    angles[:] = 9.0
+    stream.send({"index_j1": 0.3})
+    assert np.radians(sent[-1]) == pytest.approx([0.3, 0.2])
 
 
 @pytest.mark.realtime

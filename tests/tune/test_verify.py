@@ -4,19 +4,23 @@ If the loops oscillate with new gains, the run returns to the old gains, and the
 change.
 """
 
+import argparse
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from handctl.cli.main import main
-from handctl.cli.tuning.tune_verify import _gains_label, return_text
+from handctl.cli.tuning.tune_verify import _gains_label, _print_rounds, return_text
 from handctl.core.gains.gains import Gains, MotionGains, TensionGains
+from handctl.core.tick_types import HandMode, PackedTelemetry, TickOut
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.exercise import ExerciseProgram
 from handctl.replay.execute import execute_log
+from handctl.safety.action import SafetyAction
 from handctl.session.plan import RunPlan, default_rate
 from handctl.session.run import make_controller, run_lockstep
 from handctl.session.simulate import SimulatorSettings
@@ -26,6 +30,7 @@ from handctl.tune.gains_verification import (
     round_amplitudes,
     scores_by_round,
 )
+from handctl.tune.scoring import GroundTruth, digit_angles, score_ticks
 
 CALM_GAINS = Gains(
     motion=MotionGains(force_N=12.0, disturbance_rejection=0.5), tension=TensionGains(force_N=2.7)
@@ -102,6 +107,78 @@ def test_digits_that_meet_are_named_and_not_blamed_on_the_gains(
     narrow = _verify_gains(CALM_GAINS, tmp_path / "free.mcap", hand, blocked.proposed_amplitude)
     assert narrow.blocked is None
     assert narrow.rollback is None
+
+
+GRIPPER_FOLDER = Path(__file__).parents[1] / "hand"
+
+
+@pytest.mark.parametrize(
+    ("file", "joint", "lag", "why"),
+    [
+        ("parallel_gripper.toml", 1, 0.0034, ""),
+        ("parallel_gripper.toml", 1, 0.0036, "tracking error 3.6 mm, limit 3.5"),
+        ("mixed_gripper.toml", 0, 0.0036, "tracking error 3.6 mm, limit 3.5"),
+        ("mixed_gripper.toml", -1, 0.34, ""),
+        ("mixed_gripper.toml", -1, -0.36, "tracking error 20.6 deg, limit 20.1"),
+    ],
+)
+def test_the_tracking_limit_holds_for_prismatic_joints(
+    file: str, joint: int, lag: float, why: str
+) -> None:
+    """Reproduce a defect: the lag of a prismatic joint in m was compared with 0.35 rad, so no lag was too large."""
+    hand = load_hand(GRIPPER_FOLDER / file)
+    observer = VerifyObserver(hand, CALM_GAINS, CALM_GAINS)
+    numbers = np.zeros(len(hand.joints) * 2 + len(hand.digit) + len(hand.tendon))
+    places, first = {}, 0
+    for name, size in (
+        ("q", len(hand.joints)), ("q_goal", len(hand.joints)), ("contact", len(hand.digit)),
+        ("tension", len(hand.tendon)),
+    ):  # fmt: skip
+        places[name] = slice(first, first + size)
+        first += size
+    telemetry = PackedTelemetry(numbers, places)
+    telemetry.q_goal[joint] = lag
+    out = TickOut((), HandMode.ACTIVE, "move", SafetyAction.PASS, telemetry, (), bytes(8))
+    assert observer._violated_limit(out, 0.0) == why
+    telemetry.q_goal[:] = np.nan
+    assert observer._violated_limit(out, 0.0) == "", "a hand that holds tensions has no goals"
+
+
+@pytest.mark.parametrize(
+    ("file", "lags", "tracking_deg"),
+    [
+        ("parallel_gripper.toml", [0.001, 0.001], math.degrees(0.1)),
+        ("mixed_gripper.toml", [0.001, 0.0, 0.0], math.degrees(0.1) / math.sqrt(2.0)),
+    ],
+)
+def test_a_lag_of_a_prismatic_joint_counts_like_an_angle(
+    file: str, lags: list[float], tracking_deg: float
+) -> None:
+    """Reproduce a defect: the score took metres for rad, so that 1 mm counted 0.06 deg. It counts 0.1 rad."""
+    hand = load_hand(GRIPPER_FOLDER / file)
+    goal = np.zeros((2, len(hand.joints)))
+    reached = goal - np.array(lags)
+    nothing = np.zeros((2, len(hand.tendon)))
+    score = score_ticks(
+        np.array([0, 1_000_000]),
+        np.array(["move", "move"]),
+        digit_angles(hand, goal),
+        nothing,
+        nothing,
+        GroundTruth(digit_angles(hand, reached), nothing),
+    )
+    assert score.tracking_deg == pytest.approx(tracking_deg)
+
+
+def test_the_proposed_command_has_quoted_names(capsys: pytest.CaptureFixture[str]) -> None:
+    """Reproduce a defect: the proposed command split a file name with a space."""
+    result = {
+        "judged_by": "truth", "returned": None, "amplitudes": (), "log": "a.mcap", "picture": "a.png",
+        "verified": True,
+    }  # fmt: skip
+    _print_rounds(result, [], argparse.Namespace(candidate=Path("new gains.toml"), hand="jamia"))
+    line = capsys.readouterr().out.splitlines()[-1]
+    assert line == "verified; to use them: handctl gains apply 'new gains.toml' --hand jamia"
 
 
 def test_a_report_names_the_gains_of_each_round() -> None:

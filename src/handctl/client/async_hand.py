@@ -44,8 +44,16 @@ class AsyncHandClient:
         self.client = client
 
     async def __aenter__(self) -> Self:
-        """Wait until the hand accepts goals, and return the client."""
-        await asyncio.to_thread(self.client.open)
+        """Wait until the hand accepts goals, and return the client.
+
+        If this wait is cancelled, the client is closed. Otherwise the thread would arm a hand that
+        no block of the program releases.
+        """
+        try:
+            await asyncio.to_thread(self.client.open)
+        except asyncio.CancelledError as error:
+            await self.__aexit__(type(error), error, None)
+            raise
         return self
 
     async def __aexit__(

@@ -27,7 +27,7 @@ from handctl.core.tick_types import SHUTTING_DOWN
 from handctl.document import validate_content
 from handctl.errors import BusError, ConfigError, DriveError, PowerError, UnconfirmedError
 from handctl.hand.description import Hand
-from handctl.hand.hand_loading import hand_from_content, parse_toml
+from handctl.hand.hand_loading import hand_from_content, load_hand, parse_toml
 from handctl.printing import escape_text
 from handctl.programs.requests import (
     LONGEST_LEASE_S,
@@ -101,7 +101,8 @@ def connect(
 
     Args:
         hand: packaged hand or hand file for a new controller. On a real bus a hand is required. On
-            other buses the default is ``"jamia"``.
+            other buses the default is ``"jamia"``. A controller that already runs must control a
+            hand of this name.
         bus: bus as for the option ``--bus``. For a hand with several buses, give all buses,
             beginning with the first bus of the hand.
         arguments: further arguments of ``handctl run``, e.g. ``"--log", "run.mcap"``. On a real bus
@@ -123,7 +124,8 @@ def connect(
     if not specs:
         raise ConfigError("no bus", "bus", "one, as in 'local:demo'")
     if is_running(specs[0]):
-        return HandClient(specs[0], (), lease_s, watchdog_s)
+        expected = None if hand is None else load_hand(os.fspath(hand)).name
+        return HandClient(specs[0], (), lease_s, watchdog_s, expected)
     if hand is None:
         refuse_default_hand(specs, "hand")
     options = [
@@ -182,13 +184,16 @@ class HandClient:
         command: Sequence[str] = (),
         lease_s: float | None = DEFAULT_LEASE_S,
         watchdog_s: float | None = None,
+        hand: str | None = None,
     ) -> None:
         """Create the client.
 
-        If ``command`` is given, this command starts a controller. Programs call ``connect`` instead
-        of this constructor.
+        If ``command`` is given, this command starts a controller. If ``hand`` is given, the
+        controller must control a hand of this name. Programs call ``connect`` instead of this
+        constructor.
         """
         self.bus = bus
+        self._expected_hand = hand
         self._lease_s = lease_s
         self._watchdog_s = watchdog_s
         self._heartbeat: Heartbeat | None = None
@@ -199,6 +204,7 @@ class HandClient:
             self._is_hand_off
         ) = False
         self._lock = threading.RLock()  # at any time, only one call may wait for a status line
+        self._output_lock = threading.RLock()  # one call may read the output of the controller
         self._observations: ObservationReader | None = None
         self._description: Hand | None = None
         self._watcher = StatusWatcher(bus)
@@ -217,6 +223,7 @@ class HandClient:
         A hand without a calibration is commissioned first.
 
         Raises:
+            ConfigError: the running controller controls another hand than the program expects.
             DriveError: the controller does not start or accepts no goals. The message comes from
                 the controller.
         """
@@ -231,6 +238,10 @@ class HandClient:
         with ExitStack() as undo:
             undo.callback(self._end_command, False)
             self.wait(phase="live", timeout_s=START_TIMEOUT_S if self.child else ATTACH_TIMEOUT_S)
+            expected, found = self._expected_hand, self.description.name
+            if expected not in (None, found):
+                right = f"hand={found!r}, or the bus of {expected}"
+                raise ConfigError(f"controls {found}", f"the controller of {self.bus}", right)
             undo.pop_all()
         return self
 
@@ -351,6 +362,8 @@ class HandClient:
         """
         if space not in get_args(StreamSpace):
             raise ConfigError(repr(space), "stream.space", " or ".join(get_args(StreamSpace)))
+        if isinstance(names, str):  # otherwise each letter would count as a name
+            raise ConfigError(repr(names), "stream.names", f"a list, as in [{names!r}]")
         hand = self.description
         everything = {"joint": hand.joints, "tension": hand.tendon_names}.get(
             space, hand.digit_names
@@ -467,12 +480,13 @@ class HandClient:
 
         Raises:
             DriveError: the run has ended. The message has the reason.
-            BusError: no tick of the controller arrives in this time.
+            BusError: no tick of the controller arrives in this time, or this client is closed.
         """
         self._note_call()
         reader = self._open_reader()
         end = time.monotonic() + timeout_s
         while True:
+            self._check_not_closed()
             record = (
                 reader.latest_record()
                 if not wait or reader.written_count > reader.last_read_number
@@ -512,6 +526,7 @@ class HandClient:
         reader.last_read_number = reader.written_count
         end = time.monotonic() + timeout_s
         while True:
+            self._check_not_closed()
             if (record := reader.next_record()) is not None:
                 end = time.monotonic() + timeout_s
                 self._note_call()
@@ -720,6 +735,7 @@ class HandClient:
 
         If the controller has ended, the method first waits for the result of the run.
         """
+        self._check_not_closed()
         self._print_new_messages()
         if self.child is not None and (
             self.child.poll() is not None or (self._has_been_live and not is_running(self.bus))
@@ -727,6 +743,9 @@ class HandClient:
             self._collect_result()
             self._error_raised = True
             raise self._run_error()
+
+    def _check_not_closed(self) -> None:
+        """Raise an error if this client is closed."""
         if self._closed:
             raise BusError("this client is closed", f"bus {self.bus}", "another handctl.connect")
 
@@ -751,18 +770,26 @@ class HandClient:
                         self._watcher, {"do": "leave", "client": self.name}, repeat=True
                     )
         finally:
-            if self._observations is not None:
-                self._observations.close()
-            self._watcher.close()
+            # Another thread may still read the shared memory or wait for a status line. The memory
+            # is unmapped when its last reader ends.
+            self._observations = None
+            with self._lock:
+                self._watcher.close()
             self._collect_result()
-            self._stderr.close()
+            with self._output_lock:
+                self._stderr.close()
         code = self.child.returncode if self.child else 0
         if code and not self._error_raised and (raise_error or code == ExitCode.REMOVE_POWER):
             raise self._run_error()
 
     def _collect_result(self) -> None:
-        """End the controller by closing its standard input, and read the result of the run."""
-        if self.child is not None and self.child.stdout and not self.child.stdout.closed:
+        """End the controller by closing its standard input, and read the result of the run.
+
+        If another thread already does this, wait until the result is read.
+        """
+        with self._output_lock:
+            if self.child is None or self.child.stdout is None or self.child.stdout.closed:
+                return
             out, _ = self.child.communicate()
             self._print_new_messages()
             with suppress(ValueError):  # a killed process leaves no output, or incomplete output
@@ -772,22 +799,25 @@ class HandClient:
         """Return the exception for the error that ended the run."""
         code = self.child.returncode if self.child else 0
         killed = f"killed by signal {-code}" if code < 0 else ""
-        reason = self.result.get("failure") or killed or self._last_message or "it was stopped"
+        # If no failure ended the run, its last message is a notice that explains nothing.
+        message = self._last_message if code else ""
+        reason = self.result.get("failure") or killed or message or "it was stopped"
         if code == ExitCode.REMOVE_POWER:
             return PowerError(reason, f"bus {self.bus}", "its power removed")
         return DriveError(f"the controller ended: {reason}", f"bus {self.bus}")
 
     def _print_new_messages(self) -> None:
         """Print new messages of the controller to the standard error of this program."""
-        if self._stderr.closed:
-            return
-        new = os.pread(self._stderr.fileno(), 1 << 16, self._printed_bytes)
-        self._printed_bytes += len(new)
-        if text := new.decode("utf-8", "replace"):
-            self._last_message = (
-                text.strip().splitlines()[-1].removeprefix("handctl: ") if text.strip() else ""
-            )
-            print(escape_text(text, "\n\t"), end="", file=sys.stderr, flush=True)
+        with self._output_lock:
+            if self._stderr.closed:
+                return
+            new = os.pread(self._stderr.fileno(), 1 << 16, self._printed_bytes)
+            self._printed_bytes += len(new)
+            if text := new.decode("utf-8", "replace"):
+                self._last_message = (
+                    text.strip().splitlines()[-1].removeprefix("handctl: ") if text.strip() else ""
+                )
+                print(escape_text(text, "\n\t"), end="", file=sys.stderr, flush=True)
 
 
 def _values_by_digit(do: str, goals: object, named: Mapping[str, Any]) -> dict[str, Any]:

@@ -81,11 +81,18 @@ class Observation:
 
     def __getattr__(self, name: str) -> Any:
         """Return a field of the record."""
+        # While an observation is copied or unpickled, it has no record yet.
+        if name == "record":
+            raise AttributeError(name)
         try:
             value = self.record[name]
         except (KeyError, ValueError):
             raise AttributeError(f"no field {name!r} in an observation") from None
         return value if value.shape else value.item()
+
+    def __dir__(self) -> list[str]:
+        """Return the names of all attributes, among them the fields of the record."""
+        return sorted({*super().__dir__(), *(self.record.dtype.names or ())})
 
     @property
     def t_s(self) -> float:

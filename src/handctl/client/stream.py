@@ -178,9 +178,12 @@ class TargetStream:
                 )
             target = self._present_values() if self._last is None else self._last.copy()
             for name, value in values.items():
-                target[self.names.index(name)] = value
+                number = _number_array(value)
+                if number.shape:
+                    raise ConfigError(f"{number.size} values for {name}", "send", "one number")
+                target[self.names.index(name)] = number
         else:
-            target = np.asarray(values, dtype=np.float64)
+            target = _number_array(values)
         if target.shape != (len(self.names),):
             raise ConfigError(
                 f"values of shape {target.shape}", "send", f"{len(self.names)} values"
@@ -212,3 +215,15 @@ class TargetStream:
         for name, part in hand.digit_joints.items():
             angles[name] = float(displayed[part].mean())
         return np.asarray(np.array([angles[name] for name in self.names]) / self._unit_factor)
+
+
+def _number_array(values: object) -> NDArray[np.float64]:
+    """Return a copy of values that a program gives. The program may change its own array later.
+
+    Raises:
+        ConfigError: the values are no numbers.
+    """
+    try:
+        return np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ConfigError(repr(values)[:80], "send", "numbers") from None

@@ -165,6 +165,12 @@ class Hand(Section):
         return tuple(bus.name for bus in self.bus)
 
     @cached_property
+    def prismatic_joints(self) -> frozenset[str]:
+        """Return the names of the prismatic joints."""
+        slides = zip(self.joints, self.is_prismatic.tolist(), strict=True)
+        return frozenset(joint for joint, is_prismatic in slides if is_prismatic)
+
+    @cached_property
     def is_prismatic(self) -> NDArray[np.bool_]:
         """Return True for each prismatic joint, (J,)."""
         return np.array([slides for digit in self.digit for slides in digit.is_prismatic])

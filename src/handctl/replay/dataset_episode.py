@@ -3,9 +3,9 @@
 The joint angles in the episode's actions must pass the same checks as a trajectory file.
 
 The dataset has the layout of codebase version 3.0. An action has an element such as
-`index_j1.pos_rad` for every joint of the hand. The plug-in `lerobot_robot_handctl` and the command
-`log export --lerobot` write such actions. Other elements of an action, such as tensions, are
-ignored.
+`index_j1.pos_rad` for every hinge of the hand, and `jaw_j1.pos_m` for every prismatic joint. The
+plug-in `lerobot_robot_handctl` and the command `log export --lerobot` write such actions. Other
+elements of an action, such as tensions, are ignored.
 """
 
 import json
@@ -21,6 +21,7 @@ from scipy.interpolate import CubicSpline
 
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
+from handctl.log.export.element_names import position_names
 from handctl.printing import printable_text
 from handctl.programs.playback import RecordedGoals
 from handctl.programs.task import FOLLOW_SPEED_DEG_S
@@ -29,8 +30,6 @@ Array = NDArray[np.float64]
 
 VERSION_PREFIX = "v3."
 """Beginning of the codebase version that a dataset must have."""
-POSITION_SUFFIX = ".pos_rad"
-"""End of the name of each element of an action that contains a joint angle."""
 MAX_CLIPPED_DEG = 3.0
 """Largest distance of an angle from its joint's range at which the angle is moved to the nearer limit [deg].
 
@@ -192,17 +191,15 @@ def _joint_angles(actions: Array, info: Mapping[str, Any], hand: Hand, dataset: 
         ConfigError: the actions lack a joint of the hand.
     """
     where = f"{_info_path(dataset)}: features.action.names"
+    wanted = position_names(hand.joints, hand.prismatic_joints)
     try:
         names = list(info["features"]["action"]["names"])
     except (KeyError, TypeError):
-        raise ConfigError(
-            "no names", where, f"{hand.joints[0]}{POSITION_SUFFIX} and so on"
-        ) from None
+        raise ConfigError("no names", where, f"{wanted[0]} and so on") from None
     if len(names) != actions.shape[1]:
         raise ConfigError(
             f"{len(names)} names for {actions.shape[1]} values", where, "a name for each value"
         )
-    wanted = [f"{joint}{POSITION_SUFFIX}" for joint in hand.joints]
     if missing := [name for name in wanted if name not in names]:
         raise ConfigError(f"no {missing[0]}", where, f"an angle for each joint of {hand.name}")
     return actions[:, [names.index(name) for name in wanted]]

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.errors import IncomparableError
+from handctl.log.read.log_hand import prismatic_joints
 from handctl.log.read.reader import RunLog
-from handctl.log.topics.transforms import link_frames
 
 Array = NDArray[np.float64]
 
@@ -163,7 +163,7 @@ def compare_runs(
             for run in ((a, field, start_a), (b, field, start_b))
         )
         rows = compare_signals(a.header.axis_names(axis), before, after, period)
-        sliding = _prismatic_joints(a) if field == "q" else frozenset()
+        sliding = prismatic_joints(a.header) if field == "q" else frozenset()
         result[f"{axis}_{unit}"] = {name: row for name, row in rows.items() if name not in sliding}
         if sliding:
             to_mm = np.array([MM_PER_M / factor, MM_PER_M / factor, 1.0])
@@ -173,13 +173,6 @@ def compare_runs(
                 if name in sliding
             }
     return result
-
-
-def _prismatic_joints(log: RunLog) -> frozenset[str]:
-    """Return the names of the prismatic joints of a log's hand."""
-    joints = log.header.axis_names("joint")
-    links = link_frames(log.header.hand_toml)
-    return frozenset(joints[link.joint] for link in links if link.is_prismatic)
 
 
 def difference_lines(compared: dict[str, Any]) -> Iterator[str]:

@@ -102,9 +102,10 @@ def _add_titles_and_phases(grid: Any, late: list[Any], log: RunLog, hand: Hand) 
         column[-1].set_xlabel("time [s]", fontsize=8)
     for row, label in zip(grid, ROW_LABELS, strict=True):
         row[0].set_ylabel(label)
-    for axes, name in zip(grid[0], hand.digit_names, strict=True):
-        if hand.displayed_mean(name).is_prismatic[0]:
-            axes.set_ylabel("mean joint position [mm]")
+    slides = [bool(hand.displayed_mean(name).is_prismatic[0]) for name in hand.digit_names]
+    for d, axes in enumerate(grid[0]):
+        if d == 0 or len(set(slides)) > 1:  # otherwise the label of the first digit is for all
+            axes.set_ylabel("mean joint position [mm]" if slides[d] else ROW_LABELS[0])
     for axes in (*grid.flat, *late):
         axes.grid(alpha=0.3)
         axes.margins(x=0)
@@ -205,7 +206,9 @@ def _draw_tensions(
             _draw_command_and_truth(axes, log, goal[:, i], real)
         if len(names) > 1:
             axes.legend(loc="upper left", fontsize=6, frameon=False)
-    row[0].set_ylim(-2, float(np.fmax.reduce(estimate, axis=None, initial=9.0)) * 1.15)
+    # With a wrong load cell, the command and the true tension may be far above the estimate.
+    drawn = np.concatenate([line.get_ydata() for axes in row for line in axes.lines])
+    row[0].set_ylim(-2, float(np.fmax.reduce(drawn, initial=9.0)) * 1.15)
 
 
 def _draw_forces(

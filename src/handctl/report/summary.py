@@ -9,11 +9,15 @@ from numpy.typing import NDArray
 
 from handctl.core.control_law.tendon_redundancy import tendon_directions
 from handctl.core.tick_types import HandMode
+from handctl.document import validate_content
 from handctl.drives.frame_time import frame_time_s
+from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.hand.file.display_units import EQUIVALENT_M_PER_RAD
+from handctl.hand.hand_loading import parse_toml
 from handctl.log.read.reader import RunLog
+from handctl.programs.task import Task
 from handctl.report.lift_judgement import TABLE_SUNK_COLUMN
 from handctl.report.truth_record import TruthRecord
 
@@ -98,8 +102,10 @@ def hold_windows(log: RunLog, hand: Hand) -> list[NDArray[np.bool_]]:
     moving = np.abs(np.diff(goal, axis=0, prepend=goal[:1])).max(axis=1) >= 1e-9
     windows = []
     changes = log.phases
+    kinds = _kinds_of_phases(log)
     for i, change in enumerate(changes):
-        if not change.name.startswith("hold"):
+        # The phases of a task have any names. Other programs call their holds "hold".
+        if kinds.get(change.name, change.name[:4]) != "hold":
             continue
         end = changes[i + 1].k if i + 1 < len(changes) else log.k[-1] + 1
         inside = (log.k >= change.k) & (log.k < end)
@@ -109,6 +115,20 @@ def hold_windows(log: RunLog, hand: Hand) -> list[NDArray[np.bool_]]:
             window = inside & in_contact & _settled_mask(inside & far, inside, log)
         windows.append(window)
     return windows
+
+
+def _kinds_of_phases(log: RunLog) -> dict[str, str]:
+    """Return the kind of each phase of the task in a log, by name of the phase.
+
+    The result is empty if the log has no valid task.
+    """
+    where = "task.toml in the log"
+    try:
+        text = log.header.attachments.get("task.toml", b"").decode()
+        task = validate_content(parse_toml(text, where), Task, where)
+    except (ConfigError, UnicodeDecodeError):
+        return {}
+    return {phase.name: phase.kind for phase in task.phase}
 
 
 def _settled_mask(

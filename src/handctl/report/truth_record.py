@@ -4,6 +4,8 @@ The controller never opens this file.
 """
 
 import json
+import os
+from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +14,9 @@ from numpy.typing import NDArray
 
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
+
+ROWS_PER_BLOCK = 16384
+"""Largest number of rows that a copy of a truth file has in memory at a time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +99,46 @@ def read_truth(path: Path) -> TruthRecord:
     if not len(rows):
         raise LogError("is empty", str(path), "at least one row of truth")
     return TruthRecord(header, rows["t_ns"].copy(), rows["v"].copy(), columns)
+
+
+def copy_truth(source: Path, target: Path, start_ns: int, end_ns: int) -> int:
+    """Copy those rows of a truth file that are between two times, and return their number.
+
+    A simulator may serve many runs, and it writes 1.6 GB per hour. Only the copied rows are read.
+    Without rows, no file is written.
+
+    Args:
+        source: truth file of a simulator, which may still write to this file.
+        target: new file.
+        start_ns, end_ns: first and last time to copy, on the simulator's clock [ns].
+
+    Raises:
+        LogError: the source is not a truth file.
+        OSError: a file cannot be read or written.
+    """
+    with source.open("rb") as file:
+        head = file.readline()
+        try:
+            size = 8 * (len(json.loads(head)["columns"]) + 1)
+        except (ValueError, KeyError, TypeError) as error:
+            right = "a JSON line and float64 rows"
+            raise LogError(f"is not a truth file: {error}", str(source), right) from None
+        count = (file.seek(0, os.SEEK_END) - len(head)) // size
+
+        def time_of_row(row: int) -> int:
+            file.seek(len(head) + size * row)
+            return int.from_bytes(file.read(8), "little", signed=True)
+
+        first = bisect_left(range(count), start_ns, key=time_of_row)
+        last = bisect_right(range(count), end_ns, lo=first, key=time_of_row)
+        if first == last:
+            return 0
+        file.seek(len(head) + size * first)
+        with target.open("wb") as copy:
+            copy.write(head)
+            for row in range(first, last, ROWS_PER_BLOCK):
+                copy.write(file.read(size * min(ROWS_PER_BLOCK, last - row)))
+    return last - first
 
 
 def truth_path_of(log_path: Path) -> Path:

@@ -60,14 +60,20 @@ def scene_for_hand(name: str | None, hand: Hand) -> str:
 def task_path(name: Path) -> Path:
     """Return the path of a task file, given by path or packaged name.
 
+    Only a name without folder, such as ``grasp`` or ``grasp.toml``, selects a packaged task. A path
+    of a missing file must not select another task of the same name.
+
     Raises:
         ConfigError: the task does not exist.
     """
-    path = name if name.exists() else PACKAGED_TASKS_FOLDER / name.with_suffix(".toml").name
-    if not path.exists():
-        packaged = ", ".join(sorted(path.name for path in PACKAGED_TASKS_FOLDER.glob("*.toml")))
-        raise ConfigError("no such task", str(name), f"a task file, or one of {packaged}")
-    return path
+    if name.exists():
+        return name
+    packaged = {path.stem: path for path in sorted(PACKAGED_TASKS_FOLDER.glob("*.toml"))}
+    is_name = name.name == str(name) and name.suffix in ("", ".toml")
+    if not is_name or name.stem not in packaged:
+        names = ", ".join(path.name for path in packaged.values())
+        raise ConfigError("no such task", str(name), f"a task file, or one of {names}")
+    return packaged[name.stem]
 
 
 def load_trajectory_for_hand(path: Path, hand: Hand) -> Task:

@@ -1,9 +1,11 @@
 """Verdict on a finished run: its performance numbers and a picture."""
 
-import shutil
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from handctl.controller.run_setup import make_sensors
 from handctl.core.state_block import STALE_FRAMES
@@ -13,10 +15,13 @@ from handctl.report.frame_counts import frame_counts
 from handctl.report.lift_judgement import judge_lift, lift_failure
 from handctl.report.run_figure import draw_run
 from handctl.report.summary import summarise_run
-from handctl.report.truth_record import TruthRecord, read_truth, truth_path_of
+from handctl.report.truth_record import TruthRecord, copy_truth, read_truth, truth_path_of
 from handctl.session.notices import NoticeCallback
 from handctl.session.plan import RunPlan
 from handctl.session.run import RunOutcome
+
+TRUTH_MARGIN_NS = 1_000_000_000
+"""Time before and after a run for which the true values are kept [ns]."""
 
 
 def judge_run(
@@ -42,9 +47,13 @@ def judge_run(
         task: executed task, if its grasp is to be judged. The run counts as failed if the grasp did
             not hold the object.
     """
-    truth_file = _copy_truth(log, truth_file, plan.show_notice) if truth_file else None
-    truth = read_truth(truth_file) if truth_file else None
     with RunLog(log) as record:
+        if truth_file:
+            times = (
+                record.t_ns[[0, -1]] + outcome.offset_ns if len(record) else np.zeros(2, np.int64)
+            )
+            truth_file = _copy_truth(log, truth_file, times.tolist(), plan.show_notice)
+        truth = read_truth(truth_file) if truth_file else None
         result = summarise_run(record, plan.hand, truth, outcome.offset_ns)
         result |= judge_lift(record, truth, outcome.offset_ns, _hold_phases(task))
         silent = frame_counts(record, plan.hand).silent_ticks
@@ -77,16 +86,26 @@ def _hold_phases(task: Task | None) -> set[str]:
     return {phase.name for phase in task.phase if isinstance(phase, HoldPhase)} if task else set()
 
 
-def _copy_truth(log: Path, truth: Path, tell: NoticeCallback) -> Path:
-    """Copy the truth file to the folder of the log, and return the path of the copy.
+def _copy_truth(
+    log: Path, truth: Path, times_ns: Sequence[int], tell: NoticeCallback
+) -> Path | None:
+    """Copy the true values during a run to the folder of the log, and return the path of the copy.
 
-    If this fails, return the original path.
+    If this fails, return the original path. If the file has no values of this run, return None.
+
+    Args:
+        log: log of the run.
+        truth: truth file of the simulator.
+        times_ns: first and last time of the run on the simulator's clock [ns].
+        tell: function that shows a notice to the operator.
     """
     beside = truth_path_of(log)
     if truth == beside:
         return beside
+    start_ns, end_ns = times_ns[0] - TRUTH_MARGIN_NS, times_ns[1] + TRUTH_MARGIN_NS
     try:
-        shutil.copyfile(truth, beside)
+        if not copy_truth(truth, beside, start_ns, end_ns):
+            return None
     except OSError as error:
         _report_omitted(beside, error, tell)
         return truth

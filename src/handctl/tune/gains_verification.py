@@ -18,7 +18,7 @@ from scipy.stats import t as student
 
 from handctl.core.gains.gain_bounds import LIVE_SECTIONS, different_values, values_by_key
 from handctl.core.gains.gains import Gains
-from handctl.core.tick_types import HandMode, TickIn, TickOut
+from handctl.core.tick_types import HandMode, PackedTelemetry, Telemetry, TickIn, TickOut
 from handctl.hand.description import Hand
 from handctl.log.read.reader import RunLog
 from handctl.log.read.timeline import phase_of_each
@@ -26,7 +26,7 @@ from handctl.programs.exercise import move_amplitude
 from handctl.report.summary import mean_angles
 from handctl.report.truth_record import TruthRecord
 from handctl.safety.action import SafetyAction
-from handctl.tune.scoring import GainScore, GroundTruth, score_ticks
+from handctl.tune.scoring import GainScore, GroundTruth, digit_angles, score_ticks
 
 OLD_GAINS_ROUNDS = 2
 """Number of rounds of the exercise with the old gains.
@@ -99,7 +99,7 @@ class VerifyLimits:
 
     Attributes:
         tracking_rad: largest difference between goal and estimated angle of any joint while moving
-            [rad].
+            [rad]. A prismatic joint moves 10 mm per rad.
         trip_fraction: largest tension of a tendon, as a fraction of its ``tension_trip_N``.
         ringing_factor: largest rate of change of the motor torques (RMS over a window), divided by
             the largest rate with the old gains.
@@ -255,6 +255,19 @@ class VerifyObserver:
             self._rates.popleft()
         return float(np.sqrt(sum(self._rates) / len(self._rates)))
 
+    def _tracking_violation(self, numbers: Telemetry | PackedTelemetry) -> str:
+        """Return a text about the joint farthest from its goal if it violates the limit, or an empty text."""
+        units = self.hand.display_units
+        touches = np.repeat(numbers.contact > 0.0, self._joint_counts)
+        lag = np.abs(numbers.q_goal - numbers.q) / units.scale
+        error = np.where(touches | np.isnan(lag), 0.0, lag)
+        joint = int(error.argmax())
+        if error[joint] <= self.limits.tracking_rad:
+            return ""
+        shown = units.scale[joint] * units.factor[joint]
+        worst, limit = shown * error[joint], shown * self.limits.tracking_rad
+        return f"tracking error {worst:.1f} {units.names[joint]}, limit {limit:.1f}"
+
     def _violated_limit(self, out: TickOut, ringing: float) -> str:
         """Return a text about the limit that a tick violates, or an empty text if it violates none."""
         if out.action >= SafetyAction.HOLD:
@@ -263,11 +276,8 @@ class VerifyObserver:
             return ""
         limits = self.limits
         numbers = out.telemetry
-        touches = np.repeat(numbers.contact > 0.0, self._joint_counts)
-        error = np.where(touches, np.nan, np.abs(numbers.q_goal - numbers.q))
-        worst = float(np.nanmax(error, initial=0.0)) if out.phase == "move" else 0.0
-        if worst > limits.tracking_rad:
-            return f"tracking error {np.degrees(worst):.1f} deg, limit {np.degrees(limits.tracking_rad):.1f}"
+        if out.phase == "move" and (text := self._tracking_violation(numbers)):
+            return text
         for tendon, tension in zip(self.hand.tendon, numbers.tension.tolist(), strict=True):
             if tension > limits.trip_fraction * tendon.tension_trip_N:
                 bound = limits.trip_fraction * tendon.tension_trip_N
@@ -354,9 +364,9 @@ def scores_by_round(
     """
     starts = [change.k for change in log.phases if change.name == "settle"]
     phase = phase_of_each(log.phases, log.k)
-    angle = np.where(log.field("contact") > 0.0, np.nan, mean_angles(hand, log.field("q_goal")))
+    angle = np.where(log.field("contact") > 0.0, np.nan, digit_angles(hand, log.field("q_goal")))
     if truth is None:
-        real = GroundTruth(mean_angles(hand, log.field("q")), log.field("tension"))
+        real = GroundTruth(digit_angles(hand, log.field("q")), log.field("tension"))
     else:
         real = GroundTruth.from_record(truth, hand, log.t_ns + offset_ns)
     results = []

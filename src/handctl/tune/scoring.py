@@ -202,14 +202,26 @@ def score_run(
     )
     real = GroundTruth.from_record(truth, hand, t_ns)
     phase = np.array([out.phase for _, out in active])
-    return score_ticks(t_ns, phase, mean_angles(hand, goal), tension_goal, torque, real)
+    return score_ticks(t_ns, phase, digit_angles(hand, goal), tension_goal, torque, real)
+
+
+def digit_angles(hand: Hand, q: Array) -> Array:
+    """Return the mean joint angle of each digit (ticks, D) [rad], where a prismatic joint counts 10 mm per rad.
+
+    Args:
+        hand: description of the hand.
+        q: (ticks, J) joint angles [rad, or m of prismatic joints].
+    """
+    scales = [hand.displayed_mean(name).scale[0] for name in hand.digit_names]
+    angles: Array = mean_angles(hand, q) / np.array(scales)
+    return angles
 
 
 class GroundTruth(NamedTuple):
     """Reference for a score: the ground truth of the simulator, or the estimates of the controller on hardware.
 
     Attributes:
-        angle: (ticks, D) mean joint angle [rad].
+        angle: (ticks, D) mean joint angle [rad], see ``digit_angles``.
         tension: (ticks, N) tension [N].
     """
 
@@ -220,7 +232,7 @@ class GroundTruth(NamedTuple):
     def from_record(truth: TruthRecord, hand: Hand, t_ns: NDArray[np.int64]) -> "GroundTruth":
         """Return the ground truth at times on the simulator's clock [ns]."""
         return GroundTruth(
-            mean_angles(hand, truth.columns_at([f"q/{joint}" for joint in hand.joints], t_ns)),
+            digit_angles(hand, truth.columns_at([f"q/{joint}" for joint in hand.joints], t_ns)),
             truth.columns_at([f"tension/{name}" for name in hand.tendon_names], t_ns),
         )
 

@@ -159,7 +159,8 @@ def _export_log(args: argparse.Namespace) -> int:
         raise ConfigError(
             f"{args.more[0]}: a second log", f"log export --{args.format}", "one log, or --lerobot"
         )
-    if (args.fps is not None or args.camera) and args.format != "lerobot":
+    for_dataset = args.fps is not None or args.camera or args.camera_start != [0.0]
+    if for_dataset and args.format != "lerobot":
         raise ConfigError("frame rate or camera", f"log export --{args.format}", "--lerobot")
     with ExitStack() as stack:
         logs = [stack.enter_context(RunLog(path)) for path in (args.log, *args.more)]

@@ -92,6 +92,8 @@ def _run_demo(args: argparse.Namespace) -> int:
     from handctl.session.verdict import judge_run  # only needed after the run, to read its log
 
     result = judge_run(plan, outcome, log, truth, task=task)
+    if result["truth"] != str(truth):  # a copy is next to the log
+        truth.unlink(missing_ok=True)
     result |= _speed_ratio(outcome, plan, wall) if args.lockstep else {}
     code = print_run_result(result, outcome, plan, args.json)
     if code == ExitCode.DONE and result["failure"]:

@@ -25,9 +25,11 @@ from handctl.core.calibration import Calibration
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import load_hand
+from handctl.log.header import RunHeader
 from handctl.log.read.reader import RunLog
 from handctl.programs.excitation import ExciteProgram
 from handctl.replay.controller_rebuild import logged_hand
+from handctl.runtime.buses.open import real_buses
 from handctl.runtime.hold_limit import HoldLimit
 from handctl.session.calibration import (
     ensure_calibration,
@@ -141,12 +143,22 @@ def _identify_from_logs(args: argparse.Namespace) -> int:
     """Identify parameters from recorded runs, without moving the hand. Return the exit code.
 
     If several logs give results for a tendon, the result of the last log is used.
+
+    Raises:
+        ConfigError: a log cannot be used, or would change the calibration of another hand.
     """
     hand = load_hand(args.hand)
     path = calibration_path(args, hand)
-    if _are_simulated(args.logs) and not args.calibration:
+    headers = {log: _log_header(log) for log in args.logs}
+    simulated = _are_simulated(headers)
+    if all(header.deterministic for header in headers.values()) and not args.calibration:
         path = _simulated_calibration_path(hand)
     calibration = load_calibration(path, hand) if path.exists() else None
+    named = args.calibration or args.no_write
+    if calibration is not None and calibration.simulated != simulated and not named:
+        kinds = ["a simulated hand", "a real hand"][:: 1 if simulated else -1]
+        right = f"--calibration FILE, because {path} is of {kinds[1]}"
+        raise ConfigError(f"is of {kinds[0]}", str(args.logs[0]), right)
     results: dict[Path, dict[str, TendonResult]] = {}
     for log in args.logs:
         print_note(f"reading {log}")
@@ -177,16 +189,22 @@ def _simulated_calibration_path(hand: Hand) -> Path:
     return Path(f"{hand.name}.lockstep.calibration.toml")
 
 
-def _are_simulated(logs: list[Path]) -> bool:
-    """Return True if the logs were recorded with a simulated hand in lockstep.
+def _log_header(log: Path) -> RunHeader:
+    """Return the header of a log."""
+    with RunLog(log) as record:
+        return record.header
+
+
+def _are_simulated(headers: dict[Path, RunHeader]) -> bool:
+    """Return True if the logs were recorded with a simulated hand: in lockstep, or on buses without real motors.
 
     Raises:
         ConfigError: some of the logs, but not all, were recorded with a simulated hand.
     """
     kinds = {}
-    for log in logs:
-        with RunLog(log) as record:
-            kinds[record.header.deterministic] = log
+    for log, header in headers.items():
+        buses = header.metadata.get("bus", "").split()
+        kinds[header.deterministic or (bool(buses) and not real_buses(buses))] = log
     if len(kinds) > 1:
         raise ConfigError(
             "is of a simulated hand", str(kinds[True]), f"runs of one hand, as {kinds[False]}"
@@ -245,10 +263,14 @@ def _report_results(
         if not incoherent:
             print(f"next: {_search_command(args, path)}")
         return ended
-    reason = "as asked" if args.no_write else f"there is no {path}: handctl commission first"
-    print(
-        f"no calibration written: {'every digit was blocked' if spoilt and calibration else reason}"
-    )
+    if args.no_write:
+        reason = "as asked"
+    elif calibration is None:
+        reason = f"there is no {path}: handctl commission first"
+    else:
+        blocked = set(spoilt) == {one.data.digit for one in every}
+        reason = "every digit was blocked" if blocked else "no parameter was identified"
+    print_escaped(f"no calibration written: {reason}")
     return ended
 
 

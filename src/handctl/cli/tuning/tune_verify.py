@@ -4,6 +4,7 @@ If a round fails, the hand returns to the old gains.
 """
 
 import argparse
+import shlex
 from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
@@ -222,7 +223,8 @@ def _print_rounds(result: dict[str, Any], rounds: Iterable[Any], args: argparse.
     console.print(f"log: {result['log']}\npicture: {result['picture']}", soft_wrap=True)
     # The verdict is the last line, also if a run ended early.
     if result["verified"]:
-        apply = f"handctl gains apply {args.candidate} --hand {args.hand}"
+        words = ("handctl", "gains", "apply", str(args.candidate), "--hand", str(args.hand))
+        apply = shlex.join(words)
         print_escaped(f"verified; to use them: {apply}")
     else:
         print_escaped(f"not verified: {result['why_not']}")

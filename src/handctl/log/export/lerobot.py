@@ -2,10 +2,10 @@
 
 Each log becomes an episode: the part of the run in which the hand was active, on an exact time
 grid. The layout is that of LeRobot's codebase version 3.0. One file contains the frames of all
-episodes. For each camera, an episode has a video. `observation.state` contains joint angles [rad]
-and estimated tensions [N]. `action` contains commanded joint angles and tensions. The joints of a
-digit that holds a tension have no commanded angle. For such a joint, `action` contains the
-estimated angle instead.
+episodes. For each camera, an episode has a video. `observation.state` contains joint angles [rad],
+positions of prismatic joints [m] and estimated tensions [N]. `action` contains commanded joint
+angles and tensions. The joints of a digit that holds a tension have no commanded angle. For such a
+joint, `action` contains the estimated angle instead.
 
 The name of each vector element ends in a unit, for example `index_j1.pos_rad` or
 `index_tendon.tension_N`.
@@ -37,6 +37,8 @@ from handctl.log.export.camera_video import (
     video_file_numbers,
     write_episode_video,
 )
+from handctl.log.export.element_names import position_names
+from handctl.log.read.log_hand import prismatic_joints
 from handctl.log.read.reader import RunLog
 from handctl.log.read.timeline import check_order
 from handctl.printing import printable_text
@@ -252,7 +254,7 @@ def _vector_features(log: RunLog, rows: NDArray[np.intp]) -> dict[str, tuple[lis
     tension = _without_nan(log, "tension", rows)
     angle_commands = log.field("q_goal")[rows]
     tension_commands = log.field("tension_goal")[rows]
-    names = [f"{joint}.pos_rad" for joint in header.joints]
+    names = list(position_names(header.joints, prismatic_joints(header)))
     names += [f"{tendon}.tension_N" for tendon in header.tendons]
     commands = np.hstack(
         [

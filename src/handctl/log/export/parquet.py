@@ -16,6 +16,7 @@ from handctl.log.export.tables import (
     column_unit,
     table_blocks,
 )
+from handctl.log.read.log_hand import prismatic_joints
 from handctl.log.read.reader import RunLog
 
 
@@ -27,12 +28,16 @@ def export_parquet(log: RunLog, path: Path) -> int:
     """
     count = 0
     names = column_names(log)
+    prismatic = prismatic_joints(log.header)
     text = pa.dictionary(pa.int32(), pa.string())
     fields = [
         pa.field(name, pa.int64(), metadata={"unit": column_unit(name)}) for name in INTEGER_COLUMNS
     ]
     fields += [pa.field(name, text) for name in TEXT_COLUMNS]
-    fields += [pa.field(name, pa.float64(), metadata={"unit": column_unit(name)}) for name in names]
+    fields += [
+        pa.field(name, pa.float64(), metadata={"unit": column_unit(name, prismatic)})
+        for name in names
+    ]
     schema = pa.schema(
         fields, metadata={f"handctl.{key}": value for key, value in log.header.metadata.items()}
     )

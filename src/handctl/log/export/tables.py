@@ -6,7 +6,7 @@ This module also makes the tables of ticks that all exports use.
 import csv
 import re
 from bisect import bisect_left
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from operator import itemgetter
 from pathlib import Path
 from typing import NamedTuple
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from handctl.core.tick_types import TELEMETRY_AXES, HandMode
 from handctl.drives.frame import ERROR_FLAG, EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
+from handctl.log.read.log_hand import prismatic_joints
 from handctl.log.read.reader import RunLog
 from handctl.safety.action import SafetyAction
 
@@ -37,6 +38,9 @@ FIELD_UNITS = {
     "tip_force": "N", "contact": "1",
 }  # fmt: skip
 """Unit of each telemetry quantity. The unit 1 stands for a plain number."""
+
+PRISMATIC_UNITS = {"rad": "m", "rad/s": "m/s", "N m": "N"}
+"""Unit of a quantity of a prismatic joint, by the unit of the same quantity of a hinge."""
 
 VARIANT_SUFFIX = re.compile("_(goal|raw|sigma)$")
 """Suffixes in the names of telemetry fields.
@@ -75,16 +79,27 @@ def column_names(log: RunLog) -> tuple[str, ...]:
     )
 
 
-def column_unit(column: str) -> str:
-    """Return the unit of a numeric column: `rad` for `q/index_j1`, `ns` for `t_ns`, 1 for a plain number."""
-    return (
-        INTEGER_COLUMNS.get(column) or FIELD_UNITS[VARIANT_SUFFIX.sub("", column.partition("/")[0])]
-    )
+def column_unit(column: str, prismatic: Collection[str] = ()) -> str:
+    """Return the unit of a numeric column: `rad` for `q/index_j1`, `ns` for `t_ns`, 1 for a plain number.
+
+    Args:
+        column: name of the column.
+        prismatic: names of the prismatic joints of the hand. Their positions are in m.
+    """
+    if column in INTEGER_COLUMNS:
+        return INTEGER_COLUMNS[column]
+    field, _, name = column.partition("/")
+    unit = FIELD_UNITS[VARIANT_SUFFIX.sub("", field)]
+    slides = TELEMETRY_AXES[field] == "joint" and name in prismatic
+    return PRISMATIC_UNITS[unit] if slides else unit
 
 
-def column_title(column: str) -> str:
-    """Return the title of a column: `tension/index_tendon [N]`, or the name alone if the name contains the unit."""
-    return column if column in INTEGER_COLUMNS else f"{column} [{column_unit(column)}]"
+def column_title(column: str, prismatic: Collection[str] = ()) -> str:
+    """Return the title of a column: `tension/index_tendon [N]`, or the name alone if the name contains the unit.
+
+    The arguments are those of `column_unit`.
+    """
+    return column if column in INTEGER_COLUMNS else f"{column} [{column_unit(column, prismatic)}]"
 
 
 def table_blocks(log: RunLog) -> Iterator[TableBlock]:
@@ -115,9 +130,11 @@ def export_csv(log: RunLog, path: Path) -> int:
         OSError: the file exists already or cannot be written.
     """
     count = 0
+    prismatic = prismatic_joints(log.header)
+    titles = [column_title(name, prismatic) for name in column_names(log)]
     with path.open("x", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow((*INTEGER_COLUMNS, *TEXT_COLUMNS, *map(column_title, column_names(log))))
+        writer.writerow((*INTEGER_COLUMNS, *TEXT_COLUMNS, *titles))
         for block in table_blocks(log):
             fixed = zip(*(part.tolist() for part in block[:3]), *block[3:6], strict=True)
             for head, row in zip(fixed, block.numbers.tolist(), strict=True):

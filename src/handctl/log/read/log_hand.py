@@ -1,6 +1,8 @@
 """Description of the hand that a log contains."""
 
-from handctl.errors import LogError
+from contextlib import suppress
+
+from handctl.errors import ConfigError, LogError
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import hand_from_content, parse_toml
 from handctl.log.header import RunHeader
@@ -24,3 +26,14 @@ def described_hand(header: RunHeader, where: str) -> Hand:
             "names differ from the log's header", where, "the description of the hand that ran"
         )
     return hand
+
+
+def prismatic_joints(header: RunHeader) -> frozenset[str]:
+    """Return the names of a log's prismatic joints, whose positions are in m.
+
+    If the log contains no valid description of its hand, all joints count as hinges. Such a log can
+    still be exported.
+    """
+    with suppress(ConfigError, LogError):
+        return described_hand(header, "hand.toml in the log").prismatic_joints
+    return frozenset()

@@ -1,0 +1,23 @@
+"""Names of joint positions in LeRobot datasets, with their units.
+
+The export, the reader of datasets and the plug-in ``lerobot_robot_handctl`` use the same names.
+"""
+
+from collections.abc import Collection, Iterable
+
+ANGLE_SUFFIX = ".pos_rad"
+"""End of the name of an element that contains the angle of a hinge [rad]."""
+SLIDE_SUFFIX = ".pos_m"
+"""End of the name of an element that contains the position of a prismatic joint [m]."""
+
+
+def position_names(joints: Iterable[str], prismatic: Collection[str]) -> tuple[str, ...]:
+    """Return the name of the element with the position of each joint, e.g. ``index_j1.pos_rad``.
+
+    Args:
+        joints: names of the joints, in order.
+        prismatic: names of those joints that are prismatic.
+    """
+    return tuple(
+        f"{joint}{SLIDE_SUFFIX if joint in prismatic else ANGLE_SUFFIX}" for joint in joints
+    )
