@@ -5,6 +5,7 @@ import select
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -75,6 +76,29 @@ def test_a_stream_is_followed_observed_logged_and_repeated(work_folder, hand, ca
     again = run_handctl("replay", "execute", "live.mcap")
     assert again.returncode == 0
     assert " 0 differ" in again.stdout
+
+
+@REALTIME
+def test_a_move_ends_with_an_error_if_another_client_takes_over(live_hand):
+    """Reproduce a defect: a move that another client had stopped returned as if it were complete."""
+    ended = []
+
+    def move():
+        try:
+            live_hand.move(index=30.0, duration_s=5.0)
+        except library.HandctlError as error:
+            ended.append(str(error))
+
+    moving = threading.Thread(target=move)
+    moving.start()
+    with library.connect("jamia", LOCAL_BUS) as other:
+        assert other.wait_for(phase="live").mode == "ACTIVE"
+        time.sleep(0.5)
+        other.take_over()
+        moving.join(5.0)
+        assert ended == [
+            f"bus {LOCAL_BUS}: {other.name} has taken over the hand; expected take_over"
+        ]
 
 
 @REALTIME

@@ -272,8 +272,8 @@ class HandClient:
         Raises:
             ConfigError: the controller has refused the goal, e.g. because of an unknown digit. The
                 previous goal stays valid.
-            DriveError: the run has ended or ends during the motion, e.g. because of a fault. The
-                message has the reason.
+            DriveError: the run has ended or ends during the motion, e.g. because of a fault, or
+                another client takes over during the motion. The message has the reason.
             BusError: the controller does not answer.
         """
         angles = _values_by_digit("move", goals, angle_deg)
@@ -284,11 +284,7 @@ class HandClient:
         }
         validate_content(goal, MoveDigits, "move")
         start_s = self._set_goal(goal)
-        while (
-            wait
-            and self._wait_until_following(CONFIRMATION_TIMEOUT_S)["t_s"]
-            < start_s + goal["duration_s"]
-        ):
+        while wait and self._wait_as_commander() < start_s + goal["duration_s"]:
             pass
 
     def hold(
@@ -614,7 +610,8 @@ class HandClient:
             fewer tendons than joints), ``tension_N`` and ``tension_goal_N`` by tendon [N],
             ``tip_force_N`` with ``tip_force_sigma_N`` and ``contact`` (bool) by digit [N], ``t_s``
             time since the start of the run [s], ``k`` number of the tick, ``late_us`` lateness of
-            the tick [us], ``mode``, ``phase``, and ``events`` of this tick.
+            the tick [us], ``mode``, ``phase``, ``commander`` (client that commands the hand, None if any
+            client may), and ``events`` of this tick.
 
         Raises:
             DriveError: the run has ended. The message has the reason.
@@ -729,6 +726,14 @@ class HandClient:
             self._check_not_ended()
             raise DriveError(f"the hand no longer accepts goals: {line['mode']}", f"bus {self.bus}")
         return line
+
+    def _wait_as_commander(self) -> float:
+        """Return the time of the next status line [s]. Raise an error if another client commands the hand."""
+        line = self._wait_until_following(CONFIRMATION_TIMEOUT_S)
+        if line["commander"] != self.name:
+            other = line["commander"] or "another client"
+            raise DriveError(f"{other} has taken over the hand", f"bus {self.bus}", "take_over")
+        return float(line["t_s"])
 
     def _check_not_ended(self) -> None:
         """Raise an error if the controller or this client has ended.

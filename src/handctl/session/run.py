@@ -186,14 +186,15 @@ def run_live(
                 stack.callback(_start_view(log))
             signals = StopSignals()
             stack.enter_context(signals.handlers_installed())
-            show = _merge_observers(observer, _status_callback(display, mailbox, plan.rate_hz))
+            published = PublishedState()
+            show = _merge_observers(
+                observer, _status_callback(display, mailbox, plan.rate_hz, published)
+            )
             request_source = _merge_requests(
                 observer, _request_source(plan, signals, mailbox, targets)
             )
             loop = _build_loop(plan, controller, clock, buses, recorder, request_source, show)
-            loop.publish_tick = lambda entry, out, state, sent_ns: observations.write_record(
-                entry, out, stream_status(state), sent_ns
-            )
+            loop.publish_tick = partial(_publish_tick, observations, published)
             not_started.pop_all()
         outcome = _run_to_end(
             loop,
@@ -420,8 +421,32 @@ STATUS_RATE_HZ = 50.0
 """Rate at which programs that observe a run get status lines [Hz]."""
 
 
+@dataclass(slots=True)
+class PublishedState:
+    """Part of the latest state that status lines contain.
+
+    Attributes:
+        commander: client that commands the hand, None if any client may command it.
+    """
+
+    commander: str | None = None
+
+
+def _publish_tick(
+    observations: ObservationWriter,
+    published: PublishedState,
+    entry: TickIn,
+    out: TickOut,
+    state: ControllerState,
+    sent_ns: int,
+) -> None:
+    """Write the observation of a tick, and keep the part of the state that status lines contain."""
+    observations.write_record(entry, out, stream_status(state), sent_ns)
+    published.commander = state.decisions.commander
+
+
 def _status_callback(
-    display: OperatorDisplay | None, mailbox: Mailbox, rate_hz: float
+    display: OperatorDisplay | None, mailbox: Mailbox, rate_hz: float, published: PublishedState
 ) -> TickCallback:
     """Return a function to call after each tick.
 
@@ -433,7 +458,7 @@ def _status_callback(
         if display:
             display.show_tick(entry, out)
         if (mailbox.watchers and (entry.k % every == 0 or out.events)) or mailbox.askers:
-            mailbox.publish_status(status_of_tick(entry, out))
+            mailbox.publish_status(status_of_tick(entry, out, published.commander))
 
     return show_tick
 
