@@ -7,7 +7,7 @@ Injected faults act on frames of nodes, in a node, in a sensor or in the plant. 
 
 import random
 from operator import itemgetter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,6 +27,9 @@ from firmware_sim.plant.plant import STEP_NS, Plant
 from firmware_sim.scene.scene import Scene
 from firmware_sim.tick_exchange import TickExchange
 from firmware_sim.truth_file import TruthWriter
+
+if TYPE_CHECKING:
+    from firmware_sim.plant.camera import Camera
 
 _ARRIVAL_NS = itemgetter(4)
 MAX_ENCODER_OFFSET_RAD = 0.5
@@ -113,6 +116,21 @@ class SimulatedWorld:
         self.faults = ActiveFaults(self)
         self._truth: TruthWriter | None = None
         self.slip_ns = 0
+
+    def open_camera(self, width_px: int, height_px: int) -> "Camera":
+        """Return a camera that draws hand and object. The caller closes the camera.
+
+        Args:
+            width_px: width of the pictures [pixels].
+            height_px: height of the pictures [pixels].
+
+        Raises:
+            SimulatorError: the machine has no graphics library.
+        """
+        # Most runs draw no pictures, and need no graphics library.
+        from firmware_sim.plant.camera import Camera
+
+        return Camera(self.hand, self.plant.scene, width_px, height_px)
 
     def _bus_index(self, name: str) -> int:
         """Return the index of a bus of the hand by its name."""

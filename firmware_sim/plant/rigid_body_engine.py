@@ -1,4 +1,4 @@
-"""The rigid-body engine of the plant: the only module of the plant that uses MuJoCo."""
+"""The rigid-body engine of the plant. Besides the camera, it is the only module of the plant that uses MuJoCo."""
 
 import ctypes
 from collections.abc import Callable
@@ -65,6 +65,11 @@ class RigidBodyEngine:
         Without an object, the pose is the origin.
         """
         return self._object.tolist() if self.has_object else [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
+
+    def copy_pose(self, data: Any) -> None:
+        """Copy the positions of all bodies into the data of another model of the same hand and scene."""
+        data.qpos[:] = self._data.qpos
+        data.mocap_pos[:] = self._data.mocap_pos
 
     def object_speed(self) -> float:
         """Return the speed of the object's centre [m/s], 0 without an object."""

@@ -100,6 +100,39 @@ def test_every_choice_of_sensors_and_springs_grasps(
     check_grasp(capsys, seed)
 
 
+THREE_LINK_CASES = [
+    # T08 in commissioning: the rotor of the released extensor turned back.
+    ("18,12,10", ("each", "none", "none", "all"), 0),
+    # T02b while opening: a slack tendon was paid out more and more.
+    ("55,40,25", ("each", "all", "none", "none"), 1),
+    # T01 while holding: at 250 Hz, the tensions oscillated.
+    ("55,40,25", ("each", "none", "none", "none"), 1),
+]
+"""Links, answers as in ``SENSOR_CASES``, and seed of three defects."""
+ALL_THREE_LINK_CASES = [
+    (links, case, seed)
+    for links in ("18,12,10", "50,30,20", "55,40,25")
+    for case in SENSOR_CASES
+    if case[0] == "each" and case[2] == "none"
+    for seed in range(4)
+]
+
+
+@pytest.mark.parametrize(
+    ("links", "case", "seed"), ALL_THREE_LINK_CASES if NIGHTLY else THREE_LINK_CASES
+)
+def test_three_links_without_load_cells_grasp(
+    work_folder: Path,
+    capsys: pytest.CaptureFixture[str],
+    links: str,
+    case: tuple[str, str, str, str],
+    seed: int,
+) -> None:
+    write_initial_hand("--fingers", "1", "--opposed", "1", "--links", links, *sensor_options(case))
+    capsys.readouterr()
+    check_grasp(capsys, seed)
+
+
 def test_the_object_suits_the_digits(work_folder: Path) -> None:
     write_initial_hand("--links", "40,30")
     assert default_scene(load_hand("mine.toml")) == "cylinder:52"
@@ -141,6 +174,28 @@ def test_a_rate_that_leaves_no_margin_is_a_warning(
     assert float(re.search(r"gain margin of ([0-9.]+) dB", line)[1]) < 6.0
     assert "at 100 Hz, which the buses allow" in line
     assert line.endswith("; 2 buses allow 250 Hz (bus plan --rate 250)")
+
+
+def test_antagonists_without_load_cells_need_a_higher_rate(
+    work_folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Reproduce a defect: such hands had 250 Hz, and their freely closing digits looked like torn tendons (T01)."""
+    words = ["--fingers", "1", "--links", "55,40,25", "--tendons", "each", "--springs", "none"]
+    write_initial_hand(*words, "--cells", "none")
+    hand = load_hand("mine.toml")
+    assert default_rate(hand) >= 500.0
+    assert main(["config", "check", "--hand", "mine.toml"]) == 0
+    assert "gain margin" not in capsys.readouterr().out
+    text = Path("mine.toml").read_text()
+    text = re.sub(r', (m[1-3]|e)\.bus = "bus_2"', "", text)
+    text = text.replace('[[bus]]\nname = "bus_2"\nbitrate = 1_000_000\n\n', "")
+    numbers = itertools.count(1)
+    text = re.sub(r"node_id = \d+", lambda _: f"node_id = {next(numbers)}", text)
+    Path("mine.toml").write_text(text)
+    assert main(["config", "check", "--hand", "mine.toml"]) == 0
+    line = next(line for line in capsys.readouterr().out.splitlines() if "gain margin" in line)
+    assert float(re.search(r"gain margin of ([0-9.]+) dB", line)[1]) < 6.0
+    assert line.endswith("end with T01; 2 buses allow 500 Hz (bus plan --rate 500)")
 
 
 @pytest.mark.parametrize(

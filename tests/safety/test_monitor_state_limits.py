@@ -170,3 +170,31 @@ def test_a_joint_is_off_its_pulley_beyond_the_limit_and_not_at_it(
     around = [slip_and_count(apart * (1.0 + i * 2.0**-52)) for i in range(-4, 5)]
     assert min(angle for angle, _ in around) <= limit < max(angle for angle, _ in around)
     assert all(count == float(angle > limit) for angle, count in around)
+
+
+@pytest.mark.parametrize(
+    ("group", "commanded", "is_judged"),
+    [([-1, -1], 20.0, True), ([-1, -1], np.nan, False), ([0, 1], np.nan, True)],
+)
+def test_a_tendon_without_load_cell_and_torque_is_not_off_its_pulley(
+    monitor: SyntheticMonitor, group: list[int], commanded: float, is_judged: bool
+) -> None:
+    """Reproduce a defect: commissioning of a hand without springs and load cells ended with T08.
+
+    The rotor of a released tendon turned back by 1.6 mm, while the friction of the motor still
+    looked like tension.
+    """
+    monitor.set_constants(cell_group=group)
+    monitor.set_rows(resting_tick(**JOINTS_READ | {"tension": 0.0, "excursion": -0.02}))
+    monitor.set_rows(
+        {
+            "wanted": commanded,
+            "taut_s": 9.0,
+            "slip_from": 0.0,
+            "measured_tension": TAUT_N,
+            "tension": TAUT_N,
+        }
+    )
+    call_interpreted(tendon_slip.update_slip, monitor.state_tables, monitor.hand_tables, True)
+    assert np.isnan(monitor.field_values("slip")[0]) != is_judged
+    assert (monitor.field_values("taut_s")[0] == 0.0) != is_judged

@@ -4,11 +4,13 @@ The simulated exercise completes even with very bad gains.
 """
 
 import json
+from pathlib import Path
 
 import pytest
 
 from benchmarks.tuning import TRUE_PLANT_FACTORS, detuned_gains
-from handctl.core.gains.gains import packaged_gains
+from handctl.cli.main import main
+from handctl.core.gains.gains import Gains, packaged_gains
 from handctl.core.hand_model import HandModel
 from handctl.hand.hand_loading import load_hand
 from handctl.tune.scoring import evaluate_job, score_exercise
@@ -41,3 +43,31 @@ def test_a_trial_may_cross_a_process_boundary(hand: str) -> None:
         "seed": 1,
     }
     assert evaluate_job(json.loads(json.dumps(job))) == evaluate_job(job)
+
+
+@pytest.mark.parametrize(
+    ("links", "seed"),
+    [
+        ("40,30", 1),
+        pytest.param("40,30", 2, marks=pytest.mark.nightly),
+        pytest.param("24,16", 1, marks=pytest.mark.nightly),
+        pytest.param("60,40", 3, marks=pytest.mark.nightly),
+    ],
+)
+def test_digits_that_touch_each_other_are_not_scored(tmp_path: Path, links: str, seed: int) -> None:
+    """Reproduce a defect: digits blocked by each other counted as a tracking error of 6 to 8 deg."""
+    file = tmp_path / "mine.toml"
+    words = ["--fingers", "1", "--opposed", "1", "--links", links, "--tendons", "each"]
+    assert main(["config", "init", "--yes", *words, "--output", str(file)]) == 0
+    hand = load_hand(str(file))
+    score = score_exercise(hand, HandModel.from_hand(hand, Gains(), 400.0), {}, seed)
+    assert score.failure == ""
+    assert score.blocked == "index, thumb"
+    assert score.tracking_deg < 2.0
+    assert score.tension_N < 5.0
+
+
+def test_digits_that_move_freely_are_all_scored() -> None:
+    hand = load_hand("jamia")
+    score = score_exercise(hand, HandModel.from_hand(hand, packaged_gains("jamia"), 500.0), {}, 1)
+    assert score.blocked == ""

@@ -17,6 +17,7 @@ from typing import Any, ClassVar, Literal
 import gymnasium
 import numpy as np
 from gymnasium.spaces import Box
+from numpy.typing import NDArray
 
 from handctl.controller.target_streams import stream_status
 from handctl.controller.tick import Controller
@@ -53,6 +54,10 @@ READY_TIMEOUT_S = 5.0
 """Longest simulated time from power-up until the hand accepts targets [s]."""
 STREAM_NAME = "gym"
 """Name of the stream that carries the targets of the actions."""
+PICTURE_SIZE_PX = (480, 480)
+"""Default of the width and the height of a picture [pixels]."""
+MAX_PICTURE_SIZE_PX = 4096
+"""Largest width and height of a picture [pixels]."""
 TargetSpace = Literal["joint", "digit"]
 """Meaning of an action: one target for each joint, or one target for all joints of each digit."""
 
@@ -75,7 +80,9 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
 
     has_tensions: ClassVar = False
     """True if an action contains a tension for each digit, after its targets."""
-    metadata: dict[str, Any] = {"render_modes": [], "render_fps": round(RATE_HZ)}  # noqa: RUF012
+    metadata: dict[str, Any] = {  # noqa: RUF012
+        "render_modes": ["rgb_array"], "render_fps": round(RATE_HZ)
+    }  # fmt: skip
 
     def __init__(
         self,
@@ -84,6 +91,8 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         duration_s: float,
         perturb: Mapping[str, float] | None,
         speed_deg_s: float = MAX_TARGET_SPEED_DEG_S,
+        render_mode: str | None = None,
+        picture_size_px: tuple[int, int] = PICTURE_SIZE_PX,
     ) -> None:
         """Create the environment. Within a process, the controller of a hand is designed only once.
 
@@ -94,10 +103,24 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
             perturb: factors by which parameters of the simulated plant are multiplied, see
                 ``handctl sim --help``.
             speed_deg_s: largest rate of change of the targets [deg/s].
+            render_mode: ``rgb_array`` for pictures by ``render``, None for none.
+            picture_size_px: width and height of the pictures [pixels].
 
         Raises:
-            ConfigError: the hand, the space, the duration or the speed is invalid.
+            ConfigError: the hand, the space, the duration, the speed, the render mode or the size
+                of the pictures is invalid.
         """
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise ConfigError(repr(render_mode), "render_mode", "rgb_array or None")
+        if not all(1 <= size <= MAX_PICTURE_SIZE_PX for size in picture_size_px):
+            raise ConfigError(
+                f"{picture_size_px}",
+                "picture_size_px",
+                f"two numbers from 1 to {MAX_PICTURE_SIZE_PX}",
+            )
+        self.render_mode = render_mode
+        self._picture_size_px = picture_size_px
+        self._camera: Any = None
         if space not in ("joint", "digit"):
             raise ConfigError(repr(space), "space", "joint or digit")
         if not 0.0 < duration_s <= 600.0:
@@ -231,6 +254,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         run = self._episode_stack.enter_context(simulator.begin_run(self._controller))
         run.record_ticks = False
         self._run = run
+        self._camera = None
         if not run.run_until(lambda out: out.phase == "live", READY_TIMEOUT_S):
             problem = run.state.failure or "not ready"
             raise ConfigError(
@@ -280,10 +304,32 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
             self._extra_information() | information,
         )
 
+    def render(self) -> NDArray[np.uint8] | None:
+        """Return a picture of hand and object as MuJoCo draws them, (height, width, 3), values from 0 to 255.
+
+        Without the render mode ``rgb_array``, return None.
+
+        Raises:
+            ConfigError: no episode has begun, or the machine has no graphics library.
+        """
+        if self.render_mode is None:
+            gymnasium.logger.warn('no picture without render_mode="rgb_array"')
+            return None
+        world = self.simulated_run.simulated_hand.world
+        if self._camera is None:
+            # The scene of each episode has its own model, so each episode has its own camera.
+            try:
+                self._camera = world.open_camera(*self._picture_size_px)
+            except ValueError as error:
+                raise ConfigError(str(error), "render_mode", "graphics, or None") from error
+            self._episode_stack.callback(self._camera.close)
+        picture: NDArray[np.uint8] = self._camera.picture(world.plant.engine)
+        return picture
+
     def close(self) -> None:
         """End the simulation of the hand."""
         self._episode_stack.close()
-        self._run = None
+        self._run = self._camera = None
 
     def angles_deg(self, action: Vector | Float32Array) -> Vector:
         """Return the target angles of an action (V,) [deg]."""

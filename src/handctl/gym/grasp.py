@@ -9,7 +9,12 @@ import numpy as np
 
 from handctl.core.tick_types import HandMode, Vector
 from handctl.errors import ConfigError
-from handctl.gym.environment import MAX_TARGET_SPEED_DEG_S, HandEnv, TargetSpace
+from handctl.gym.environment import (
+    MAX_TARGET_SPEED_DEG_S,
+    PICTURE_SIZE_PX,
+    HandEnv,
+    TargetSpace,
+)
 from handctl.gym.observation_layout import ObservationPart, telemetry_part
 
 FULL_REWARD_FORCE_N = 1.0
@@ -50,12 +55,15 @@ class GraspEnv(HandEnv):
         perturb: Mapping[str, float] | None = None,
         speed_deg_s: float = MAX_TARGET_SPEED_DEG_S,
         diameter_mm: tuple[float, float] = (30.0, 35.0),
+        render_mode: str | None = None,
+        picture_size_px: tuple[int, int] = PICTURE_SIZE_PX,
     ) -> None:
         """Create the environment. ``HandEnv`` explains the common arguments.
 
         Args:
             hand, space, duration_s, perturb, speed_deg_s: as for ``HandEnv``.
             diameter_mm: smallest and largest diameter of the cylinder [mm].
+            render_mode, picture_size_px: as for ``HandEnv``.
 
         Raises:
             ConfigError: as for ``HandEnv``, or the range of diameters is empty or too large.
@@ -66,7 +74,9 @@ class GraspEnv(HandEnv):
                 f"{diameter_mm}", "diameter_mm", "two ascending numbers from 5 to 100"
             )
         self._diameter_mm = float(low), float(high)
-        super().__init__(hand, space, duration_s, perturb, speed_deg_s)
+        super().__init__(
+            hand, space, duration_s, perturb, speed_deg_s, render_mode, picture_size_px
+        )
         self._max_tension_N = np.array(
             [self.model.ceiling[tendons].min() for tendons in self.model.digit_tendons]
         )

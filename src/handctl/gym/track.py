@@ -9,7 +9,12 @@ import numpy as np
 
 from handctl.core.tick_types import Vector
 from handctl.errors import ConfigError
-from handctl.gym.environment import MAX_TARGET_SPEED_DEG_S, HandEnv, TargetSpace
+from handctl.gym.environment import (
+    MAX_TARGET_SPEED_DEG_S,
+    PICTURE_SIZE_PX,
+    HandEnv,
+    TargetSpace,
+)
 from handctl.gym.observation_layout import ObservationPart
 from handctl.hand.file.display_units import DisplayUnits
 
@@ -42,6 +47,8 @@ class TrackEnv(HandEnv):
         perturb: Mapping[str, float] | None = None,
         speed_deg_s: float = MAX_TARGET_SPEED_DEG_S,
         span: tuple[float, float] = REFERENCE_RANGE_FRACTIONS,
+        render_mode: str | None = None,
+        picture_size_px: tuple[int, int] = PICTURE_SIZE_PX,
     ) -> None:
         """Create the environment. ``HandEnv`` explains the common arguments.
 
@@ -49,6 +56,7 @@ class TrackEnv(HandEnv):
             hand, space, duration_s, perturb, speed_deg_s: as for ``HandEnv``.
             span: lowest and highest reference, as fractions of the range of each joint or digit. If
                 digits touch each other within their ranges, the span must be smaller.
+            render_mode, picture_size_px: as for ``HandEnv``.
 
         Raises:
             ConfigError: as for ``HandEnv``, or the span is empty or outside 0 to 1.
@@ -56,7 +64,9 @@ class TrackEnv(HandEnv):
         if not 0.0 <= span[0] < span[1] <= 1.0:
             raise ConfigError(f"{span}", "span", "two ascending numbers from 0 to 1")
         self._span = span
-        super().__init__(hand, space, duration_s, perturb, speed_deg_s)
+        super().__init__(
+            hand, space, duration_s, perturb, speed_deg_s, render_mode, picture_size_px
+        )
 
     def observation_parts(self) -> list[ObservationPart]:
         """Return the parts of an observation: joint angles and rates, tensions, and the references now and later."""

@@ -6,7 +6,8 @@ A score compares the goals of an exercise with the ground truth of the simulator
 import tempfile
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import compress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,6 +29,11 @@ from handctl.tune.loops.design import linear_factors, worst_margins
 
 Array = NDArray[np.float64]
 
+TOUCH_FORCE_N = 0.05
+"""True contact force above which a digit is blocked, for example by another digit [N].
+
+The tracking error of a blocked digit says nothing about the gains.
+"""
 FAILED_OBJECTIVE = 1e3
 """Value of each objective for gains with which the exercise did not finish."""
 
@@ -44,7 +50,9 @@ class GainScore:
         peak_tension_N: largest true tension of any tendon on any plant [N].
         shortfall: missing part of a margin on the worst plant, as a fraction of the required
             margin. It is 0 or less if all margins are large enough.
-        failure: reason why a run ended early, else empty.
+        failure: reason why a run ended early, or has no score, else empty.
+        blocked: names of digits that something blocked in a move, separated by commas. While a
+            digit is blocked, its tracking is not scored.
     """
 
     tracking_deg: float
@@ -53,6 +61,7 @@ class GainScore:
     peak_tension_N: float
     shortfall: float
     failure: str = ""
+    blocked: str = ""
 
     @property
     def objectives(self) -> tuple[float, float, float]:
@@ -93,32 +102,19 @@ def evaluate_job(job: Mapping[str, Any]) -> dict[str, Any]:
     plants = job["plants"]
     shortfall = worst_margins(model, tuple(linear_factors(factors) for factors in plants)).shortfall
     if shortfall > 0.0 and job.get("must_keep_margins", False):
-        return _score_table(
-            GainScore(
-                FAILED_OBJECTIVE, FAILED_OBJECTIVE, FAILED_OBJECTIVE, 0.0, shortfall, "margins"
-            )
-        )
+        return _score_table(_failed_score(0.0, "margins", shortfall))
     runs = []
     for i, factors in enumerate(plants):
         runs.append(score_exercise(hand, model, factors, int(job["seed"]) + i))
         if runs[-1].failure:
-            return _score_table(
-                GainScore(
-                    FAILED_OBJECTIVE,
-                    FAILED_OBJECTIVE,
-                    FAILED_OBJECTIVE,
-                    runs[-1].peak_tension_N,
-                    shortfall,
-                    runs[-1].failure,
-                )
-            )
+            return _score_table(replace(runs[-1], shortfall=shortfall))
     # A root mean square gives the worst plants the largest weight.
     tracking, tension, effort = np.sqrt(
         np.mean([np.square(run.objectives) for run in runs], axis=0)
     ).tolist()
-    return _score_table(
-        GainScore(tracking, tension, effort, max(run.peak_tension_N for run in runs), shortfall)
-    )
+    peak = max(run.peak_tension_N for run in runs)
+    blocked = max((run.blocked for run in runs), key=len)
+    return _score_table(GainScore(tracking, tension, effort, peak, shortfall, blocked=blocked))
 
 
 def _score_table(score: GainScore) -> dict[str, Any]:
@@ -187,14 +183,7 @@ def score_run(
     ]
     peak = float(tension.max(initial=0.0))
     if failure or not active:
-        return GainScore(
-            FAILED_OBJECTIVE,
-            FAILED_OBJECTIVE,
-            FAILED_OBJECTIVE,
-            peak,
-            0.0,
-            failure or "never active",
-        )
+        return _failed_score(peak, failure or "never active")
     t_ns = np.array([t for t, _ in active])
     goal, tension_goal, torque = (
         np.array([getattr(out.telemetry, name) for _, out in active])
@@ -202,7 +191,31 @@ def score_run(
     )
     real = GroundTruth.from_record(truth, hand, t_ns)
     phase = np.array([out.phase for _, out in active])
-    return score_ticks(t_ns, phase, digit_angles(hand, goal), tension_goal, torque, real)
+    touches = _true_touches(hand, truth, t_ns)
+    angle = np.where(touches, np.nan, digit_angles(hand, goal))
+    score = score_ticks(t_ns, phase, angle, tension_goal, torque, real)
+    in_move = touches[phase == "move"].any(axis=0).tolist()
+    blocked = ", ".join(compress(hand.digit_names, in_move))
+    if np.isnan(score.tracking_deg):
+        reason = f"no move to score: {blocked} blocked in all moves"
+        return replace(_failed_score(peak, reason), blocked=blocked)
+    return replace(score, blocked=blocked)
+
+
+def _true_touches(hand: Hand, truth: TruthRecord, t_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return a mask (ticks, D), True where a digit truly touches another digit or an object."""
+    force = [
+        truth.columns_at([f"contact_force/{name}/{axis}" for axis in "xyz"], t_ns)
+        for name in hand.digit_names
+    ]
+    return np.asarray(np.linalg.norm(force, axis=-1).T > TOUCH_FORCE_N)
+
+
+def _failed_score(peak_tension_N: float, failure: str, shortfall: float = 0.0) -> GainScore:
+    """Return the score of gains with which the exercise has no result."""
+    return GainScore(
+        FAILED_OBJECTIVE, FAILED_OBJECTIVE, FAILED_OBJECTIVE, peak_tension_N, shortfall, failure
+    )
 
 
 def digit_angles(hand: Hand, q: Array) -> Array:

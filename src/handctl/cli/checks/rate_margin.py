@@ -10,6 +10,12 @@ LOWEST_UNCHECKED_RATE_HZ = 250.0
 
 All packaged hands and the hands of ``config init`` run at this rate.
 """
+LOWEST_UNCHECKED_WITHOUT_CELLS_HZ = 500.0
+"""The same rate for a hand with tendons that have neither load cells nor springs to act against [Hz].
+
+Such tendons hold each other, and the filter without load cells has a larger phase lag. At 250 Hz, their tensions
+oscillated in simulation, and the freely closing digits were taken for torn tendons (fault T01).
+"""
 
 
 def rate_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
@@ -24,7 +30,8 @@ def rate_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
         gains: gains of a run.
         rate_hz: control rate of a run [Hz].
     """
-    if rate_hz >= LOWEST_UNCHECKED_RATE_HZ:
+    unchecked_hz = _lowest_unchecked_rate(hand)
+    if rate_hz >= unchecked_hz:
         return []
     # The compiled core computes the control loops. No other check of a hand needs to import it.
     from handctl.tune.loops.linear import LoopKind, open_loop
@@ -38,14 +45,27 @@ def rate_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
     name, worst = min(found.items(), key=lambda item: item[1].gain_db)
     if worst.gain_db >= MIN_GAIN_MARGIN_DB:
         return []
-    buses = split_motors_over_buses(hand, LOWEST_UNCHECKED_RATE_HZ)
+    buses = split_motors_over_buses(hand, unchecked_hz)
     remedy = (
-        f"{len(buses)} buses allow {LOWEST_UNCHECKED_RATE_HZ:g} Hz (bus plan --rate {LOWEST_UNCHECKED_RATE_HZ:g})"
+        f"{len(buses)} buses allow {unchecked_hz:g} Hz (bus plan --rate {unchecked_hz:g})"
         if buses
         else "a faster bus"
     )
+    faults = "N14b or T03" if unchecked_hz == LOWEST_UNCHECKED_RATE_HZ else "T01"
     return [
         f"{name}: at {rate_hz:g} Hz, which the buses allow, its motion loop has a gain margin of "
         f"{worst.gain_db:.1f} dB instead of {MIN_GAIN_MARGIN_DB:g} dB, and a run may oscillate and "
-        f"end with N14b or T03; {remedy}"
+        f"end with {faults}; {remedy}"
     ]
+
+
+def _lowest_unchecked_rate(hand: Hand) -> float:
+    """Return the control rate at and above which the loops of a hand are not checked [Hz]."""
+    blind = ~hand.has_cell & ~hand.is_pair
+    for digit in hand.digit:
+        tendons = hand.digit_tendons[digit.name]
+        coordinates = len(digit.joints) if digit.coupling is None else len(digit.coupling[0])
+        # A digit with more tendons than coordinates has antagonists instead of springs.
+        if tendons.stop - tendons.start > coordinates and blind[tendons].any():
+            return LOWEST_UNCHECKED_WITHOUT_CELLS_HZ
+    return LOWEST_UNCHECKED_RATE_HZ

@@ -206,6 +206,9 @@ def _print_search(result: Any, report: dict[str, Any]) -> None:
             *(f"{getattr(one.score, key):.{digits}f}" for one in (result.trials[0], result.best)),
         )
     rich_console().print(table)
+    if blocked := result.best.score.blocked:
+        text = f"{blocked}: blocked in some moves, for example by each other; not scored there"
+        rich_console().print(text, soft_wrap=True)
     rich_console().print(
         f"gains: {report['gains']}\npicture: {report['picture']}\nstudy: {report['study']}",
         soft_wrap=True,

@@ -441,11 +441,14 @@ def _take_up_speed(rate: float) -> float:
 def _take_up_slack(
     x: StateTables, c: ConstantTables, trajectory: Matrix, terms: Matrix, internal: Matrix
 ) -> None:
-    """Replace the feedback on slack tendons of streamed digits, so that their spools wind at a low speed.
+    """Replace the feedback on slack tendons, so that their spools wind at a low speed.
 
     A slack tendon does not move its digit. Feedback of the position could pay the tendon out
     further, or pull it taut with a jerk that resembles a torn tendon. For a nearly slack tendon,
     feedback that pays out is reduced, so that springs or the antagonist first open the digit.
+
+    This applies to streamed digits. In other motions, only feedback that pays out a slack tendon is
+    replaced, see ``_is_paid_out_while_slack``.
 
     Args:
         x: state tables.
@@ -455,6 +458,9 @@ def _take_up_slack(
         internal: (2, N) null-space force and integral [N], modified in place.
     """
     for n in range(x.tendon.shape[1]):
+        if _is_paid_out_while_slack(x, c, n, terms[1, n]):
+            terms[1, n] = c.tendon[h.FEEDBACK_MASS, n] * c.tendon[h.SPEED_GAIN, n]
+            terms[1, n] *= TAKE_UP_SPEED_M_S - x.tendon[s.SPEED, n]
         if c.tendon_int[h.IS_SPOOL_PAIR, n] or not is_tendon_streamed(x, c, n):
             continue
         floor = c.tendon[h.TENSION_FLOOR, n]
@@ -466,6 +472,30 @@ def _take_up_slack(
             internal[0, n] = internal[1, n] = 0.0
         elif terms[1, n] < 0.0:
             terms[1, n] *= min(max(2.0 * x.tendon[s.TENSION, n] / floor - 1.0, 0.0), 1.0)
+
+
+@kernel_helper
+def _is_paid_out_while_slack(x: StateTables, c: ConstantTables, n: int, feedback: float) -> bool:
+    """Return True if the feedback of a motion without stream would pay out a slack tendon without load cell.
+
+    Neither the motor nor a load cell measures the excursion of such a tendon. If its estimate is
+    too large, the motor would pay out more and more of the tendon, because the estimate stays.
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        n: index of the tendon.
+        feedback: feedback force of the errors of excursion and speed [N].
+    """
+    return bool(
+        feedback < 0.0
+        and x.tendon_int[s.GOAL_KIND, n] == MOTION
+        and x.tendon_int[s.REGIME, n] == SLACK_REGIME
+        and c.tendon_int[h.CELL_GROUP, n] < 0
+        and not c.tendon_int[h.HAS_SURPLUS, n]
+        and not c.tendon_int[h.IS_SPOOL_PAIR, n]
+        and not is_tendon_streamed(x, c, n)
+    )
 
 
 @kernel_helper

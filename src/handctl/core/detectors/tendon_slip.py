@@ -34,7 +34,7 @@ def update_slip(x: StateTables, c: ConstantTables, tared: bool) -> None:
         tension = monitored_tension(x, c, n, tared)
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
             x.tendon[s.TAUT_S, n] += c.run[h.PERIOD]  # one tendon of a spool pair is always taut
-        elif tension < SLACK_N:
+        elif tension < SLACK_N or _is_tautness_unknown(x, c, n):
             x.tendon[s.TAUT_S, n] = 0.0
         elif tension > TAUT_N:
             x.tendon[s.TAUT_S, n] += c.run[h.PERIOD]
@@ -53,6 +53,16 @@ def update_slip(x: StateTables, c: ConstantTables, tared: bool) -> None:
             x.tendon[s.DERAILED_READINGS, n] = (
                 x.tendon[s.DERAILED_READINGS, n] + 1.0 if far else 0.0
             )
+
+
+@kernel_helper
+def _is_tautness_unknown(x: StateTables, c: ConstantTables, n: int) -> bool:
+    """Return True for a tendon without load cell whose motor is commanded to make no torque.
+
+    Such a motor turns freely when its tension is cut, and the tendon becomes slack. The friction of
+    a motor at rest looks like tension.
+    """
+    return c.tendon_int[h.CELL_GROUP, n] < 0 and math.isnan(x.tendon[s.COMMANDED_TENSION, n])
 
 
 @kernel_helper

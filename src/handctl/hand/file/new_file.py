@@ -46,6 +46,12 @@ ROW_WIDTH_MM = 80.0
 """Largest width of a row of digits, if the gaps are wide enough for the opposed digits [mm]."""
 MOTORS_PER_BUS = 8
 """Largest number of motors on a bus. A classical bus of 1 Mbit/s carries 8 motors at 250 Hz."""
+MOTORS_PER_FAST_BUS = 4
+"""Largest number of motors on a bus of a hand with neither springs nor load cells.
+
+A bus carries them at 500 Hz. At 250 Hz, the motion loops of such a hand have a gain margin of 5 dB, and its tensions
+oscillate.
+"""
 SENSOR_IDS = {"mit": ("0x080", "0x1A0"), "odrive": ("0x700", "0x720")}
 """CAN identifiers of SYNC and of the first sensor frame, by drive protocol.
 
@@ -291,7 +297,9 @@ def _bus_names(answers: HandAnswers) -> list[str]:
 def _digits_per_bus(answers: HandAnswers) -> int:
     """Return the number of digits on a bus. All motors of a digit are on the same bus."""
     digits = answers.fingers + answers.opposed
-    buses = math.ceil(digits / max(1, MOTORS_PER_BUS // len(_motor_names(answers))))
+    is_fast = answers.springs == answers.cells == "none"
+    motors_per_bus = MOTORS_PER_FAST_BUS if is_fast else MOTORS_PER_BUS
+    buses = math.ceil(digits / max(1, motors_per_bus // len(_motor_names(answers))))
     return math.ceil(digits / buses)
 
 

@@ -1,0 +1,97 @@
+"""Test the pictures of the environments of ``handctl.gym``, which MuJoCo draws without a screen."""
+
+import warnings
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import handctl.gym
+from handctl.errors import ConfigError
+
+TRACK_ENV, GRASP_ENV = "handctl/Track-v0", "handctl/Grasp-v0"
+
+
+def make_env(name: str, **options: Any) -> Any:
+    """Return an environment that draws pictures, without wrappers."""
+    return gymnasium.make(name, render_mode="rgb_array", **options).unwrapped
+
+
+def closed_picture(env: Any, seed: int, steps: int = 40) -> Any:
+    """Return the picture of an episode whose digits have closed for some steps."""
+    env.reset(seed=seed)
+    action = np.full(env.action_space.shape, -1.0, np.float32)
+    action[: len(env.names)] = -0.3
+    for _ in range(steps):
+        env.step(action)
+    return env.render()
+
+
+@pytest.mark.parametrize("name", [TRACK_ENV, GRASP_ENV])
+@pytest.mark.parametrize("hand", ["jamia", "t42"])
+def test_a_picture_shows_the_moving_hand(name: str, hand: str) -> None:
+    env = make_env(name, hand=hand, picture_size_px=(160, 120))
+    for seed in range(3):
+        env.reset(seed=seed)
+        first = env.render()
+        assert first.shape == (120, 160, 3)
+        assert first.dtype == np.uint8
+        # At least a tenth of the picture is no background.
+        assert (first != first[0, 0]).any(axis=2).mean() > 0.1
+        assert (env.render() == first).all()
+        later = closed_picture(env, seed)
+        assert (later != first).any(axis=2).mean() > 0.01
+        assert (closed_picture(env, seed) == later).all(), "equal seeds give equal pictures"
+    env.close()
+
+
+def test_the_object_is_drawn() -> None:
+    with_object = make_env(GRASP_ENV)
+    without_object = make_env(TRACK_ENV)
+    for seed in range(3):
+        with_object.reset(seed=seed)
+        without_object.reset(seed=seed)
+        first, second = with_object.render(), without_object.render()
+        assert first.shape == second.shape == (480, 480, 3)
+        assert (first != second).any(axis=2).mean() > 0.05
+
+
+@pytest.mark.parametrize("name", [TRACK_ENV, GRASP_ENV])
+def test_the_gymnasium_checker_accepts_the_pictures(name: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env = make_env(name, duration_s=0.4)
+        check_env(env)
+        env.close()
+
+
+def test_pictures_of_an_episode_are_collected() -> None:
+    env = gymnasium.make(TRACK_ENV, render_mode="rgb_array_list", picture_size_px=(64, 64))
+    env.reset(seed=0)
+    for _ in range(4):
+        env.step(env.action_space.sample())
+    pictures: Any = env.render()
+    assert len(pictures) == 5
+    env.close()
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        ({"render_mode": "human"}, "render_mode: 'human'; expected rgb_array or None"),
+        ({"picture_size_px": (0, 480)}, "picture_size_px"),
+        ({"picture_size_px": (480, 5000)}, "picture_size_px"),
+    ],
+)
+def test_wrong_options_are_refused(options: dict[str, Any], reason: str) -> None:
+    with pytest.raises(ConfigError, match=reason):
+        handctl.gym.TrackEnv(**options)
+
+
+def test_without_a_render_mode_there_is_no_picture() -> None:
+    env = handctl.gym.TrackEnv()
+    env.reset(seed=0)
+    with pytest.warns(UserWarning, match="no picture without render_mode"):
+        assert env.render() is None
