@@ -128,7 +128,9 @@ def test_retarget(repeat_time_scale):
     with simulated_hand(repeat_time_scale, "--scene", "none", name="jamia11") as options:
         out = run_example("retarget.py", *options)
     assert "accepted=300" in out
-    assert numbers_in(out.splitlines()[-1])[0] < 6.0
+    # The limit was 6 mm. The program counted its targets, and on a busy machine its motion lagged
+    # behind by 0.2 s.
+    assert numbers_in(out.splitlines()[-1])[0] < 2.5
     check_picture("retarget.png")
     # The distances of the tips are in a second row, with the left and right border of each digit.
     lower = imread("retarget.png")[..., :3]
