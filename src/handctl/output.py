@@ -87,9 +87,6 @@ def save_figure(figure: Any, path: Path, dpi: int = 110) -> None:
         "svg": {"Creator": creator, "Date": None},
         "pdf": {"Creator": creator},
     }
-    # A first layout changes the height of the axes, and with it the tick labels. Without a second
-    # layout, wider tick labels push the label of an axis out of the figure.
-    figure.draw_without_rendering()
     with atomic_path(path) as part:
         figure.savefig(part, dpi=dpi, format=kind, metadata=metadata[kind])
 
