@@ -20,11 +20,26 @@ PLOT_ROWS = (
     ("tip_force", "tip force [N]", 1.0),
 )
 
+LINE_STYLES = ("-", "--", ":", "-.")
+
+
+def line_looks(names):
+    """Return a colour and a line style for each name: the digits differ by colour, their parts by style."""
+    digits = [name.partition("_")[0] for name in names]
+    colours = {digit: f"C{number}" for number, digit in enumerate(dict.fromkeys(digits))}
+    parts = [digits[:i].count(digit) for i, digit in enumerate(digits)]
+    return [
+        {"color": colours[digit], "linestyle": LINE_STYLES[part % len(LINE_STYLES)]}
+        for digit, part in zip(digits, parts, strict=True)
+    ]
+
+
 with RunLog(sys.argv[1]) as log:
     figure, axes = plt.subplots(len(PLOT_ROWS), sharex=True, figsize=(8, 7), layout="constrained")
     for axis, (field, label, factor) in zip(axes, PLOT_ROWS, strict=True):
-        for name, values in zip(log.names(field), log.field(field).T, strict=True):
-            axis.plot(log.times, factor * values, label=name, linewidth=1.0)
+        names = log.names(field)
+        for name, values, look in zip(names, log.field(field).T, line_looks(names), strict=True):
+            axis.plot(log.times, factor * values, label=name, linewidth=1.0, **look)
         axis.set_ylabel(label)
         axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize="x-small", frameon=False)
     starts = [log.times[np.searchsorted(log.k, change.k)] for change in log.phases]

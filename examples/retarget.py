@@ -79,8 +79,10 @@ with handctl.connect("jamia11", "local:lab", *sys.argv[1:]) as hand:
     distances_m = []
     with hand.stream(RATE_HZ, "fingertip", list(SEGMENT_FRACTIONS)) as stream:
         began_s = hand.observe().t_s
-        for tick in range(round(DURATION_S * RATE_HZ)):
-            t = tick / RATE_HZ + stream.horizon_s  # time at which the hand must reach the target
+        for _ in range(round(DURATION_S * RATE_HZ)):
+            # Time at which the hand must reach the target. It comes from the clock of the hand: a
+            # count of the targets would lag behind after each delay of this program.
+            t = hand.observe().t_s - began_s + stream.horizon_s
             stream.send(
                 np.array([retargeted_tip(digits[name], name, t) for name in SEGMENT_FRACTIONS])
             )
@@ -104,21 +106,27 @@ reached = np.array(
     [tips.tips(dict(zip(names, row, strict=True))) for row in q]
 )  # (ticks, digits, 3)
 
-figure, axes = plt.subplots(1, len(SEGMENT_FRACTIONS), figsize=(11, 3.4), layout="constrained")
+figure, (paths, distances) = plt.subplots(
+    2, len(SEGMENT_FRACTIONS), figsize=(11, 6), sharex="row", sharey="row", layout="constrained"
+)
 errors = []
-for d, (name, ax) in enumerate(zip(SEGMENT_FRACTIONS, axes, strict=True)):
+for d, (name, ax) in enumerate(zip(SEGMENT_FRACTIONS, paths, strict=True)):
     digit = digits[name]
     human = np.array([retargeted_tip(digit, name, t) for t in times - began_s])
     path = [
         (points - digit.mount_position) @ digit.mount_rotation * 1e3
         for points in (human, reached[:, d])
     ]
-    errors.append(np.sqrt(np.mean(np.sum((path[0] - path[1]) ** 2, axis=1))))
-    ax.plot(path[0][:, 0], path[0][:, 1], "k--", label="human, scaled")
+    distance = np.linalg.norm(path[0] - path[1], axis=1)
+    errors.append(np.sqrt(np.mean(distance**2)))
     ax.plot(path[1][:, 0], path[1][:, 1], label="robot")
-    ax.plot(0.0, 0.0, "o", color="0.6")
+    ax.plot(path[0][:, 0], path[0][:, 1], "k--", label="human, scaled")
+    ax.plot(0.0, 0.0, "o", color="0.6", label="knuckle")
     ax.set(title=f"{name}: {errors[-1]:.1f} mm rms", xlabel="along the finger [mm]", aspect="equal")
-axes[0].set_ylabel("to the palm [mm]")
-axes[0].legend(loc="lower left")
+    distances[d].plot(times - began_s, distance)  # both tips may be on one path at different times
+    distances[d].set_xlabel("time [s]")
+paths[0].set_ylabel("to the palm [mm]")
+distances[0].set_ylabel("distance of the tips [mm]")
+figure.legend(*paths[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
 figure.savefig("retarget.png", dpi=120)
 print(f"RMS distance of robot and human tips: {max(errors):.1f} mm in the worst finger")

@@ -90,7 +90,7 @@ for iteration in range(ITERATIONS):
 np.save("policy.npy", policy)
 before, after = (run_episode(p, TEST_SEEDS[0])[1] for p in (first, policy))
 figure, axes = plt.subplots(1, 3, figsize=(11, 3.4), layout="constrained")
-axes[0].plot(range(1, ITERATIONS + 1), curve)
+axes[0].plot(range(1, ITERATIONS + 1), curve, ".-")
 axes[0].set(xlabel="iteration", ylabel="mean reward", ylim=(0, 1), title="Test episodes")
 t = env.step_s * np.arange(1, env.max_steps + 1)
 for axis, rows, title in ((axes[1], before, "Before"), (axes[2], after, "After")):

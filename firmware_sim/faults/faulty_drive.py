@@ -3,9 +3,14 @@
 from dataclasses import replace
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.hand_description import MotorSpec
+from firmware_sim.hand_description import MotorSpec, SimulatorError
 from firmware_sim.nodes import PROTOCOL_SPECS
-from firmware_sim.nodes.protocol_spec import DriveNode, ProtocolSpec, SimulatedNode
+from firmware_sim.nodes.protocol_spec import (
+    DriveNode,
+    ProtocolSpec,
+    SimulatedNode,
+    unchanged_frame,
+)
 
 DRIVE_FAULTS = {
     "deaf": "ignores commands to disable",
@@ -19,6 +24,30 @@ DRIVE_FAULTS = {
 """Effect of each kind of fault."""
 TWIN_SERIAL = 0x7714_0000
 """Serial number of a second drive with node number 0. Other nodes add their node number."""
+
+
+NO_WATCHDOG = ("cubemars", "robstride_mit")
+"""Protocols whose motors have no watchdog, or one that only another protocol switches on."""
+
+
+def check_fault_has_effect(protocol: str, fault: str) -> None:
+    """Check that a drive with a deliberate fault behaves differently from a good drive.
+
+    Args:
+        protocol: key of ``PROTOCOL_SPECS``.
+        fault: key of ``DRIVE_FAULTS``, empty for no fault.
+
+    Raises:
+        SimulatorError: the drives of the protocol cannot have the fault.
+    """
+    spec = PROTOCOL_SPECS[protocol]
+    reasons = {
+        "eager": spec.force_command is None and "a torque command also enables it",
+        "readback": spec.corrupt_reply is unchanged_frame and "it has no settings to read back",
+        "watchdog": protocol in NO_WATCHDOG and "it has no watchdog",
+    }
+    if reason := reasons.get(fault):
+        raise SimulatorError(f"--broken {fault}: not possible with drive {protocol}, {reason}")
 
 
 class FaultyDrive:

@@ -12,7 +12,12 @@ from firmware_sim.command_line import CommandParser, check_time_scale, until_sig
 from firmware_sim.faults.active_faults import ActiveFaults
 from firmware_sim.faults.bench_world import BenchWorld
 from firmware_sim.faults.fault_socket import FaultSocket, is_served
-from firmware_sim.faults.faulty_drive import DRIVE_FAULTS, with_fault, with_faulty_specs
+from firmware_sim.faults.faulty_drive import (
+    DRIVE_FAULTS,
+    check_fault_has_effect,
+    with_fault,
+    with_faulty_specs,
+)
 from firmware_sim.hand_description import MotorSpec, SimulatorError
 from firmware_sim.nodes import PROTOCOL_SPECS
 from firmware_sim.nodes.cia402.object_dictionary import EDS_PATH
@@ -234,6 +239,7 @@ def _drive_specs(args: argparse.Namespace) -> list[MotorSpec]:
     if args.inertia is not None and not 0.0 < args.inertia <= 100.0:
         raise SimulatorError(f"--inertia {args.inertia}: expected more than 0, at most 100")
     check_time_scale(args.time_scale)
+    check_fault_has_effect(args.protocol, args.broken)
     try:
         numbers = [int(word, 0) for word in args.ids.split(",")]
     except ValueError:

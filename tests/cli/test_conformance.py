@@ -105,6 +105,25 @@ def test_a_broken_drive_fails_and_its_line_says_why():
     assert lines[-1].split(", ")[1] == "1 failed"
 
 
+@pytest.mark.realtime
+def test_a_new_robstride_motor_in_mit_mode_needs_no_host_number():
+    """Reproduce a defect: the command expected replies with the identifier 0x11.
+
+    A new motor has the host number 0. The good simulated motor failed the first check, and no check
+    of its motion ran.
+    """
+    words = ["--protocol", "robstride_mit", "--node", "1", "--option", "motor_type=rs05", "--yes"]
+    with run_simulated_drives("local:c", "robstride_mit", "--ids", "1"):
+        done = run_handctl(*CONFORMANCE_OPTIONS, *words, "--json")
+    failed = {
+        check["name"] for check in json.loads(done.stdout)["checks"] if check["verdict"] != "passed"
+    }
+    assert failed == {
+        "disables itself when the host falls silent, and stays off",
+        "is cut at once, and cleared on command only",
+    }
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

@@ -15,6 +15,7 @@ from firmware_sim.nodes.moteus import registers
 from firmware_sim.programs.drive import SimulatedDriveBench
 from firmware_sim.programs.drive_types import drive_spec
 from handctl.cli.checks.hand_file_snippet import hand_file_snippet
+from handctl.cli.checks.scan import _print_scans
 from handctl.cli.main import main
 from handctl.drives.discovery import TWO_DRIVES_WARNING
 from handctl.drives.frame import EXTENDED_FLAG, REMOTE_FLAG, Frame
@@ -331,6 +332,15 @@ def test_scan_reads_two_buses_and_prints_a_part_of_a_hand_file(capsys):
     assert [Bus.model_validate(bus).name for bus in parsed["bus"]] == ["lab", "far"]
     for motor, (bus, protocol, node) in zip(parsed["motor"], nodes, strict=True):
         assert make_drive(Motor.model_validate(motor), 0).name == f"{bus}_{protocol}_{node}"
+
+
+def test_a_repeated_frame_of_another_host_is_printed_once(capsys):
+    """Reproduce a defect: the output showed the same frame eight times, and no other frame."""
+    talk = [Frame(0x6E, bytes(8)), Frame(0x67, bytes(8))]
+    result, _, _ = scan_bench(("odrive", 3), talk=talk)
+    _print_scans({"main": "local:s"}, {"main": result}, "")
+    line = capsys.readouterr().out.splitlines()[1]
+    assert line.count("06E#") == line.count("067#") == 1
 
 
 def test_the_hand_file_part_of_an_empty_bus_parses():

@@ -1,6 +1,7 @@
 """Every program in examples/ runs with the command line of a user, and behaves as its docstring describes."""
 
 import re
+import runpy
 import select
 import subprocess
 import sys
@@ -27,6 +28,8 @@ from tests.runtime.processes import (
 EXAMPLES_FOLDER = Path(__file__).parents[2] / "examples"
 REALTIME = pytest.mark.realtime
 TIME_SCALE = 1.0
+BLUE = np.array([0x1F, 0x77, 0xB4]) / 255
+"""First colour of lines in matplotlib."""
 
 
 @contextmanager
@@ -125,8 +128,14 @@ def test_retarget(repeat_time_scale):
     with simulated_hand(repeat_time_scale, "--scene", "none", name="jamia11") as options:
         out = run_example("retarget.py", *options)
     assert "accepted=300" in out
-    assert numbers_in(out.splitlines()[-1])[0] < 6.0
+    # The limit was 6 mm. The program counted its targets, and on a busy machine its motion lagged
+    # behind by 0.2 s.
+    assert numbers_in(out.splitlines()[-1])[0] < 2.5
     check_picture("retarget.png")
+    # The distances of the tips are in a second row, with the left and right border of each digit.
+    lower = imread("retarget.png")[..., :3]
+    lower = lower[int(0.6 * len(lower)) : int(0.8 * len(lower))]
+    assert (lower < 0.1).all(axis=(0, 2)).sum() >= 8
 
 
 @REALTIME
@@ -192,6 +201,21 @@ def test_plot_grasp(grasp_log):
     check_picture("grasp.png")
 
 
+def test_each_joint_of_a_plotted_grasp_has_its_own_line(grasp_log, monkeypatch):
+    """Reproduce a defect: two of the eleven joints had the same colour in the picture and in its legend."""
+    monkeypatch.setattr(sys, "argv", ["plot_grasp.py", str(grasp_log)])
+    axes = runpy.run_path(str(EXAMPLES_FOLDER / "plot_grasp.py"))["axes"]
+    looks = [
+        {
+            (line.get_color(), line.get_linestyle())
+            for line in one.lines
+            if line.get_label()[0] != "_"
+        }
+        for one in axes
+    ]
+    assert [len(look) for look in looks] == [11, 4, 4]
+
+
 def test_own_hand():
     refused, mine, contact, result = run_example("own_hand.py").splitlines()
     assert refused.endswith("link_lenght_m: unknown key; expected link_length_m")
@@ -212,6 +236,9 @@ def test_train_policy_begins():
     out = run_example("train_policy.py", "1").splitlines()
     assert len(out) == 1
     check_picture("training.png")
+    picture = imread("training.png")[..., :3]
+    left = picture[:, : picture.shape[1] // 3]
+    assert (np.abs(left - BLUE).max(axis=-1) < 0.02).any(), "a single reward is visible"
 
 
 @pytest.mark.nightly

@@ -5,9 +5,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from handctl.core.tick_types import HandMode
 from handctl.hand.hand_loading import load_hand
+from handctl.output import save_figure
 from handctl.report.run_figure import MARK_WIDTH_FRACTION, _mark_positions, draw_run
 from handctl.report.truth_record import TruthRecord
 from tests.report.invented_run import InventedLog, set_truth_column, zero_truth
@@ -47,6 +49,29 @@ def test_a_png_is_written(name: str, with_truth: bool, lively: bool, tmp_path: P
     width, height = (int.from_bytes(content[at : at + 4], "big") for at in (16, 20))
     assert width > 800
     assert height > 600
+
+
+def test_labels_of_axes_are_inside_the_figure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Reproduce a defect: tick labels such as 12.5 pushed the label "tendon tension" out of the picture."""
+    drawn = []
+
+    def save_and_keep(figure: Figure, path: Path) -> None:
+        save_figure(figure, path)
+        drawn.append(figure)
+
+    monkeypatch.setattr("handctl.report.run_figure.save_figure", save_and_keep)
+    log = run_of("jamia", True)
+    log.late_ns[:] = 1000
+    log.fields["tension"][:] = np.linspace(0.0, 13.0, 120)[:, None]
+    log.fields["tension_goal"][:] = np.linspace(0.0, 1.0, 120)[:, None]
+    log.fields["tension_sigma"][:] = 0.01
+    log.fields["q"][:] = log.fields["q_goal"][:] = np.linspace(0.0, 0.7, 120)[:, None]
+    draw_run(tmp_path / "x.png", log, load_hand("jamia"), None, 0, "t")  # type: ignore[arg-type]
+    labels = [axes.yaxis.label for axes in drawn[0].axes if axes.get_ylabel()]
+    assert len(labels) == 4
+    assert min(label.get_window_extent().x0 for label in labels) >= 0.0
 
 
 def test_figure_depends_on_the_run(tmp_path: Path) -> None:

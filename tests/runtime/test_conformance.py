@@ -139,6 +139,16 @@ def test_a_broken_motor_without_guards_fails_its_check(protocol, fault):
     assert place.largest_torque <= TORQUE_LIMIT_N_M * 1.05
 
 
+@pytest.mark.parametrize(
+    ("protocol", "identifier"), [("cubemars", "0x021"), ("robstride_mit", "0x000")]
+)
+def test_a_silent_motor_is_reported_with_the_expected_identifier(protocol, identifier):
+    """Reproduce a defect: the reason was "stays in SILENT", which does not say what handctl waited for."""
+    found, _, _ = check_results(protocol, "mute")
+    check = found[FAILED_CHECK["mute"]]
+    assert check.reason == f"no reply; expected frames with the identifier {identifier}"
+
+
 @pytest.mark.parametrize("fault", ["", "deaf", "twin"])
 def test_an_odrive_of_firmware_05_is_judged_without_torque_reports(fault):
     place = VirtualBench("odrive", fault, firmware="0.5", usb_watchdog_s=0.1)

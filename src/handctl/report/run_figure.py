@@ -32,6 +32,12 @@ PASSIVE_PHASES = frozenset(mode.name.lower() for mode in HandMode)
 """Names of the phases before and after the time in which the hand is active."""
 MARK_WIDTH_FRACTION = 0.038
 """Width that the name of a mark needs in a column of the figure, as a fraction of the column."""
+LAYOUT_PAD_INCH = 0.12
+"""Horizontal padding of the axes [inch].
+
+The layout does not know the tick labels of the final height of the axes. Wider tick labels move the
+label of an axis by up to 0.05 inch to the left.
+"""
 MARK_HEIGHTS = (0.99, 0.72, 0.45)
 """Upper ends of the names of marks, as fractions of the height of the first row.
 
@@ -68,11 +74,13 @@ def draw_run(
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     n = len(hand.digit)
     # In virtual time no tick is late, so the row with the lateness is left out.
     timed = bool(log.late_ns.any())  # in virtual time no tick is late
-    figure = Figure(figsize=(max(9.0, 2.6 + 2.6 * n), 7.6 + 1.4 * timed), layout="constrained")
+    layout = ConstrainedLayoutEngine(w_pad=LAYOUT_PAD_INCH)
+    figure = Figure(figsize=(max(9.0, 2.6 + 2.6 * n), 7.6 + 1.4 * timed), layout=layout)
     FigureCanvasAgg(figure)
     halves = figure.add_gridspec(1 + timed, 1, height_ratios=[8, 1.2][: 1 + timed])
     grid = halves[0].subgridspec(3, n).subplots(sharex=True, sharey="row", squeeze=False)

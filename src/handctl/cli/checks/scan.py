@@ -144,9 +144,8 @@ def _print_scans(buses: dict[str, str], scans: dict[str, BusScan], piece: str) -
             f"{name} ({buses[name]}): {len(result.found_nodes)} nodes, {result.frame_count} frames received"
         )
         if result.foreign_frames:
-            frames_text = ", ".join(
-                _frame_text(frame) for frame in result.foreign_frames[:MAX_FOREIGN_FRAMES]
-            )
+            texts = dict.fromkeys(_frame_text(frame) for frame in result.foreign_frames)
+            frames_text = ", ".join(list(texts)[:MAX_FOREIGN_FRAMES])
             print(
                 f"  another host controls this bus ({frames_text}): no request was sent; stop it or use --force"
             )

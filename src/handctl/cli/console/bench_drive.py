@@ -20,6 +20,7 @@ from handctl.drives.frame import Frame
 from handctl.drives.mit.drive import MitDrive
 from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.drives.protocol_registry import PROTOCOL_ENTRIES, make_drive
+from handctl.drives.robstride.mit_mode import FACTORY_HOST
 from handctl.errors import BusError, ConfigError, DriveError
 from handctl.hand.file.error_text import toml_spelling
 from handctl.hand.file.sections import Motor
@@ -41,10 +42,12 @@ This time is longer than the delays of a desktop computer without real-time prio
 BENCH_OPTIONS: dict[str, dict[str, Any]] = {
     "odrive": {"torque_feedback": True},
     "cia402": {"sync": True},
+    "robstride_mit": {"host_id": FACTORY_HOST},
 }
 """Options for a single drive on a bench, by protocol.
 
-A CiA 402 drive gets SYNC messages from handctl, because no other host on the bench sends them.
+A CiA 402 drive gets SYNC messages from handctl, because no other host on the bench sends them. A
+new RobStride motor has the factory setting of the host number.
 """
 TEXT_VALUED_OPTIONS = ("firmware", "motor_type")
 """Options whose value is always text, even if it looks like a number, as in firmware=0.5."""

@@ -141,7 +141,7 @@ def _check_configures(device: DeviceUnderTest) -> str:
     """Check that the drive accepts its settings, and reaches the phase READY."""
     rig = device.rig
     if not rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0):
-        raise CheckFailed(rig.state.error_text or f"stays in {rig.state.phase.name}")
+        raise CheckFailed(rig.reason_not_ready())
     return "; ".join(rig.drive.unverified_protections or ("settings read back",))
 
 

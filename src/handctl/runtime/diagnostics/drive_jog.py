@@ -143,7 +143,7 @@ class _JogExecution:
         """
         rig = self._rig
         if not rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0):
-            return rig.state.error_text or f"stays in {rig.state.phase.name}"
+            return rig.reason_not_ready()
         # The start position is read after the drive is ready. A position that the drive sent before
         # it got its settings may have another scale.
         rig.run_for(DriveTarget.POLL, HOLD_TIME_S)

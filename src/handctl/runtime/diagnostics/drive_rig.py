@@ -123,6 +123,16 @@ class DriveRig:
         """Run ticks with the idle command for a time [s]."""
         self.run_until(target, lambda state: False, for_s)
 
+    def reason_not_ready(self) -> str:
+        """Return in words why the drive has not reached READY: its error, its silence, or its phase."""
+        if self.state.error_text:
+            return self.state.error_text
+        if self.state.phase != DrivePhase.SILENT:
+            return f"stays in {self.state.phase.name}"
+        # Bits 29 to 31 of an identifier are flags of SocketCAN.
+        ids = ", ".join(f"0x{number & 0x1FFFFFFF:03X}" for number in sorted(self.drive.node_ids))
+        return f"no reply; expected frames with the identifier {ids}"
+
     def clear_faults(self) -> None:
         """Clear the latched faults of the drive."""
         self.state, frames = self.drive.clear(self.state)
