@@ -16,7 +16,7 @@ def positions(joints: Iterable[str]) -> dict[str, type]:
 
 
 def named(joints: Iterable[str], angles: Iterable[float]) -> dict[str, float]:
-    """Return joint angles by the names that they have in a dataset [rad]."""
+    """Return joint angles [rad] as a dict whose keys are the names in a dataset."""
     return {f"{joint}{POSITION}": float(angle) for joint, angle in zip(joints, angles, strict=True)}
 
 

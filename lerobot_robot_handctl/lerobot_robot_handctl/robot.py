@@ -22,10 +22,13 @@ PAUSE_S = 0.4
 
 
 class HandctlRobot(Robot):
-    """Robot whose hand follows actions. The actions are sent to the controller as a stream of targets.
+    """Robot of LeRobot whose hand follows actions.
 
-    If the actions pause, a thread closes the stream. This thread sends no targets. So if the
-    program hangs, no targets arrive, and the controller first holds the hand and then relaxes it.
+    The actions are sent to the controller as a stream of targets.
+
+    If no actions arrive for some time, a thread closes the stream. This thread never sends targets.
+    If the program hangs, no targets arrive. The controller then first holds the hand, and later
+    relaxes it.
     """
 
     config_class = HandctlRobotConfig
@@ -50,7 +53,7 @@ class HandctlRobot(Robot):
 
     @cached_property
     def observation_features(self) -> dict[str, Any]:
-        """Return the names and types of an observation's elements: joint angles, tensions and camera images."""
+        """Return the names and types of the elements of an observation: joint angles, tensions and camera images."""
         tensions = {f"{tendon}{TENSION}": float for tendon in self.description.tendon_names}
         pictures = {
             name: (camera.height, camera.width, 3) for name, camera in self.config.cameras.items()
@@ -59,7 +62,7 @@ class HandctlRobot(Robot):
 
     @cached_property
     def action_features(self) -> dict[str, Any]:
-        """Return the names and types of an action's elements: an angle for each joint."""
+        """Return the names and types of the elements of an action: one angle for each joint."""
         return positions(self.description.joints)
 
     @property
@@ -73,7 +76,10 @@ class HandctlRobot(Robot):
         return True
 
     def connect(self, calibrate: bool = True) -> None:
-        """Connect to the controller on the bus, or start a controller, which commissions and arms the hand."""
+        """Connect to the controller on the bus.
+
+        If there is none, start a controller, which commissions and arms the hand.
+        """
         if self._hand is not None:
             raise DeviceAlreadyConnectedError(f"{self} is connected")
         hand = handctl.connect(self.config.hand, self.config.bus, *self.config.options).open()
@@ -128,7 +134,7 @@ class HandctlRobot(Robot):
     def disconnect(self) -> None:
         """Close the stream and the client.
 
-        If this robot has started the controller, the hand relaxes and is disarmed.
+        If this robot has started the controller, the controller then relaxes and disarms the hand.
         """
         hand = self._connected()
         self._ended.set()
@@ -137,7 +143,8 @@ class HandctlRobot(Robot):
             self._hand = None
         try:
             if stream is not None:
-                with suppress(handctl.HandctlError):  # the run has ended: close raises the reason
+                # the run has ended, and close raises the reason
+                with suppress(handctl.HandctlError):
                     stream.close()
             hand.close()
         finally:
@@ -165,5 +172,5 @@ class HandctlRobot(Robot):
                     stream, self._stream = self._stream, None
                     with suppress(
                         handctl.HandctlError
-                    ):  # the run has ended: the next action raises the reason
+                    ):  # the run has ended, and the next action raises the reason
                         stream.close()
