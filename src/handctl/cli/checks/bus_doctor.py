@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
 
     Args:
         args: arguments with bus, bitrate, data_bitrate, json, and hand. The hand gives the expected
-            bit rates and motors. Without a hand, all motors and bit rates are accepted.
+            bit rates and motors. If no hand is given, all motors and bit rates are accepted.
     """
     hand = load_hand(args.hand) if args.hand else None
     if not args.bus:

@@ -39,7 +39,7 @@ MAX_WATCH_S = 86400.0
 
 
 def run(args: argparse.Namespace) -> int:
-    """Show the readings for a given time, or until Ctrl-C.
+    """Show the readings for a given time, or until the operator presses Ctrl-C.
 
     Return 1 if a drive no longer replies at the end.
     """
@@ -155,7 +155,7 @@ def readings_of(hand: Hand, watch: BusWatch) -> dict[str, Any]:
 
 
 def _joint_reading(hand: Hand, index: int, value: float) -> dict[str, float]:
-    """Return the reading of a joint encoder by its key, with the position of a prismatic joint in m."""
+    """Return the reading of a joint encoder. If the joint is prismatic, its position is in m."""
     return {("position_m" if hand.is_prismatic[index] else "angle_rad"): value}
 
 

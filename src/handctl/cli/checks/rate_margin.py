@@ -26,7 +26,8 @@ def rate_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
     """
     if rate_hz >= LOWEST_UNCHECKED_RATE_HZ:
         return []
-    # The compiled core computes the control loops. No other check of a hand needs to import it.
+    # The compiled core computes the control loops. No other check of a hand needs to import the
+    # compiled core.
     from handctl.tune.loops.linear import LoopKind, open_loop
     from handctl.tune.loops.margins import MIN_GAIN_MARGIN_DB, margins_of_loop
 

@@ -59,9 +59,9 @@ drive.
 
 
 def parse_options(words: list[str]) -> dict[str, Any]:
-    """Return the options that KEY=VALUE words give.
+    """Return the options of a drive from words of the form KEY=VALUE.
 
-    The values are TOML, but a text may be written without quotes.
+    The values are written as TOML, but a text may be written without quotes.
 
     Raises:
         ConfigError: a word is not TOML.
@@ -82,14 +82,14 @@ def _option_from_word(word: str) -> dict[str, Any]:
     except ConfigError as error:
         if (
             UNQUOTED_TEXT.fullmatch(value) and not value.isdecimal()
-        ):  # TOML refuses numbers with too many digits
+        ):  # TOML refuses numbers that have too many digits
             return parse_toml(quoted, "--option")
         right = "KEY=VALUE, as in gear_ratio=6.0 or motor_type=ak80-9"
         raise ConfigError(f"{word}: {error.what}", "--option", right) from None
 
 
 def _torque_drive(motor: Motor) -> Drive:
-    """Return a motor's drive, in torque mode."""
+    """Return the drive of a motor, in torque mode."""
     return make_drive(motor, 0)
 
 
@@ -99,7 +99,9 @@ def describe_drive(
     node: DiscoveredNode | None,
     make: Callable[[Motor], Drive] = _torque_drive,
 ) -> Drive:
-    """Return the drive with the values that it reports. Values on the command line take precedence.
+    """Return the drive with the values that it reports.
+
+    If the command line also gives a value, the command line takes precedence.
 
     Args:
         args: arguments with ``protocol``, ``node`` and ``limit`` [N m].
@@ -202,8 +204,9 @@ def find_drive(args: argparse.Namespace) -> DiscoveredNode:
 def _listen_for_drive(args: argparse.Namespace, bus: Bus) -> BusScan:
     """Return a scan result for a drive that answers commands, but no scan.
 
-    The function listens and sends nothing. Therefore a frame with the drive's identifier must come
-    from another host. The first check after the scan shows whether the drive is present.
+    The function only listens, and sends nothing. If a frame with the identifier of the drive
+    arrives, another host must have caused it. The first check after the scan shows whether the
+    drive is present.
     """
     seen: list[Frame] = []
     collect_frames(bus, SCAN_LISTEN_S, seen)
@@ -212,7 +215,7 @@ def _listen_for_drive(args: argparse.Namespace, bus: Bus) -> BusScan:
 
 
 def with_torque_range(drive: Drive, node: DiscoveredNode) -> Drive:
-    """Return a drive with the torque range that the scanned drive had.
+    """Return a drive with the torque range that the scan has read from it.
 
     In the MIT protocol, this range scales every torque.
     """

@@ -58,7 +58,7 @@ BLOCKED_HINT = (
 
 
 def run(args: argparse.Namespace) -> int:
-    """Excite a hand or read logs, then fit, report and save the parameters of the hand.
+    """Excite a hand, or read logs. Then fit, report and save the parameters of the hand.
 
     Return the exit code.
     """
@@ -82,7 +82,8 @@ def run(args: argparse.Namespace) -> int:
         excitation_steps(plan.hand, tuple(args.digits or plan.hand.digit_names))
     )
     path, calibration, reason = find_calibration(args, plan.hand, plan.buses)
-    if args.lockstep and not args.calibration:  # keep simulated results out of the real hand's file
+    # the results of a simulation must not go into the file of a real hand
+    if args.lockstep and not args.calibration:
         path = _simulated_calibration_path(plan.hand)
     total = sum(step.duration_s for step in program.steps)
     if args.dry_run:
@@ -140,7 +141,7 @@ def _commission_and_excite(
 def _identify_from_logs(args: argparse.Namespace) -> int:
     """Identify parameters from recorded runs, without moving the hand. Return the exit code.
 
-    If several logs give results for a tendon, the result of the last log is used.
+    If several logs give results for the same tendon, the last of these logs counts.
     """
     hand = load_hand(args.hand)
     path = calibration_path(args, hand)
@@ -253,12 +254,12 @@ def _report_results(
 
 
 def _print_refusals(spoilt: dict[str, str], met: dict[str, str], incoherent: list[str]) -> None:
-    """Print which parameters are not kept, and why.
+    """Print which parameters are not kept, with the reasons.
 
     Args:
-        spoilt: event of each blocked digit.
-        met: contact of each digit that met something during its sweep.
-        incoherent: names of the tendons with a low coherence.
+        spoilt: for each blocked digit, the event that reports this.
+        met: for each digit that touched something during its sweep, the contact.
+        incoherent: names of the tendons whose coherence is too low.
     """
     for digit, reason in spoilt.items():
         print_escaped(
@@ -279,7 +280,10 @@ def _print_refusals(spoilt: dict[str, str], met: dict[str, str], incoherent: lis
 
 
 def _search_command(args: argparse.Namespace, path: Path) -> str:
-    """Return the command line that tunes the identified hand. The options select the same hand."""
+    """Return the command line that tunes the gains for the identified hand.
+
+    The options in it select the same hand.
+    """
     words = ["handctl", "tune", "search", "--hand", str(args.hand), "--calibration", str(path)]
     return shlex.join(words + same_hand_words(args))
 

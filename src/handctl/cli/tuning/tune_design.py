@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _report_failure(args: argparse.Namespace, reason: str) -> int:
-    """Report the reason why no gains are written, and return the exit code."""
+    """Report why no gains are written, and return the exit code."""
     if args.json:
         print_json({"gains": None, "picture": None, "enough": False, "why": reason})
     print_escaped(f"handctl: tune design: {reason}; nothing is written", error=True)
@@ -157,12 +157,13 @@ def _print_design(result: Any, rate: float, plants: int) -> None:
 
 
 def _margin_cells(before: Any, after: Any, unproven: str) -> list[str]:
-    """Return the cells of a row of the table: each margin before and after.
+    """Return the cells of a row of the table: each margin with the old gains and with the new gains.
 
     Args:
         before: margins with the old gains.
         after: margins with the designed gains.
-        unproven: text in the first cell for a loop without margins. The other cells have a dash.
+        unproven: text in the first cell if a loop has no margins. The other cells then contain a
+            dash.
     """
     from handctl.tune.loops.margins import MAX_DELAY_S, MAX_GAIN_DB
 
