@@ -197,8 +197,8 @@ class AmplifierObjects:
         status = self._channel_status(channel)
         if index == 0x6150:
             return bytes((status,))
-        # The maker's unit is assumed to be 1/100 N, so a host that does not set the unit reads
-        # wrong tensions.
+        # The unit as delivered is assumed to be 1/100 N. A host that does not set the unit
+        # therefore reads wrong tensions.
         unit = 1.0 if self[0x6131, channel] == NEWTON_UNIT else 100.0
         value = math.nan if status else self.readings[channel - 1] * unit
         if index == FLOAT_VALUE_INDEX:

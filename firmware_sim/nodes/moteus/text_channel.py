@@ -39,7 +39,7 @@ class TextChannel:
     Attributes:
         items: configuration items in the working memory.
         saved: configuration items in the permanent memory.
-        out: text of the answers that the host has not read yet.
+        out: text of those answers that the host has not read yet.
     """
 
     def __init__(self, stop_drive: Callable[[], None]) -> None:
