@@ -1,6 +1,6 @@
 """Test ``handctl demo`` in lockstep with every packaged hand, every drive protocol and 20 seeds.
 
-By day only a sample is tested.
+By day, only a sample of these combinations is tested.
 """
 
 import os
