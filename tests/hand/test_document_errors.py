@@ -1,4 +1,7 @@
-"""Test documents such as hand files. For each kind of mistake, the complete error line is compared."""
+"""Test documents such as hand files.
+
+For each kind of mistake, the test compares the complete error line.
+"""
 
 import datetime
 from typing import Annotated, Any, Literal
@@ -11,7 +14,7 @@ from handctl.errors import ConfigError
 
 
 class MoveStep(Document):
-    """Step of a plan with a speed."""
+    """Step of a plan that has a speed."""
 
     kind: Literal["move"]
     speed_deg_s: float = Field(gt=0)
@@ -33,7 +36,7 @@ class PlanPart(Document):
 
 
 class PlanDocument(Document):
-    """Document with a field of each kind."""
+    """Document that has a field of each kind."""
 
     name: str
     part: tuple[PlanPart, ...] = ()
