@@ -75,10 +75,10 @@ sink_speed_m_s = 0.2
 class PeerWithLostReplies:
     """Wrapper of a lockstep simulator.
 
-    From a given time on, it loses the replies with one identifier.
+    From a given time on, the wrapper drops the replies with one identifier.
 
     Attributes:
-        peer: wrapped simulator, which sends all replies.
+        peer: the wrapped simulator, which sends all replies.
         can_id: identifier of the lost replies.
         since_ns: start of the loss [ns].
     """
@@ -88,7 +88,7 @@ class PeerWithLostReplies:
     since_ns: int
 
     def step(self, t_ns: int, frames: list[Any]) -> list[Any]:
-        """Step the wrapped simulator, and return those of its replies that are not lost."""
+        """Step the wrapped simulator, and return its replies without the dropped ones."""
         replies = self.peer.step(t_ns, frames)
         return [
             reply
@@ -102,7 +102,7 @@ class PeerWithLostReplies:
 
 
 def short_task(folder: Path) -> TaskProgram:
-    """Return the program of a short grasp, and write its task file into a folder."""
+    """Return the program of a short grasp. Its task file is written into a folder."""
     path = folder / "task.toml"
     path.write_text(SHORT_GRASP_TASK)
     return TaskProgram(load_task(path))
@@ -128,9 +128,10 @@ def record_lockstep_run(
         program: the program to run.
         hand, rate_hz, seed: name of the hand, control rate [Hz], and seed of the simulator.
         friction: friction coefficient of the cylinder.
-        spoil: function that wraps the simulator, for example to lose some replies.
-        io_events, requests: events of buses and host, and requests, by the number of their tick.
-        truth: path of the truth file, or None to write no truth file.
+        spoil: function that wraps the simulator, for example to drop some replies.
+        io_events, requests: events of buses and host, and requests, by the number of the tick in
+            which they arrive.
+        truth: path of the truth file. It is None to write no truth file.
     """
     described = load_hand(hand)
     plan = RunPlan(described, Gains(), rate_hz, ())
@@ -180,7 +181,7 @@ def record_lockstep_run(
 def peer_with_silent_index(peer: LockstepSimulator) -> LockstepSimulator:
     """Wrap a simulator.
 
-    From 2.2 s on, which is during the hold phase, the replies of its index motor are lost.
+    From 2.2 s on, which is in the hold phase, the replies of the index motor are dropped.
     """
     return PeerWithLostReplies(peer, 0x11, 2_200_000_000)
 

@@ -1,6 +1,6 @@
-"""A changed byte in a log is reported, with the first tick that it affects.
+"""If a byte in a log has changed, this is reported, with the first tick that contains a wrong byte.
 
-This holds even if all checksums were adjusted.
+This also works if all checksums were adjusted.
 """
 
 import json
@@ -36,7 +36,7 @@ def _scan_chunks(path: Path) -> tuple[LogFile, RecordScan]:
 def _change_message(path: Path, topic: str, k: int, at: int, fitting: bool) -> None:
     """Change a byte in the message of tick k.
 
-    If `fitting` is True, also adjust all checksums, as a forger would.
+    If `fitting` is True, also adjust all checksums, as somebody would do who forges a log.
     """
     file, scan = _scan_chunks(path)
     names = {
