@@ -1,4 +1,7 @@
-"""Test the jackknife over blocks of time. A damaged log may have all its rows in one block."""
+"""Test the jackknife over blocks of time, which gives the intervals of a fit.
+
+A damaged log may have all its rows in one block.
+"""
 
 import time
 
@@ -56,9 +59,9 @@ def test_a_block_with_large_residuals_leaves_the_degrees_of_freedom(seed: int) -
 
 
 def test_a_parameter_without_data_has_a_spread_of_its_prior() -> None:
-    """If the data do not depend on a parameter, its spread is that of its prior.
+    """If the data do not depend on a parameter, its standard deviation is that of its prior.
 
-    Regression: a digit that hardly moved caused an overflow warning.
+    Regression: the data of a digit that hardly moved caused a warning about an overflow.
     """
     jacobian = np.vstack([np.column_stack([np.ones(100), np.full(100, 1e-160)]), np.eye(2)])
     with np.errstate(all="raise", under="ignore"):
