@@ -166,7 +166,8 @@ class AsyncTargetStream:
     """Open stream of targets for asyncio. Use the stream with ``async with``.
 
     Attributes:
-        stream: the ``TargetStream`` that does the work. It has attributes such as ``horizon_s``.
+        stream: the ``TargetStream`` that does the work. The stream has attributes such as
+            ``horizon_s``.
     """
 
     def __init__(self, stream: TargetStream) -> None:

@@ -129,8 +129,8 @@ class FingertipStream(TargetStream):
     limits them in the same way as in every stream.
 
     Attributes:
-        fingertips: inverse kinematics of the digits. Its attribute ``distances_m`` is the distance
-            between each fingertip and its latest target.
+        fingertips: inverse kinematics of the digits. The stream has an attribute ``distances_m``,
+            the distance between each fingertip and its latest target.
     """
 
     def __init__(

@@ -743,8 +743,9 @@ class HandClient:
         Later calls of this method have no effect.
 
         Args:
-            raise_error: True to raise the error that ended the run. It is False while another
-                exception is handled. An error is then raised only if a drive may still make torque.
+            raise_error: True to raise the error that ended the run. The value is False while
+                another exception is handled. An error is then raised only if a drive may still make
+                torque.
         """
         if self._closed:
             return

@@ -31,16 +31,16 @@ class Observation:
         q_rad: (J,) estimated joint angle.
         q_sigma_rad: (J,) standard deviation of the joint angle.
         dq_rad_s: (J,) estimated joint rate.
-        q_goal_rad: (J,) commanded joint angle. It is NaN while the digit of the joint holds a
-            tension.
+        q_goal_rad: (J,) commanded joint angle. The value is NaN while the digit of the joint holds
+            a tension.
         tension_N: (N,) estimated tension.
         tension_sigma_N: (N,) standard deviation of the tension.
         tension_goal_N: (N,) commanded tension.
         tip_force_N: (D,) contact force at the tip, normal to the last link.
         tip_force_sigma_N: (D,) standard deviation of the contact force.
         contact: (D,) 1 if the digit is in contact, and 0 if not.
-        motor_position_rad: (M,) measured position at the spool. It is NaN if the motor did not
-            reply in this tick.
+        motor_position_rad: (M,) measured position at the spool. The value is NaN if the motor did
+            not reply in this tick.
         motor_velocity_rad_s: (M,) measured velocity at the spool.
         motor_torque_N_m: (M,) measured torque at the spool.
         motor_temperature_degC: (M,) temperature of the hottest sensor of the drive.

@@ -200,7 +200,7 @@ class TargetStream:
     def _present_values(self) -> NDArray[np.float64]:
         """Return the present values of the hand.
 
-        They are used for values that the first target of a stream leaves out.
+        These values are used for values that the first target of a stream leaves out.
         """
         seen = self._hand.observe()
         if TARGET_UNIT_BY_SPACE[self.space] != "deg":

@@ -1,8 +1,9 @@
 """Reaction to the loss of the client that commands the hand: first the digits come to rest, then the hand relaxes.
 
-A client that hangs or dies sends no further goal. Its last goal would therefore apply without a
-time limit. Therefore a client with a lease sends signs of life regularly. Commands, signs of life
-and targets enter the tick as requests, so that a log is re-executed with the same leases.
+A client that hangs or dies sends no further goal. The last goal of such a client would therefore
+apply without a time limit. Therefore a client with a lease sends signs of life regularly. Commands,
+signs of life and targets enter the tick as requests, so that a log is re-executed with the same
+leases.
 """
 
 from dataclasses import replace

@@ -51,7 +51,7 @@ class ControllerDecisions(NamedTuple):
         reported_faults: faults that buses and host report, each with the number of consecutive
             ticks with a report.
         refusals: ticks within the last second that contained a malformed request.
-        failure: reason why the run ended early, in one line. It is empty without a failure.
+        failure: reason why the run ended early, in one line. The value is empty without a failure.
         unconfirmed: names of motors whose drives have not confirmed that they are disabled.
         gains: gains that have replaced the gains of the start of the run. None before the first
             change.
@@ -60,8 +60,8 @@ class ControllerDecisions(NamedTuple):
             client may send commands.
         stream: open stream of targets.
         lease: lease of the commanding client, None for a client without a lease.
-        amplifiers: state of each CiA 404 amplifier. It is empty if the load cells have no such
-            amplifiers.
+        amplifiers: state of each CiA 404 amplifier. The value is empty if the load cells have no
+            such amplifiers.
     """
 
     drives: tuple[DriveState, ...]

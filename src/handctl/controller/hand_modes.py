@@ -321,8 +321,8 @@ def _other_drives(state: ControllerState, inputs: ModeInputs) -> str:
     """Return the drives whose identity differs from the calibration.
 
     Returns:
-        The result has one phrase per drive. It is empty if all are equal or the calibration has no
-        identities.
+        The result has one phrase per drive. The value is empty if all are equal or the calibration
+        has no identities.
     """
     there = [
         drive.identity(drive_state)

@@ -37,7 +37,7 @@ class BlockField(NamedTuple):
         table: name of the table.
         first: first row in the table.
         rows: number of rows.
-        unit: SI unit of the quantity. It is empty if the quantity has no unit.
+        unit: SI unit of the quantity. The value is empty if the quantity has no unit.
         meaning: description of the quantity.
         initial: value of the quantity before the first tick.
     """
@@ -57,8 +57,9 @@ class BlockSchema:
     Attributes:
         tables: names of the tables in memory order. A name is an axis, or several axes joined by
             ``*``. The name of an integer table ends with ``_int``.
-        optional: name of the only axis that may have the length 0. It is empty if no axis may have
-            it. If this axis has the length 0, it has no effect on ``BlockLayout.identity``.
+        optional: name of the only axis that may have the length 0. The value is empty if no axis
+            may have it. If this axis has the length 0, it has no effect on
+            ``BlockLayout.identity``.
         fields: all fields, in the order of declaration.
     """
 

@@ -46,7 +46,10 @@ class HandEstimate:
 
     @property
     def tension(self) -> Vector:
-        """Return the tension of each tendon at its load cell [N]. It is 0 for a slack tendon."""
+        """Return the tension of each tendon at its load cell [N].
+
+        The value is 0 for a slack tendon.
+        """
         return self.tendon[s.TENSION]
 
     @property
@@ -96,7 +99,7 @@ class HandEstimate:
     def innovation(self) -> Vector:
         """Return the load-cell reading minus its prediction [N].
 
-        It is NaN if the reading is missing.
+        The value is NaN if the reading is missing.
         """
         return self.tendon[s.INNOVATION]
 
@@ -104,7 +107,7 @@ class HandEstimate:
     def nis(self) -> Vector:
         """Return the normalised innovation squared of encoder and load cell.
 
-        It is NaN if a reading is missing.
+        The value is NaN if a reading is missing.
         """
         return self.tendon[s.NIS]
 

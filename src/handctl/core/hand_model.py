@@ -61,7 +61,7 @@ class HandModel:
         redundancy: directions of the tendons, and tensions that are in balance.
         tree: tree of all links of the hand.
         blind_margin: (N,) margin by which the tension limits of a tendon without a load cell are
-            stricter [N]. It is 0 for a tendon with a load cell.
+            stricter [N]. The value is 0 for a tendon with a load cell.
         torque_gain: (N,) torque at the spool per commanded torque. None if no run has
             identified it.
         inverse: function of the inverse dynamics of a digit. Experiments replace it.
@@ -209,6 +209,6 @@ def _torque_limit(hand: Hand, gain: Vector | None) -> Vector:
 def _joint_period(hand: Hand, period: float) -> Vector:
     """Return the time (N,) between two readings of all joints of a tendon [s].
 
-    It is inf if a joint has no encoder.
+    The value is inf if a joint has no encoder.
     """
     return np.where(hand.tendons_with_encoders, hand.sensor_node.joint_decimation * period, np.inf)

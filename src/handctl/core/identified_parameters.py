@@ -154,7 +154,7 @@ def identified_hand(hand: Hand, identified: dict[str, IdentifiedParameters]) -> 
 def torque_gain(hand: Hand, identified: dict[str, IdentifiedParameters]) -> Vector:
     """Return the torque at the spool per commanded torque of each drive (N,).
 
-    It is 1 if it was not identified.
+    The value is 1 if it was not identified.
     """
     return np.array(
         [
@@ -199,7 +199,7 @@ def _replace_values(
 def _scale_arms(tendon: dict[str, Any], factor: float) -> None:
     """Scale the moment arms of a tendon.
 
-    They are numbers, polynomials, or tables of angles and moment arms.
+    The moment arms are numbers, polynomials, or tables of angles and moment arms.
     """
     if factor == 1.0:
         return

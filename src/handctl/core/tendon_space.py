@@ -104,8 +104,8 @@ def tendon_space(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonSpace:
 def _position_step(motor: Motor) -> float:
     """Return the resolution of a motor's reported position [rad].
 
-    The result is the resolution of the protocol. It is at least 1/65536 of the position range.
-    Smaller steps would be below the noise.
+    The result is the resolution of the protocol. The value is at least 1/65536 of the position
+    range. Smaller steps would be below the noise.
     """
     return max(2 * motor.position_range_rad / 0xFFFF, make_drive(motor, 0).position_step)
 

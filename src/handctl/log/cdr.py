@@ -72,7 +72,7 @@ class CdrWriter:
 
 
 class CdrReader:
-    """Reader for the values of a CDR message. It also skips the padding between them.
+    """Reader for the values of a CDR message. The reader also skips the padding between them.
 
     Raises:
         ValueError: the message ends before the end of the value. Every method of the reader can

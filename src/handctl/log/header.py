@@ -39,7 +39,7 @@ class RunHeader:
         hand_toml: the hand description with all defaults applied. joints, tendons, motors, digits,
             buses: names of these parts, in the order of the hand file.
         period_ns: period of the tick [ns].
-        offset_ns: UNIX time at t = 0 of the run [ns]. It is 0 for a deterministic run.
+        offset_ns: UNIX time at t = 0 of the run [ns]. The value is 0 for a deterministic run.
         metadata: content of the metadata record `handctl`: version, bus, seed, note of the
             operator, and more.
         gains: gains at the start of the run, by name. The metadata record `handctl.gains` and the

@@ -36,8 +36,8 @@ class LogExecution:
             difference.
         first_state_difference: first field of the controller's state that differs from the snapshot
             in the log. None if all snapshots are equal.
-        largest_difference: the largest difference of a number, measured by `relative_error`. It is
-            None if there is no difference.
+        largest_difference: the largest difference of a number, measured by `relative_error`. The
+            value is None if there is no difference.
         wall_s: time that the re-execution took, without the design of the gains [s].
         cpu_s: processor time of all processes together [s]. A single core without other work would
             need this time.

@@ -41,7 +41,7 @@ def relative_error(difference: TickDifference) -> float:
     For logged numbers below 1 the size is absolute, and for larger numbers it is relative.
 
     Returns:
-        the size. It is 0 for texts, and infinity if a number is NaN.
+        the size. The value is 0 for texts, and infinity if a number is NaN.
     """
     logged = difference.logged
     computed = difference.computed

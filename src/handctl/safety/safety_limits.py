@@ -45,7 +45,7 @@ class SafetyLimits:
         tension_rail: reading, with the tare subtracted, from which a load cell counts as saturated
             [N].
         tension_low: reading, with the tare subtracted, below which a wire is broken or a sensor has
-            no supply [N]. It holds for any tendon and tare.
+            no supply [N]. The threshold holds for any tendon and tare.
         silent_ticks: number of consecutive missing replies after which a node counts as silent.
         one_silent_ticks: number of consecutive missing replies after which a motor counts as silent
             while another motor answers.

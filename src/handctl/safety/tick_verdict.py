@@ -95,7 +95,7 @@ def judge_tick(
     action = demanded
     findings = list(detected)
     present = []
-    # A fault without a report in this tick is dropped. Its count starts again at 1.
+    # A fault without a report in this tick is dropped. The count of such a fault starts again at 1.
     before = {(report.id, report.instance): report.ticks for report in reported_faults}
     for fault, where, value in locate_reports(reports):
         ticks = before.get((fault.id, where), 0) + 1
@@ -124,7 +124,8 @@ def faults_counting_since_now(
 
     Args:
         limits: limits of the hand, with the names of tendons, motors, joints and nodes.
-        evidence: (rows, instances) evidence of each fault. It is NaN where the fault is absent.
+        evidence: (rows, instances) evidence of each fault. The value is NaN where the fault is
+            absent.
         ticks: (rows, instances) consecutive ticks with each fault.
     """
     # The compiled detectors continue to count after the debounce, so the count equals the debounce

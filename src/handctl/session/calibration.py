@@ -139,7 +139,7 @@ def previous_identified(
     Args:
         path: file of the previous calibration.
         hand: description of the hand.
-        drives: identities of the present drives, by motor. It is empty if they are unknown.
+        drives: identities of the present drives, by motor. The value is empty if they are unknown.
         tell: function that shows a notice to the operator.
     """
     try:

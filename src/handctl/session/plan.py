@@ -1,4 +1,7 @@
-"""Plan of a run. A plan contains all settings of a run. They are checked before a bus is opened."""
+"""Plan of a run.
+
+A plan contains all settings of a run. The settings are checked before a bus is opened.
+"""
 
 import math
 import os
@@ -53,7 +56,7 @@ class RunPlan:
         gains: gains of the controller.
         rate_hz: control rate [Hz].
         bus_loads: worst-case load of each bus of the hand, as a fraction of its capacity.
-        buses: specification of each bus. It is empty in lockstep.
+        buses: specification of each bus. The value is empty in lockstep.
         attachments: files to store in the log.
         time_scale: ratio of the run's time to wall time.
         clear_faults: True to clear the latched errors of the drives, as the operator has requested.

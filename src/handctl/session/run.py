@@ -59,8 +59,8 @@ class RunOutcome:
         log_summary: summary of the recorder.
         priority: real-time priority that the operating system granted. None in lockstep.
         offset_ns: reading of the simulator's clock at the start of the run [ns].
-        pauses: number of pauses of the clock that the run and the simulator share. It is 0 without
-            such a clock.
+        pauses: number of pauses of the clock that the run and the simulator share. The value is 0
+            without such a clock.
         paused_ns: total duration of the pauses in wall time [ns].
     """
 
@@ -89,7 +89,7 @@ class RunOutcome:
 
         Args:
             where: text that names the purpose of the run, for the error message.
-            right: remedy that the message suggests. It is empty if no remedy is known.
+            right: remedy that the message suggests. The value is empty if no remedy is known.
 
         Raises:
             PowerError: a drive did not confirm that it is disabled.

@@ -1,4 +1,6 @@
-"""Loading of tasks, trajectories and scenes. They are packaged or in files.
+"""Loading of tasks, trajectories and scenes.
+
+Tasks, trajectories and scenes are packaged or in files.
 
 Each task is checked against the hand.
 """

@@ -36,8 +36,8 @@ def judge_run(
         plan: plan of the run.
         outcome: outcome of the run.
         log: log file of the run.
-        truth_file: truth file of the simulator, which is copied to the folder of the log. It is
-            None for a real hand.
+        truth_file: truth file of the simulator, which is copied to the folder of the log. The value
+            is None for a real hand.
         picture: True to draw the picture.
         task: task that the run has executed, if the grasp of this task is to be judged. The run
             counts as failed if the grasp did not hold the object.

@@ -74,8 +74,8 @@ class BlockedDigit:
         by: names of the digits that were blocked at the same time.
         angle: mean joint angle of the digit with its unit, as text.
         amplitude: amplitude of the round.
-        proposed_amplitude: amplitude at which the digit stays in front of the contact. It is 0 if
-            there is none.
+        proposed_amplitude: amplitude at which the digit stays in front of the contact. The value is
+            0 if there is none.
     """
 
     digit: str
@@ -255,7 +255,8 @@ class VerifyObserver:
         self._torque = torque
         if before is None or out.mode != HandMode.ACTIVE:
             return 0.0
-        # The observer does not know the control rate. It uses the mean period of the ticks so far.
+        # The observer does not know the control rate. The observer uses the mean period of the
+        # ticks so far.
         period = entry.t_ns / max(entry.k, 1) / 1e9
         self._rates.append(float(np.square(torque - before).mean()) / period**2)
         while len(self._rates) > RINGING_WINDOW_S / period:

@@ -44,8 +44,8 @@ class GainScore:
             m/s].
         peak_tension_N: largest true tension of any tendon on any plant [N].
         shortfall: missing part of a margin on the worst plant, as a fraction of the required
-            margin. It is 0 or less if all margins are large enough.
-        failure: reason why a run ended early. It is empty if no run did.
+            margin. The value is 0 or less if all margins are large enough.
+        failure: reason why a run ended early. The value is empty if no run did.
     """
 
     tracking_deg: float
@@ -181,7 +181,7 @@ def score_run(
         hand: description of the hand of the run.
         ticks: ticks of the run.
         truth: ground truth of the plant.
-        failure: reason why the run ended early. It is empty if it did not.
+        failure: reason why the run ended early. The value is empty if it did not.
     """
     active = [(entry.t_ns, out) for entry, out in ticks if out.mode == HandMode.ACTIVE]
     tension = truth.values[

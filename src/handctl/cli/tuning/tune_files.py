@@ -62,7 +62,7 @@ def ensemble_of_tuned_hand(
 def verify_command(args: argparse.Namespace, out: Path) -> str:
     """Return the command line that verifies new gains in simulation.
 
-    Its options select the same hand.
+    The options of the returned command line select the same hand.
     """
     words = ["handctl", "tune", "verify", str(out), "--lockstep", "--hand", str(args.hand)]
     words += ["--calibration", str(args.fit)] if args.fit else []
@@ -94,8 +94,8 @@ class TunedHand(NamedTuple):
         hand: hand with the parameters of the hand file. A gains file records the name and the
             identity of this hand.
         identified_hand: hand with identified parameters in place of the parameters in the file.
-            This hand is the model of the controller, as in a run with the same calibration. It is
-            also the center of the ensemble of simulated plants.
+            This hand is the model of the controller, as in a run with the same calibration. This
+            hand is also the center of the ensemble of simulated plants.
         factor_spread: half width of the ensemble for each parameter, from the identification, see
             ``draw_ensemble``.
     """

@@ -197,7 +197,7 @@ def write_motor_torques(
         c: constants of the hand.
         trajectory: (3, J) angles, rates and accelerations of the joints on the trajectories.
         relax_rate: rate at which the envelope of the motor forces falls while the hand relaxes
-            [N/s]. It is 0 in other modes.
+            [N/s]. The value is 0 in other modes.
         open_loop: True if the motor forces of a relaxing hand equal the envelope, without feedback.
         ticks: number of periods since the last tick, 1 without missed ticks.
     """
@@ -332,7 +332,7 @@ def _relaxing_force(
 ) -> float:
     """Return the motor force of a relaxing hand [N].
 
-    It is at most the envelope, and in open loop it is the envelope itself.
+    The value is at most the envelope, and in open loop it is the envelope itself.
 
     Args:
         x: state tables.

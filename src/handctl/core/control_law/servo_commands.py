@@ -14,10 +14,10 @@ offset o. The stiffness of the tendon is k, and its estimated tension is f_hat:
     r (p_d - p) = (s_d - s) + (f_0 - f_hat) / k      by f_hat = k (r p - s - o)
 
 The controller does not know the torque that the drive will make. The controller estimates p and v
-half a period ahead. From these estimates, it predicts the mean torque of the coming period. It
-limits this torque in the same way as in torque control. The controller then chooses the commanded
-position so that the drive would make the limited torque. The torque limits therefore also limit the
-distance of the commanded position from the motor.
+half a period ahead. From these estimates, the controller predicts the mean torque of the coming
+period. The controller limits this torque in the same way as in torque control. It then chooses the
+commanded position so that the drive would make the limited torque. The torque limits therefore also
+limit the distance of the commanded position from the motor.
 
 Most drives keep the commanded position until the next command. For such a drive, the position in a
 command includes the planned motion of half a period. Other drives move the commanded position on,

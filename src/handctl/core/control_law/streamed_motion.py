@@ -184,7 +184,7 @@ def advance_reference(x: StateTables, c: ConstantTables, d: int, k: int) -> None
 def coordinate_scale(c: ConstantTables, d: int, k: int) -> float:
     """Return the motion of coordinate k of digit d that counts like 1 rad.
 
-    It is 1 for hinges, and less for prismatic joints.
+    The value is 1 for hinges, and less for prismatic joints.
     """
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
         if c.joint_coordinate[h.COUPLING, j, k] != 0.0:

@@ -31,8 +31,8 @@ class TendonRedundancy:
             0 for a spool pair that moves its digit sideways.
         sprung: True if springs return the digit of the tendon to its lower joint limits.
         surplus: True for a tendon of a digit with more tendons than coordinates.
-        balance: smallest tensions that are all above the floor and make no torque [N]. They are 0
-            for a digit without surplus tendons.
+        balance: smallest tensions that are all above the floor and make no torque [N]. The values
+            are 0 for a digit without surplus tendons.
         open_excursion: excursion at the lower joint limits [m].
         excursion_range: (2, N) smallest and largest excursion within the joint limits [m].
     """

@@ -193,7 +193,7 @@ class SampledTrajectory:
 class ChirpTrajectory:
     """Oscillation about an angle.
 
-    Its frequency rises linearly, and its amplitude grows and decays smoothly.
+    The frequency of the motion rises linearly, and the amplitude grows and decays smoothly.
 
     Attributes:
         centre: mean angle [rad].

@@ -31,8 +31,8 @@ def ticks_overdue(now_ns: int, heard_ns: int, cyclic_ns: int, period_ns: int) ->
     Args:
         now_ns: time of the tick [ns].
         heard_ns: time of the latest reading [ns], -1 before the first reading.
-        cyclic_ns: period in which the node sends readings without a request [ns]. It is 0 if every
-            tick requests a reading.
+        cyclic_ns: period in which the node sends readings without a request [ns]. The value is 0 if
+            every tick requests a reading.
         period_ns: control period [ns].
     """
     if heard_ns < 0:

@@ -209,7 +209,7 @@ def detect_tension_after_cut(x: StateTables, c: ConstantTables, evidence: Eviden
 @kernel_helper
 def _still_reports_torque(x: StateTables, c: ConstantTables, n: int) -> bool:
     """Return True if a drive still reports the torque that it had before the torque was cut."""
-    # A drive that sends its torque in a separate frame sends no torque after a cut. Its last torque
+    # A drive that sends its torque in a separate frame sends no torque after a cut. The last torque
     # report is then old.
     if not c.tendon_int[h.ANSWERS_ONCE, n]:
         return False

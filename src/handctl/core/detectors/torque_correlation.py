@@ -20,10 +20,10 @@ limited to two counts of the torque. If a drive obeys, the limited increments of
 reports have equal signs.
 
 A pair of increments counts only after ``SETTLED_TICKS`` consecutive ticks, each with a reply in
-time. After a pause, a drive replies to all queued commands before it obeys the last one. Its next
-report therefore belongs to an older command. On a slow bus, a report may come a tick late, and then
-belongs to a command one tick older. The test computes the correlation with and without this delay,
-and uses the larger correlation.
+time. After a pause, a drive replies to all queued commands before it obeys the last one. The next
+report of the drive therefore belongs to an older command. On a slow bus, a report may come a tick
+late, and then belongs to a command one tick older. The test computes the correlation with and
+without this delay, and uses the larger correlation.
 """
 
 import math
@@ -195,7 +195,7 @@ def is_command_ignored(x: StateTables, c: ConstantTables, n: int) -> bool:
 def fraction_of_command_reported(x: StateTables, n: int) -> float:
     """Return the fraction of the changes of a motor's command that its reports show.
 
-    It is 1 for a drive that obeys.
+    The value is 1 for a drive that obeys.
     """
     ab = max(
         x.tendon[s.REPORT_MOMENTS + COMMAND_REPORT_ROW, n],

@@ -115,9 +115,9 @@ class FilterDesign:
     Attributes:
         blocks: filter of each tendon and kind, ``blocks[tendon][kind]``. The kind is the regime,
             plus 3 for a filter with added process noise.
-        transition: function that returns the transition of all tendons. Its argument contains the
-            kinds of the N tendons, as the bytes of int64 numbers. Its results are cached, because
-            the kinds rarely change.
+        transition: function that returns the transition of all tendons. The argument of this
+            function contains the kinds of the N tendons, as the bytes of int64 numbers. The results
+            of this function are cached, because the kinds rarely change.
     """
 
     blocks: tuple[tuple[FilterBlock, ...], ...]

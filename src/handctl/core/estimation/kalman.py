@@ -226,7 +226,7 @@ def _gate_and_correct(
     Args:
         x: state tables.
         c: constants of the hand.
-        innovation: (N, 3) innovations. They are NaN if the measurement is missing. Rejected
+        innovation: (N, 3) innovations. The values are NaN if the measurement is missing. Rejected
             innovations become NaN.
         gain: (N, 7, 3) gains.
         cell_sigma: (N,) standard deviation of the load-cell innovation [N].
@@ -529,7 +529,9 @@ def _choose_filter_kinds(x: StateTables) -> None:
 
 @kernel_helper
 def _write_external_tension(x: StateTables, c: ConstantTables, force: Matrix) -> None:
-    """Write the unexplained load force of each tendon. It is positive if it acts against closing.
+    """Write the unexplained load force of each tendon.
+
+    The value is positive if it acts against closing.
 
     The force is 0 for a slack tendon, and while the digit is at its open stop.
     """

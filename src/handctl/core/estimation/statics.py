@@ -50,7 +50,7 @@ def write_static_torque(c: ConstantTables, q: Vector, torque: Vector) -> None:
 def wrap_of_joint(c: ConstantTables, j: int, q: float) -> float:
     """Return the wrap angle that joint j adds to a tendon at position q [rad].
 
-    It is 0 for a prismatic joint.
+    The value is 0 for a prismatic joint.
     """
     return 0.0 if c.joint[h.LINK_TABLE + rigid_body.PRISMATIC_ROW, j] != 0.0 else q
 

@@ -36,7 +36,7 @@ class GainBounds:
         default: default value.
         whole: True for integers.
         live: True if a running controller accepts changes.
-        why: meaning of the key. It is empty if the name is clear.
+        why: meaning of the key. The value is empty if the name is clear.
     """
 
     key: str

@@ -21,7 +21,7 @@ class FilterGains(Document):
     """Noise that the tension filter assumes.
 
     The disturbances represent effects that the model does not contain: friction, springs and
-    contact. Their correlation times are those of the motions that cause the disturbances.
+    contact. The correlation times of the disturbances are those of the motions that cause them.
     """
 
     motor_disturbance_N: float = Field(0.12, gt=0, le=50)

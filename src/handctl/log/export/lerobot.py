@@ -62,7 +62,7 @@ The first key is the name of the feature, the second that of the statistic.
 
 
 class _Episode(NamedTuple):
-    """Those frames of a dataset that come from one log.
+    """Frames of a dataset that come from one log.
 
     Attributes:
         vectors: names and values (frames, n) of each vector feature.
@@ -241,8 +241,8 @@ def _tick_indices(log: RunLog, fps: int) -> NDArray[np.intp]:
     start = int(log.t_ns[active[0]])
     end = int(log.t_ns[active[-1]])
     frames = (end - start) * fps // 10**9 + 1
-    # The times are integers, rounded to the nearest nanosecond. They keep the time grid exact over
-    # hours.
+    # The times are integers, rounded to the nearest nanosecond. Integer times keep the time grid
+    # exact over hours.
     grid = start + (np.arange(frames) * 10**9 + fps // 2) // fps
     return np.asarray(np.searchsorted(log.t_ns, grid, "right") - 1, np.intp)
 

@@ -117,8 +117,8 @@ class RunLog:
         metadata: all metadata records of the file.
         end: data that were recorded at the end of the run (reason, ticks, messages, missed, dropped
             and others). If the log was not finished, there are no such data.
-        warning: description of a defect of the file. It is empty if there is no defect. The data
-            before the defect are complete.
+        warning: description of a defect of the file. The value is empty if there is no defect. The
+            data before the defect are complete.
         scan: positions of all records in the file.
     """
 

@@ -63,7 +63,7 @@ class RecordScan:
         end: offset after the last complete record of the data section.
         size: size of the file [bytes].
         complete: True if the data section has an end record with the correct checksum.
-        problem: description of a defect of the file. It is empty if there is no defect.
+        problem: description of a defect of the file. The value is empty if there is no defect.
         skipped: (start, end) of every damaged record that the scan has skipped.
         unknown: number of records with an unknown opcode.
     """
@@ -267,7 +267,7 @@ def _decode_attachment(scan: RecordScan, data: bytes) -> None:
 
 
 def _text_map(fields: _FieldReader) -> dict[str, str]:
-    """Decode a map in a record. Its keys and values are texts."""
+    """Decode a map in a record. The keys and values of the map are texts."""
     inner = _FieldReader(fields.read_bytes(fields.read_number("I")))
     values = {}
     while inner.unread_bytes():

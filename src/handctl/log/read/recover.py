@@ -41,7 +41,7 @@ class RecoveryReport:
         status: result of the recovery.
         chunks, messages: number of copied chunks and messages.
         lost_ranges: (start, end) of each range of the old file that was not copied [bytes].
-        problem: description of a defect of the old file. It is empty if there is no defect.
+        problem: description of a defect of the old file. The value is empty if there is no defect.
     """
 
     status: RecoveryStatus

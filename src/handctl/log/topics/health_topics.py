@@ -83,8 +83,8 @@ def temperature_template() -> MessageTemplate:
 class HealthTopics:
     """Topics with the status of motors, buses and controller, and with the temperatures of the motors.
 
-    A status message is written every second. It is also written after a change of the mode, of the
-    safety action or of the state of a drive.
+    A status message is written every second. A status message is also written after a change of the
+    mode, of the safety action or of the state of a drive.
     """
 
     def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:

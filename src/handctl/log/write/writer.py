@@ -112,8 +112,8 @@ class LogWriter:
         Args:
             path: path of the new file.
             header: header of the run.
-            report: function that is called for each event. Its arguments are one of disk_low,
-                disk_full, error and misshapen, and a number: free bytes, errno, or 1.
+            report: function that is called for each event. The arguments of this function are one
+                of disk_low, disk_full, error and misshapen, and a number: free bytes, errno, or 1.
             floor_bytes: free disk space [bytes]. If less space is free, the file is finished early.
             clocks: function that reads the wall clock and the monotonic clock [ns]. A deterministic
                 run does not call this function.

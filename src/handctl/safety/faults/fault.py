@@ -62,8 +62,8 @@ class CatalogueRow(NamedTuple):
         odrive_ms: additional reaction time with an ODrive [ms], because the heartbeat of an ODrive
             has a period of 100 ms.
         required: reaction time that the project's fault catalogue requires with an ideal drive
-            [ticks of 5 ms]. It is 0 if the catalogue gives no time, for example for a fault before
-            any torque.
+            [ticks of 5 ms]. The value is 0 if the catalogue gives no time, for example for a fault
+            before any torque.
         why: reason if ``ticks`` is larger than ``required``. It is empty otherwise.
         tested: ``campaign``, or the name of the test that covers the fault.
         moteus: visibility with moteus. The text is empty if it equals ``mit``, because both
@@ -113,7 +113,7 @@ class Fault:
         remedy: instruction for the operator in one line, in whole sentences.
         debounce: number of consecutive ticks with the fault after which the fault becomes active.
         relax_method: method of removing the torque if the action is RELAX.
-        per: kinds of the fault's instances. It is empty for a reported fault.
+        per: kinds of the fault's instances. The value is empty for a reported fault.
         name: name of the only instance, if the fault has the kind ``HAND_INSTANCE``.
         reports: kinds of bus and host events that report the fault. Kinds of recorder events begin
             with ``recorder:``.

@@ -53,7 +53,8 @@ class ResidualRamp(NamedTuple):
     """Ramp with the largest score in the residuals of a fit.
 
     Attributes:
-        score: size of the ramp in standard deviations. It is positive if the ramp adds tension.
+        score: size of the ramp in standard deviations. The value is positive if the ramp adds
+            tension.
         begin: mean joint angle at which the ramp begins [rad].
         end: largest mean joint angle of the sweep [rad].
         rise: tension [N] or joint torque [N m] of the ramp at the angle ``end``.

@@ -4,9 +4,10 @@
 
 This equation is the torque balance of joint i in free motion. The exponent contains the wrap angle
 of tendon j, and the angles of the joints that tendon j crosses up to joint i. The drift of the load
-cells is known from the fits of single tendons. Each row of the fit is such a balance. It is divided
-by the noise that the load cells cause in the balance. Errors of the joint encoders are neglected,
-because their effect is a tenth of the effect of load-cell errors. Source: as in `fit_load`.
+cells is known from the fits of single tendons. Each row of the fit is such a balance. The row is
+divided by the noise that the load cells cause in the balance. Errors of the joint encoders are
+neglected, because their effect is a tenth of the effect of load-cell errors. Source: as in
+`fit_load`.
 """
 
 from collections.abc import Sequence
@@ -269,7 +270,7 @@ def _unexplained_ramp(solution: FitSolution, balance: TorqueBalance) -> Residual
 def _friction_scales(digit: DigitModel) -> Array:
     """Return the scale of each capstan coefficient (tendons,).
 
-    It equals the scale in the fits of the tendons.
+    This scale equals the scale in the fits of the tendons.
     """
     return np.where(digit.friction > 0.0, digit.friction, 1e-3)
 
@@ -286,7 +287,7 @@ def _spaced_indices(indices: NDArray[np.intp], spacing: int) -> NDArray[np.intp]
 def _tendon_rates(data: TendonData, reach: int) -> tuple[Array, Array]:
     """Return the speed [m/s] and the acceleration [m/s^2] of a tendon.
 
-    They are NaN at the ends of the data.
+    The values are NaN at the ends of the data.
 
     The differences span twice the time over which signals are averaged.
     """

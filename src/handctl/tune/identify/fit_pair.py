@@ -267,7 +267,8 @@ class PairProblem:
         motor_noise: standard deviation of the residuals of the motor equation [N].
         reading_noise: standard deviation of the excursion that is computed from one joint reading
             [m].
-        start_parameters: scaled parameters at which the fit starts. They come from the hand file.
+        start_parameters: scaled parameters at which the fit starts. The start parameters come from
+            the hand file.
     """
 
     windows: PairWindows
@@ -416,7 +417,7 @@ def fit_pair(hand: Hand, digit: DigitModel, tendon: int, data: Sequence[TendonDa
 def _start_parameters(windows: PairWindows) -> Array:
     """Return the scaled parameters at which the fit starts.
 
-    They are those of the hand file, and a first estimate of the stretch offset.
+    The start parameters are those of the hand file, and a first estimate of the stretch offset.
     """
     first = np.ones(len(PAIR_PARAMETERS) + 2)
     known = np.isfinite(windows.excursion)

@@ -81,7 +81,7 @@ def fit_travel(
         digit: model of the digit.
         tendon: index of the tendon in the digit.
         data: data of the tendon.
-        fit: fit of the tendon. Its stiffness and its moment arm are replaced.
+        fit: fit of the tendon. The stiffness and the moment arm of this tendon are replaced.
         joint_noise: standard deviation of a joint reading [rad].
     """
     problem = fit.problem

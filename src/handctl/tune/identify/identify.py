@@ -66,9 +66,9 @@ class TendonResult:
         spectrum: frequencies [Hz], and the coherence at each frequency.
         balance: data for the fit of the digit, if the digit has several tendons and joint encoders.
             None otherwise.
-        blocked_event: text of the event with which the controller reported the digit as blocked. It
-            is empty without such an event.
-        contact_text: text that describes a contact during the sweeps. It is empty without a
+        blocked_event: text of the event with which the controller reported the digit as blocked.
+            The value is empty without such an event.
+        contact_text: text that describes a contact during the sweeps. The value is empty without a
             contact.
     """
 

@@ -46,7 +46,7 @@ class FitSolution:
         z: (n,) parameters.
         covariance: (n, n) covariance of the parameters.
         jacobian: (rows, n) Jacobian of the residuals. The rows of outliers are zero.
-        residual: (rows,) residuals. Those of outliers are zero.
+        residual: (rows,) residuals. The rows of outliers are zero.
         degrees_of_freedom: (n,) degrees of freedom of the variance of each parameter.
     """
 
@@ -113,8 +113,8 @@ def _parameter_covariance(jacobian: Array, residual: Array, times: Array) -> tup
     Satterthwaite's degrees of freedom with their working model.
     """
     plain = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12)
-    # The priors are exact by definition. Their rows therefore enter the middle factor of the
-    # sandwich estimator without correction.
+    # The priors are exact by definition. The rows of the priors therefore enter the middle factor
+    # of the sandwich estimator without correction.
     middle = jacobian[len(times) :].T @ jacobian[len(times) :]
     expected = [np.diag(plain @ middle @ plain)]
     for rows in _block_rows(times):

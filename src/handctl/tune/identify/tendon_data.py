@@ -48,7 +48,7 @@ class TendonData:
         digit: name of the digit.
         period: control period [s].
         t: (n,) time on the log's clock [s].
-        travel: (n,) travel at the spool [m]. It is NaN if it is missing.
+        travel: (n,) travel at the spool [m]. The value is NaN if it is missing.
         tension: (n,) reading of the load cell minus its tare [N]. It is NaN if it is missing.
         command: (n,) motor force at the tendon that is commanded from this time on [N].
         joints: (n, joints) readings of the joint encoders of the digit [rad]. A missing reading is
@@ -168,7 +168,8 @@ def _free_motion(log: RunLog, hand: Hand, digit: str) -> Mask:
 
 def _lasting_mask(mask: Mask, late: int) -> Mask:
     """Return a mask that is True where `mask` has been True for more than `late` ticks."""
-    # `last` is the index of the latest False up to each tick. It is -1 before the first False.
+    # `last` is the index of the latest False up to each tick. The value is -1 before the first
+    # False.
     last = np.maximum.accumulate(np.where(mask, -1, np.arange(len(mask))))
     return np.asarray(np.arange(len(mask)) - last > late)
 
@@ -206,7 +207,7 @@ def _restrict_to_excitation(data: TendonData, phases: NDArray[np.str_], digit: s
 def average_samples(values: Array, reach: int) -> Array:
     """Return the mean of each sample and of `reach` samples on each side.
 
-    It is NaN at the ends of the data.
+    The value is NaN at the ends of the data.
     """
     means = np.full(len(values), np.nan)
     width = 2 * reach + 1

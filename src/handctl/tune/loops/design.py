@@ -1,12 +1,13 @@
 """Design of gains: with the largest authority that keeps the margins on all plants, or with poles at given frequencies.
 
-Authority is the parameter of LQR that this design varies. It is the force that has the same cost as
-the errors, by Bryson's rule. More authority makes a loop faster and its margins smaller. Therefore
-the authority of each tendon is increased alone, until a margin would become too small. The smallest
-authority of all tendons becomes the common ``force_N``. A tendon that permits more than twice the
-common authority gets a separate force. So a digit with little authority, such as a heavy wrist,
-does not make other digits slow. The eigenvalues of the closed loop confirm the reported margins. A
-function that the caller provides, such as a simulation, confirms the designed gains.
+Authority is the parameter of LQR that this design varies. Authority is the force that has the same
+cost as the errors, by Bryson's rule. More authority makes a loop faster and its margins smaller.
+Therefore the authority of each tendon is increased alone, until a margin would become too small.
+The smallest authority of all tendons becomes the common ``force_N``. A tendon that permits more
+than twice the common authority gets a separate force. So a digit with little authority, such as a
+heavy wrist, does not make other digits slow. The eigenvalues of the closed loop confirm the
+reported margins. A function that the caller provides, such as a simulation, confirms the designed
+gains.
 
 To place poles, the design uses this equation: for a plant with one input and weights on position
 and speed, the characteristic polynomial d of the closed loop satisfies
@@ -92,7 +93,7 @@ class GainDesign:
         worst_after: smallest value of each margin over all plants of the ensemble, with the
             designed gains.
         not_at_rest_before: reason why the hand does not come to rest in simulation with the old
-            gains. It is empty if it does.
+            gains. The value is empty if it does.
     """
 
     gains: Gains

@@ -52,13 +52,13 @@ class LoopMargins:
     """Margins of a control loop.
 
     Attributes:
-        gain_db: largest factor by which the gain of the loop may be multiplied or divided [dB]. It
-            is the smaller of the two factors. The gain margin is 0 if the loop is unstable.
+        gain_db: largest factor by which the gain of the loop may be multiplied or divided [dB]. The
+            margin is the smaller of the two factors. The gain margin is 0 if the loop is unstable.
         phase_deg: smallest difference between the phase and -180 degrees at a gain of one [deg].
         disk: balanced disk margin, from 0 (unstable loop) to 2.
         delay_s: largest additional delay with which the loop stays stable [s].
-        crossover_hz: highest frequency at which the gain of the loop is one [Hz]. It is NaN if the
-            gain is never one.
+        crossover_hz: highest frequency at which the gain of the loop is one [Hz]. The value is NaN
+            if the gain is never one.
         peak: largest value of the sensitivity function [1].
         stable: True if the closed loop is stable.
     """

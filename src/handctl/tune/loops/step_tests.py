@@ -77,7 +77,7 @@ class StepOscillation:
         free_tension_N: largest oscillation of a true tension after the angle step, peak to peak [N].
         hold_swings_N: (N,) oscillation of the true tension of each tendon after the tension step,
             peak to peak [N].
-        failure: reason why the run ended early. It is empty without a failure.
+        failure: reason why the run ended early. The value is empty without a failure.
     """
 
     angle_rad: float
@@ -240,8 +240,8 @@ class RestTest:
         factors: factors of the plants of the ensemble. The nominal plant comes first.
         plants: linear factors of the plants.
         seed: seed of the simulated noise.
-        reason: reason why the hand did not come to rest with the gains that were tested last. It is
-            empty if it did.
+        reason: reason why the hand did not come to rest with the gains that were tested last. The
+            value is empty if it did.
     """
 
     hand: Hand

@@ -55,15 +55,16 @@ class SearchPlan:
     def gains_of(self, number: int, values: Mapping[str, float]) -> Gains:
         """Return the gains of a trial.
 
-        The first trial has exactly the gains of the plan. They may be outside of the search space.
+        The first trial has exactly the gains of the plan. These gains may be outside of the search
+        space.
         """
         return with_values(self.gains, values, "study") if number else self.gains
 
     def trial_job(self, number: int, values: Mapping[str, float]) -> dict[str, Any]:
         """Return the job with which a worker evaluates a trial.
 
-        The first trial is the reference for the others. It is therefore simulated even if its
-        margins are too small.
+        The first trial is the reference for the others. The first trial is therefore simulated even
+        if its margins are too small.
         """
         return {
             "hand": self.hand,
