@@ -1,6 +1,6 @@
 """Kernels: plain functions that numba can compile.
 
-They are used by programs that advance a plant without waiting for a clock.
+The kernels are used by programs that advance a plant without waiting for a clock.
 
 ``compiled`` registers the argument types of a kernel. ``machine_code`` compiles the kernels of a
 module. Only ``machine_code`` imports numba. The import takes almost a second. This is too long for

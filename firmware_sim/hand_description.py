@@ -41,7 +41,10 @@ TABLE_POWERS = 4
 
 
 class SimulatorError(ValueError):
-    """An error that the user of the simulator can correct. Its message has a single line."""
+    """An error that the user of the simulator can correct.
+
+    The message of the error has a single line.
+    """
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +113,7 @@ class LinkMesh:
     """A mesh that stands for a link or for the palm in pictures of the hand.
 
     Attributes:
-        link: name of the link. It is ``palm`` for the palm.
+        link: name of the link. The link is ``palm`` for the palm.
         file: path of the mesh file.
         scale: factors from the unit of the mesh file to metres, for x, y, z.
         position: position of the mesh in the link's frame [m].
@@ -145,7 +148,7 @@ class ArmCurve:
     def opposite(self) -> "ArmCurve":
         """Return the moment arm of a tendon on the opposite side of the joint.
 
-        It has the opposite sign.
+        This moment arm has the opposite sign.
         """
         return replace(self, powers=tuple(-power for power in self.powers))
 
@@ -202,7 +205,8 @@ class TendonSpec:
     def antagonist(self) -> "TendonSpec":
         """Return the second tendon of a spool pair.
 
-        Its winding and its moment arms have the opposite signs.
+        The winding and the moment arms of the second tendon have the opposite signs of those of the
+        first tendon.
         """
         arms = {joint: -arm for joint, arm in self.arms.items()}
         curves = {joint: curve.opposite for joint, curve in self.curves.items()}
@@ -233,8 +237,8 @@ class MotorSpec:
         options: options of the drive's protocol.
         serial: serial number of the drive. If None, the drive has the default serial number
             of its protocol.
-        torque_gain: true torque divided by the torque that the drive computes from its current. It
-            is 1 unless the plant is perturbed.
+        torque_gain: true torque divided by the torque that the drive computes from its current. The
+            value is 1 unless the plant is perturbed.
         top_speed: speed of the motor without load at the supply voltage [rad/s], 0 for a
             motor without a speed limit.
         stall_torque: torque of the motor at standstill, if only the supply voltage limited its
@@ -572,7 +576,7 @@ def _joint_values(
 ) -> tuple[float, ...]:
     """Return the value of each joint.
 
-    It comes from a key for hinges, or from the corresponding key for prismatic joints.
+    The value comes from a key for hinges, or from the corresponding key for prismatic joints.
 
     Without a default, a missing key raises KeyError.
     """

@@ -181,8 +181,8 @@ def _name_mesh_files(spec: Any, root: ET.Element, folder: Path) -> None:
 def _compile_spec(spec: Any) -> Any:
     """Compile a model, and suppress the warnings of MuJoCo.
 
-    The warnings concern dynamics, which are not used here. They would appear beside an error
-    message that should be one line.
+    The warnings concern dynamics, which are not used here. The warnings would appear beside an
+    error message that should be one line.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -118,8 +118,8 @@ def mjcf_meshes(spec: Any, model: Any, folder: Path, notes: list[str]) -> Iterat
                 f"mesh {asset.file} is not read: it is scaled differently along axes after a turn"
             )
             continue
-        # MuJoCo moves each vertex v to scale * reference^T (v - refpos). It then turns the mesh to
-        # its principal axes of inertia.
+        # MuJoCo moves each vertex v to scale * reference^T (v - refpos). MuJoCo then turns the mesh
+        # to its principal axes of inertia.
         mesh = int(model.geom_dataid[geom])
         rotation = rotation_of(model.geom_quat[geom]) @ rotation_of(model.mesh_quat[mesh]).T
         origin = model.geom_pos[geom] - rotation @ model.mesh_pos[mesh]

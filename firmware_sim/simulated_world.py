@@ -209,7 +209,7 @@ class SimulatedWorld:
             frame: frame of the host.
 
         Returns:
-            The answers. Their time is the present time.
+            The answers. The time of the answers is the present time.
         """
         answers: list[Frame] = []
         handled = False

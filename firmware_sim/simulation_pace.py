@@ -39,11 +39,13 @@ class ClockReadings:
 
 
 class PaceCounter:
-    """Counter of the slips of the clock. It measures and reports the pace of the simulation.
+    """Counter of the slips of the clock.
+
+    The counter measures and reports the pace of the simulation.
 
     Attributes:
-        advice: pace that this machine can keep, as the ratio of plant time to wall time. It is None
-            until the machine proves too slow.
+        advice: pace that this machine can keep, as the ratio of plant time to wall time. The value
+            is None until the machine proves too slow.
     """
 
     def __init__(
@@ -146,7 +148,7 @@ def rounded_down(pace: float) -> float:
 def _pace_ratio(start: ClockReadings, end: ClockReadings) -> float:
     """Return the ratio of plant time to computing time.
 
-    It is infinite if no computing time has passed.
+    The value is infinite if no computing time has passed.
     """
     cpu_s = end.cpu_s - start.cpu_s
     return (end.plant_s - start.plant_s) / cpu_s if cpu_s > 0.0 else math.inf

@@ -11,8 +11,8 @@ Commands have the layout of ``mit.codec``. Feedback (8 bytes, highest byte and b
 Older firmware sends only the first six bytes. Source: fact sheet mit_damiao, section variants.
 
 Choices where the fact sheet is silent: a disabled motor answers commands. An error removes the
-torque. It ends when its cause ends. Special commands (seven bytes of FF and a code) with an unknown
-code are not answered.
+torque. The error ends when its cause ends. Special commands (seven bytes of FF and a code) with an
+unknown code are not answered.
 """
 
 import enum
@@ -207,7 +207,7 @@ class CubemarsNode:
             self._switch_torque(enable=False)
 
     def power_cycle(self) -> None:
-        """Restart the motor. It is then disabled and has no error."""
+        """Restart the motor. The motor is then disabled and has no error."""
         self.error = FeedbackError.NONE
         self._switch_torque(enable=False)
 

@@ -287,7 +287,7 @@ def _write_sensor_frames(
     """Write payloads of the sensor node into frames that answer SYNC.
 
     Args:
-        words: payloads as integers. They are written with the low byte first.
+        words: payloads as integers. The payloads are written with the low byte first.
         channels: number of channels in all payloads together.
         can_id: identifier of the first frame.
         frame: the SYNC frame.

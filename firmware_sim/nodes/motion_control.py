@@ -50,7 +50,7 @@ class LoopGains(NamedTuple):
 def assumed_gains(inertia: float, position: float = POSITION_GAIN) -> LoopGains:
     """Return assumed gains for a drive that documents none.
 
-    They follow from an inertia [kg m2] and a position gain [1/s].
+    The assumed gains follow from an inertia [kg m2] and a position gain [1/s].
     """
     velocity = VELOCITY_BANDWIDTH * inertia
     return LoopGains(position, velocity, INTEGRAL_RATE * velocity)

@@ -12,9 +12,9 @@ Frame (up to 8 bytes, bits numbered from the lowest bit of byte 0, Intel order):
     tension code     (tension + 6 N) / 0.0625 N, 0 and 4095 mean saturated
     joint code       2048 + angle / (2 pi rad / 4096), or 2048 + position / 50 um
 
-The identifiers of tension frames start at the base identifier. Those of joint frames start at the
-base identifier + 0x10. A frame with fewer than five channels has only as many bytes as its channels
-need.
+The identifiers of tension frames start at the base identifier. The identifiers of joint frames
+start at the base identifier + 0x10. A frame with fewer than five channels has only as many bytes as
+its channels need.
 Source: DBC of the hand, sensor_node.
 """
 

@@ -129,7 +129,7 @@ def _add_friction(tendon: Any, joints: Any, arms: Any, q: Any, torque: Any) -> N
 
     Also set the slope of the friction of the tendon.
 
-    Friction reduces the tension at a pulley. Its wrap angle includes this pulley and all pulleys
+    Friction reduces the tension at a pulley. The wrap angle includes this pulley and all pulleys
     before it.
     Source: MODEL, section 3.
     """
@@ -362,8 +362,8 @@ def step_drivetrain(
         rotors[i].load = 0.0
     for i in range(len(tendons)):
         tendon = tendons[i]
-        # Two antagonistic tendons on one spool pull against each other. Their loads therefore have
-        # opposite signs.
+        # Two antagonistic tendons on one spool pull against each other. The loads of the two
+        # tendons therefore have opposite signs.
         _apply_tendon(tendon, joints, arms, rotors[tendon.motor], q, dq, torque)
         _compensate_damping(tendon, joints, arms, dq, torque)
         damping[i] = tendon.slope

@@ -202,7 +202,7 @@ class Plant:
     def advance(self, count: int) -> None:
         """Run a number of steps of the plant.
 
-        A divided step is completed first. It counts as one step.
+        A divided step is completed first. A divided step counts as one step.
 
         Args:
             count: number of steps.

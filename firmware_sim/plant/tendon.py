@@ -34,8 +34,8 @@ class Tendon:
 
     Attributes:
         tension: tension at the load cell, between spool and first pulley, in the last step [N].
-        speed: speed of the tendon towards the spool in the last step [m/s]. It is positive when the
-            digit closes.
+        speed: speed of the tendon towards the spool in the last step [m/s]. The value is positive
+            when the digit closes.
         slope: damping plus friction divided by speed, for the implicit integrator [N s/m].
         extra_length: length of the tendon beyond the length in its description [m].
         radius: radius of the spool [m], negative if a positive spool angle pays the tendon

@@ -1,4 +1,4 @@
-"""The table under the object. It sinks once the hand holds the object."""
+"""The table under the object. The table sinks once the hand holds the object."""
 
 from collections.abc import Callable, Sequence
 from typing import Any

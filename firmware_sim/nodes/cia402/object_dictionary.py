@@ -66,8 +66,8 @@ def sdo_reply(data: bytes, access: Callable[[bytes, ObjectKey], bytes]) -> bytes
 
     Args:
         data: payload of the SDO request, 8 bytes.
-        access: function that executes the request on an object. It returns the payload of the
-            reply, or raises ``SdoAbort``.
+        access: function that executes the request on an object. The function returns the payload of
+            the reply, or raises ``SdoAbort``.
     """
     try:
         return access(data, (int.from_bytes(data[1:3], "little"), data[3]))

@@ -153,8 +153,8 @@ class NodePdos:
     def standard_tpdo(self) -> tuple[int, int]:
         """Return the identifier and the transmission type of the TPDO that compiled kernels can handle.
 
-        The TPDO contains status word, position and torque. It is sent after SYNC, and is the only
-        active TPDO. With any other arrangement of PDOs, or if an RPDO depends on SYNC, the
+        The TPDO contains status word, position and torque. The TPDO is sent after SYNC, and is the
+        only active TPDO. With any other arrangement of PDOs, or if an RPDO depends on SYNC, the
         identifier is -1.
         """
         active = self._active_tpdos()

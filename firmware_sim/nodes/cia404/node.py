@@ -91,7 +91,7 @@ class LoadCellAmplifiers:
     def frame_of_cell(self, index: int) -> int:
         """Return the identifier of the frame that contains the reading of a load cell.
 
-        It is the identifier in the usual mapping of a host.
+        The identifier is the one in the usual mapping of a host.
         """
         node = next(node for node in self.nodes if index in node.cells)
         return 0x180 + 0x100 * ((index - node.cells.start) // 2) + node.node_id

@@ -215,7 +215,8 @@ def feedback_word(node: Any, rotor: Any, angle: float, mosfet: float, winding: f
 def schedule_wake(node: Any) -> None:
     """Schedule the next wake of a drive.
 
-    It is the next update of the temperatures, or an earlier time if the watchdog must be checked.
+    The next wake is the next update of the temperatures, or an earlier time if the watchdog must be
+    checked.
     """
     node.wake_ns = node.thermal_ns + THERMAL_PERIOD_NS
     if node.timeout_ns != 0 and node.state == ENABLED_STATE:
