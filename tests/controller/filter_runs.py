@@ -39,8 +39,8 @@ class FilterState(NamedTuple):
         nis_mean, nis_lately: slow and fast average of the normalised innovation squared.
         doubtful: True if the filter doubts its model.
         doubt_time_s: remaining time for which the filter doubts its model [s].
-        covariance: (N, 7, 7) covariance of the filter states while measurements are missing. It is
-            None if the covariance is the steady-state covariance.
+        covariance: (N, 7, 7) covariance of the filter states while measurements are missing. The
+            value is None if the covariance is the steady-state covariance.
         started: True if every sensor has been read once.
     """
 
@@ -146,7 +146,7 @@ def run_filter_tick(
         rate: (N,) planned rate of change of the tension of each tendon [N/s].
         contact: for each digit, True if the digit is known to touch an object.
         friction_state: (N,) development of the friction of each tendon, from 1 (winding up) to -1
-            (paying out). It is NaN if it is unknown.
+            (paying out). The value is NaN if it is unknown.
         missed: number of ticks that were missed since the last tick.
     """
     controller_state = state_of(model, state)

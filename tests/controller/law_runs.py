@@ -38,11 +38,11 @@ class LawState(NamedTuple):
             force: commanded motor force, without friction [N].
         planned: tension that is planned for the next tick, for tendons of moving digits [N]. rate:
             planned rate of change of the tension until the next tick [N/s].
-        trim: force that compensates the step of the command at a change of gains [N]. It is None
-            after it has decayed.
+        trim: force that compensates the step of the command at a change of gains [N]. The value is
+            None after it has decayed.
         held: tension limit while the safety monitor holds the hand [N]. None at other times.
         friction_state: development of the friction of each tendon, from 1 (winding up) to -1
-            (paying out). It is NaN if it is unknown, and None before the first command.
+            (paying out). The value is NaN if it is unknown, and None before the first command.
     """
 
     setpoint: np.ndarray

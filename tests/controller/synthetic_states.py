@@ -209,7 +209,7 @@ def _winding_efficiency(
 def winding_efficiency_of(model: HandModel, q: np.ndarray) -> np.ndarray:
     """Return the fraction of each tension (N,) that reaches the joints at angles (J,) [rad].
 
-    It is the fraction while the motor winds the tendon up.
+    The result is the fraction while the motor winds the tendon up.
     """
     return np.asarray(
         _winding_efficiency(

@@ -334,7 +334,7 @@ def test_covariance_grows_over_skipped_ticks(
 ) -> None:
     """In missed ticks, the covariance grows.
 
-    It grows at most for the time for which motors hold the last command.
+    The covariance grows at most for the time for which motors hold the last command.
     """
     x, force = state_at_rest(model, 25.0, 0.6)
     measured, none = noiseless_readings(model, x, force), np.zeros(model.tendon_count)

@@ -99,7 +99,7 @@ def test_a_slack_tendon_bears_no_contact_wherever_its_digit_is(model: HandModel)
 def used_measurements(model: HandModel, state: FilterState, measured: SensorReadings) -> np.ndarray:
     """Return the measurements (N, 3) that the filter uses in a given state.
 
-    They are NaN where it uses none.
+    The values are NaN where it uses none.
     """
     run = state_of(model, state)
     write_readings(run, measured)

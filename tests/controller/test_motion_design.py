@@ -17,7 +17,7 @@ CONTROL_RATES_HZ = [200.0, 500.0, 1000.0]
 def motion_plant(mass: float, period: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the discrete model of a mass on which a force acts.
 
-    Its states are the excursion [m] and its rate [m/s].
+    The states of the model are the excursion [m] and its rate [m/s].
     """
     A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0 / mass]])
     F, G, *_ = cont2discrete((A, B, np.eye(2), np.zeros((2, 1))), period)
@@ -27,7 +27,7 @@ def motion_plant(mass: float, period: float) -> tuple[np.ndarray, np.ndarray]:
 def tension_plant(model: HandModel, i: int, period: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the discrete model of a rotor on a tendon whose end is fixed.
 
-    Its states are tension [N] and speed [m/s].
+    The states of the model are tension [N] and speed [m/s].
     """
     space = model.space
     m, k, c = space.motor_mass[i], space.stiffness[i], space.damping[i] + space.motor_damping[i]

@@ -126,8 +126,8 @@ def sent_stiffness(run: SimulatedRun) -> np.ndarray:
 def mean_errors(hand: Hand, seed: int) -> tuple[np.ndarray, float]:
     """Return the RMS error along each tendon (N,) [deg] while a hand moves, and the largest true tension [N].
 
-    It is the error of the mean joint angle along a tendon. In ``jamia``, the springs determine how
-    the single joints share this error.
+    The error is the error of the mean joint angle along a tendon. In ``jamia``, the springs
+    determine how the single joints share this error.
     """
     errors, peak = list[np.ndarray](), 0.0
     with begin_to_and_fro(hand, seed, moves=2) as run:
@@ -146,8 +146,8 @@ def mean_errors(hand: Hand, seed: int) -> tuple[np.ndarray, float]:
 def moteus_command(data: bytes) -> tuple[float, ...]:
     """Return the values in a command.
 
-    They are position [rad], velocity [rad/s], torque [N m], fractions of kp and kd, and limit [N
-    m].
+    The values are position [rad], velocity [rad/s], torque [N m], fractions of kp and kd, and limit
+    [N m].
     """
     assert len(data) == 48
     assert (data[:5], data[17:19], data[31:36]) == (

@@ -50,7 +50,7 @@ HELD_PHASES, FREE_PHASES = ("close", "hold", "release"), ("tighten", "home")
 class PostureTick(NamedTuple):
     """Values of one tick of a grasp.
 
-    They are the phase, the true and the estimated joint angles, the standard deviation of the
+    The values are the phase, the true and the estimated joint angles, the standard deviation of the
     estimate, the angles that a free digit would have (J,) [rad], and the contact force on each
     digit [N].
     """

@@ -169,7 +169,7 @@ def test_a_growing_load_removes_the_object_only_without_slip_reaction(
 ) -> None:
     """Both runs have the same load, hand and seed.
 
-    They differ only in the key of the task that permits more force.
+    The two runs differ only in the key of the task that permits more force.
     """
     scene, motion, tension = PULLED_CYLINDER_SCENE.format(friction=friction, rate=rate), {}, {}
     for limit in ("", "limit"):

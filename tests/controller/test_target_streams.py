@@ -133,7 +133,7 @@ def true_angle(run: SimulatedRun) -> float:
 def test_a_streamed_sine_is_followed_like_a_trajectory(jamia: HandModel) -> None:
     """In this test, the client knows the motion in advance.
 
-    It therefore sends the angle that the hand should have after the delay of the stream
+    The client therefore sends the angle that the hand should have after the delay of the stream
     (``horizon_s``).
     """
     errors = {}

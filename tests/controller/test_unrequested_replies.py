@@ -125,7 +125,7 @@ def test_only_replies_in_excess_are_compared_with_the_expected_reply(
 ) -> None:
     """A late reply to an older request is not an excess reply.
 
-    Its bytes may differ from the bytes of the new reply.
+    The bytes of a late reply may differ from the bytes of the new reply.
     """
     if outstanding == 2:
         active_bench.to_host = lambda frames: [frame for frame in frames if frame.can_id != 0x11]

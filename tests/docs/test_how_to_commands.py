@@ -2,8 +2,8 @@
 
 While a block that needs a hand runs, a simulated hand also runs.
 
-The pages use files and hands that belong to the reader. The tests replace them by packaged files
-and hands.
+The pages use files and hands that belong to the reader. The tests replace these files
+and hands by packaged ones.
 """
 
 import re

@@ -1,4 +1,7 @@
-"""The site builds without network access and without warnings. Its pages load nothing from other servers."""
+"""The site builds without network access and without warnings.
+
+The pages of the site load nothing from other servers.
+"""
 
 import os
 import re

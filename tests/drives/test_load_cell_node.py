@@ -71,7 +71,7 @@ class NodeBoard(ctypes.Structure):
 
 
 class Ads131m04Struct(ctypes.Structure):
-    """The C structure ``struct ads131m04`` of the firmware."""
+    """The C structure ``struct ads131m04`` of the firmware of the load cell node."""
 
     _fields_ = [
         ("transfer", TRANSFER_CALLBACK_TYPE),

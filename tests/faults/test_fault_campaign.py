@@ -329,7 +329,7 @@ def test_faults_of_a_hand_without_load_cells_are_found_in_a_grasp():
 def test_a_torn_tendon_without_load_cell_is_reported_in_free_motion():
     """For a torn tendon, T08 (a tendon left its pulley) is accepted as well.
 
-    Regression: T08 was not accepted, and came after 190 ms.
+    Reproduce a defect: T08 was reported after 190 ms, but the campaign did not accept T08.
     """
     results = orca_like_results(1, {FREE_STAGE: ("snap", "stuck encoder", "reorder")})
     assert len(results) == 5

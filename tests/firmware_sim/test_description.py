@@ -1,6 +1,7 @@
 """Test how the simulator reads hand files and perturbs their parameters.
 
-Also test the bytes of a simulated frame. They equal those of the kernel's structure `canfd_frame`.
+Also test the bytes of a simulated frame. The bytes equal those of the kernel's structure
+`canfd_frame`.
 """
 
 import struct

@@ -19,8 +19,8 @@ from firmware_sim.truth_file import read_truth
 def closing_hand(hand: str, native: bool = True, compiled: bool = True) -> Plant:
     """Build a simulated hand that closes on a cylinder.
 
-    The tendons of this hand are slack at first, and then taut. Its motors follow a torque, a
-    position, or a moving position.
+    The tendons of this hand are slack at first, and then taut. The motors of this hand follow a
+    torque, a position, or a moving position.
     """
     plant = Plant(load_hand(hand), load_scene("cylinder"), seed=3, compiled=compiled)
     if not native:

@@ -134,5 +134,5 @@ def test_the_script_of_lerobot_teleoperates_the_hand_by_a_log(robot_options, wor
         ]
         goal = np.degrees(np.nanmax(log.field("q_goal")[:, :9]))
         # In this test, the leader closes its fingers on an object. Coupled joints of the follower
-        # have one common angle: the angle that is nearest to those of the leader.
+        # have one common angle: the angle nearest to the angles of these joints in the leader.
         assert 20.0 < goal < np.degrees(leader.field("q").max()) + 1.0

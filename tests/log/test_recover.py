@@ -24,7 +24,7 @@ def smallest_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     The tests cut this log at every byte.
 
-    The log has eight chunks. It has no URDF, so that it is small.
+    The log has eight chunks. The log has no URDF, so that the log is small.
     """
     path = tmp_path_factory.mktemp("log") / "least.mcap"
     attachments = {

@@ -102,7 +102,7 @@ class PeerWithLostReplies:
 
 
 def short_task(folder: Path) -> TaskProgram:
-    """Return the program of a short grasp. Its task file is written into a folder."""
+    """Return the program of a short grasp. The task file is written into a folder."""
     path = folder / "task.toml"
     path.write_text(SHORT_GRASP_TASK)
     return TaskProgram(load_task(path))
@@ -131,7 +131,7 @@ def record_lockstep_run(
         spoil: function that wraps the simulator, for example to drop some replies.
         io_events, requests: events of buses and host, and requests, by the number of the tick in
             which they arrive.
-        truth: path of the truth file. It is None to write no truth file.
+        truth: path of the truth file. The value is None to write no truth file.
     """
     described = load_hand(hand)
     plan = RunPlan(described, Gains(), rate_hz, ())

@@ -129,8 +129,8 @@ def test_second_replay_gives_the_same_log(run_and_repeat: RunAndRepeat) -> None:
 def test_second_replay_gives_the_same_truth(run_and_repeat: RunAndRepeat, digit: str) -> None:
     """The test compares the mean joint angle of each digit.
 
-    It does not compare single joints, because contact and friction determine how the motion of a
-    tendon is divided among the joints.
+    The test does not compare single joints, because contact and friction determine how the motion
+    of a tendon is divided among the joints.
     """
     joints = [f"q/{digit}_j{n}" for n in range(1, 3 if digit == "thumb" else 4)]
     _, before, after = run_and_repeat.truths(*joints)

@@ -16,7 +16,7 @@ RUN_DIR_VARIABLE = "HANDCTL_RUN_DIR"
 def hub_process(name: str, folder: Path) -> Iterator[None]:
     """Run the hub of the simulator in a separate process.
 
-    The hub serves ``local:NAME``. Its socket is in the given folder.
+    The hub serves ``local:NAME``. The socket of the hub is in the given folder.
     """
     words = [sys.executable, "-m", "firmware_sim", "bus", name]
     environment = {**os.environ, RUN_DIR_VARIABLE: str(folder)}

@@ -80,7 +80,8 @@ class DisturbedRun(NamedTuple):
             [ns].
         bus_sync_counts: tick counts of the SYNC frames that were on the bus.
         log_sync_counts: tick counts of the SYNC frames that are in the log.
-        warning: text about a damaged or incomplete log file. It is empty if the log is complete.
+        warning: text about a damaged or incomplete log file. The value is empty if the log is
+            complete.
     """
 
     sent_signal: signal.Signals
@@ -137,7 +138,7 @@ class KillTestHand:
     def __init__(self, folder: Path, scale: float) -> None:
         """Start the simulator with a time scale.
 
-        Its truth file and all logs are written to one folder.
+        The truth file of the simulator and all logs are written to one folder.
         """
         self.folder = folder
         self.time_scale = scale
@@ -232,7 +233,7 @@ class KillTestHand:
 class SyncListener:
     """A further node on the bus.
 
-    It collects the tick counts of all SYNC frames from the controller.
+    The node collects the tick counts of all SYNC frames from the controller.
 
     Attributes:
         syncs: tick counts of the SYNC frames, one byte each.

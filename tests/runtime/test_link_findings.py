@@ -1,6 +1,6 @@
 """Test findings about a CAN interface from the output of ``ip``.
 
-The texts were written for these tests. They have the format of iproute2.
+The texts were written for these tests. The texts have the format of iproute2.
 """
 
 import json
@@ -112,7 +112,10 @@ def test_invalid_output_of_ip_is_no_link(text):
 
 
 def usb_interface(folder, driver="gs_usb", speed="12", serial="0042"):
-    """Make a folder like /sys/class/net. Its only interface is can0, which belongs to a USB adapter."""
+    """Make a folder like /sys/class/net.
+
+    The only interface in the folder is can0, which belongs to a USB adapter.
+    """
     usb = folder / "usb1" / "1-1"
     (usb / "1-1:1.0").mkdir(parents=True)
     (folder / "drivers" / driver).mkdir(parents=True)

@@ -1,7 +1,7 @@
 """Test handctl in a process with the simulated hand in another process, on the real clock.
 
-These tests cover the start and the end of runs. They run in slowed time, because in real time a
-stall of the machine would end a run.
+These tests cover the start and the end of runs. The tests run in slowed time, because in real time
+a stall of the machine would end a run.
 """
 
 import itertools

@@ -44,8 +44,8 @@ LOAD_CELLS_NODE = TENDON_COUNT
 class TickInput(NamedTuple):
     """Input of the safety monitor for one tick.
 
-    It contains those rows of the state that differ from a hand at rest, by field and index. It also
-    contains the reports of buses and host.
+    The input contains those rows of the state that differ from a hand at rest, by field and index.
+    The input also contains the reports of buses and host.
     """
 
     rows: Mapping[str, dict[object, float]] = MappingProxyType({})
@@ -180,7 +180,7 @@ def slack_tendon(before: int, tendon: int = 3) -> TickInput:
 def derailed_tendon(tendon: int, deg: float) -> TickInput:
     """Return an input with an angle difference between the joint and the spool of a tendon [deg].
 
-    It is the third such reading in a row.
+    The input has this difference for the third reading in a row.
     """
     excursion = -20.0 / 1e5 - 0.02 * np.radians(deg)
     return state_rows(joints_read=1, taut_s={tendon: 1.0}, slip_from={tendon: 0.0}, derailed={tendon: 2.0},

@@ -278,7 +278,7 @@ def _uncompiled(function: Any) -> Any:
 def call_interpreted(function: Any, *arguments: Any) -> Any:
     """Call a function that only kernels call in uncompiled form.
 
-    It may call other such functions of its module.
+    Such a function may call other such functions of its module.
     """
     with np.errstate(all="ignore"):
         return _uncompiled(function)(*arguments)

@@ -169,7 +169,7 @@ def brute_force(system: LinearSystem) -> tuple[float, float]:
 def test_margins_are_those_of_brute_force(hand: str, seed: int) -> None:
     """A computed margin is never larger than the true margin.
 
-    It is smaller only if the frequency response and the eigenvalues disagree.
+    A computed margin is smaller only if the frequency response and the eigenvalues disagree.
     """
     model = model_of(hand, seed)
     for kind in LoopKind:

@@ -106,7 +106,7 @@ def _job_script(command: Sequence[str], environment: Mapping[str, str]) -> str:
 def _environment() -> dict[str, str]:
     """Return the environment variables of this process.
 
-    Their PATH contains the folders of system programs, even for an ordinary user.
+    The variable PATH contains the folders of system programs, even for an ordinary user.
     """
     return {**os.environ, "PATH": f"{os.environ.get('PATH', '')}:{SYSTEM_PATH}"}
 

@@ -2,8 +2,8 @@
 
 ``handctl run`` grasps a cylinder with a simulated hand in another process.
 
-At night, the hand is first commissioned. By day, it starts with known motor zeros and a new
-calibration, because a commissioning of seven seconds takes 45 s in the guest.
+In a nightly run, the hand is first commissioned. In other runs, the hand starts with known motor
+zeros and a new calibration, because a commissioning of seven seconds takes 45 s in the guest.
 """
 
 import json
