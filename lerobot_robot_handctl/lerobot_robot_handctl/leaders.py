@@ -27,8 +27,8 @@ CLOSE, OPEN, OPEN_ALL = "qwertyuiop", "asdfghjkl;", " "
 class Leader(Teleoperator):
     """Base class of the teleoperators.
 
-    A teleoperator of handctl commands the joints of a hand. It has neither force feedback nor
-    calibration.
+    A teleoperator of handctl commands the joints of a hand. The teleoperator has neither force
+    feedback nor calibration.
     """
 
     joints: tuple[str, ...]
