@@ -140,13 +140,13 @@ class Cia402Node:
         self._unsolicited: list[Frame] = []
         self._stored: dict[ObjectKey, int] = {}
         self._segments: list[bytes] = []
-        self._reset(announce=True)
+        self._reset(sends_boot_message=True)
 
-    def _reset(self, announce: bool) -> None:
+    def _reset(self, sends_boot_message: bool) -> None:
         """Restart the drive with its stored settings.
 
         Args:
-            announce: True to send the boot-up message.
+            sends_boot_message: True to send the boot-up message.
         """
         self.motor.servo.release()
         self.motion.end()
@@ -163,7 +163,7 @@ class Cia402Node:
         self.syncs = 0
         self.heartbeat_ns = self.watchdog_fed_ns = -1
         self._update_derived()
-        if announce:
+        if sends_boot_message:
             self._unsolicited.append(Frame(0x700 + self.node_id, b"\0"))
 
     def _initial_objects(self) -> tuple[ObjectDictionary, PowerStage]:
@@ -228,7 +228,7 @@ class Cia402Node:
     def _nmt_command(self, command: int) -> None:
         """Execute an NMT command."""
         if command in (0x81, 0x82):
-            self._reset(announce=True)
+            self._reset(sends_boot_message=True)
             return
         state = {0x01: OPERATIONAL_STATE, 0x02: STOPPED_STATE, 0x80: PRE_OPERATIONAL}.get(
             command, self.nmt
