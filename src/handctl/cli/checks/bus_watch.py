@@ -95,7 +95,7 @@ def _checked_arguments(args: argparse.Namespace) -> tuple[tuple[str, ...], Hand,
 
 
 def _show_readings(
-    args: argparse.Namespace, hand: Hand, watch: BusWatch, ended: TerminationFlag
+    args: argparse.Namespace, hand: Hand, watch: BusWatch, termination: TerminationFlag
 ) -> None:
     """Poll the drives in every tick. Show their readings at intervals and at the end."""
     begin = time.monotonic()
@@ -109,7 +109,7 @@ def _show_readings(
             from rich.live import Live
 
             live = stack.enter_context(Live(console=rich_console(), auto_refresh=False))
-        while not ended.requested and (now := time.monotonic()) < end:
+        while not termination.requested and (now := time.monotonic()) < end:
             watch.run_tick()
             if now < due:
                 continue
