@@ -102,13 +102,13 @@ def check_terminal() -> None:
         )
 
 
-def ask_question(question: HandQuestion, shown: str, default: Any) -> Any:
+def ask_question(question: HandQuestion, default_text: str, default: Any) -> Any:
     """Ask a question until the answer is valid or empty.
 
     Return the answer, or the default if it is empty.
     """
     while True:
-        text = input(f"{question.question_text} [{shown}]: ").strip()
+        text = input(f"{question.question_text} [{default_text}]: ").strip()
         if not text:
             return default
         try:
