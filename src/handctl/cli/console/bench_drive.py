@@ -97,7 +97,7 @@ def describe_drive(
     args: argparse.Namespace,
     options: dict[str, Any],
     node: DiscoveredNode | None,
-    make: Callable[[Motor], Drive] = _torque_drive,
+    make_drive: Callable[[Motor], Drive] = _torque_drive,
 ) -> Drive:
     """Return the drive with the values that it reports.
 
@@ -107,7 +107,7 @@ def describe_drive(
         args: arguments with ``protocol``, ``node`` and ``limit`` [N m].
         options: options of the drive, from the command line.
         node: the drive found by a scan, or None before the scan.
-        make: function that constructs the drive of a motor.
+        make_drive: function that constructs the drive of a motor.
 
     Raises:
         ConfigError: the protocol does not have the option, or does not allow the node number.
@@ -129,7 +129,7 @@ def describe_drive(
         **settings, "torque_max_N_m": args.limit, "torque_peak_N_m": args.limit, "options": reported | options,
     }  # fmt: skip
     try:
-        return make(Motor.model_validate(motor))
+        return make_drive(Motor.model_validate(motor))
     except ValidationError as error:
         wrong = error.errors(include_url=False)[-1]
         key = str(wrong["loc"][-1]) if wrong["loc"] else args.protocol
