@@ -187,7 +187,7 @@ def _make_simulated_hand(args: argparse.Namespace, truth: Path | None) -> Simula
     return SimulatorSettings(args.hand, args.scene, args.seed, perturb, truth=truth, wire=args.wire)
 
 
-def _speed_ratio(outcome: RunOutcome, plan: RunPlan, wall: float) -> dict[str, Any]:
+def _speed_ratio(outcome: RunOutcome, plan: RunPlan, wall_s: float) -> dict[str, Any]:
     """Return three fields of the result: the simulated time, the real time, and the ratio of both.
 
     Both times include commissioning.
@@ -196,8 +196,8 @@ def _speed_ratio(outcome: RunOutcome, plan: RunPlan, wall: float) -> dict[str, A
     return {
         "lockstep": True,
         "simulated_s": simulated,
-        "wall_s": wall,
-        "times_real_time": simulated / wall,
+        "wall_s": wall_s,
+        "times_real_time": simulated / wall_s,
     }
 
 
