@@ -111,7 +111,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _in_lockstep(
-    args: argparse.Namespace, plan: RunPlan, program: ExciteProgram, log: Path, about: str
+    args: argparse.Namespace, plan: RunPlan, program: ExciteProgram, log: Path, introduction: str
 ) -> tuple[Calibration, RunOutcome]:
     """Commission and excite a simulated hand in virtual time.
 
@@ -122,7 +122,7 @@ def _in_lockstep(
         args.hand, seed=args.seed, perturb=perturb, truth=log.with_suffix(".truth")
     )
     with simulator.lockstep_clock(plan.period_ns) as clock:
-        print_note(about)
+        print_note(introduction)
         return _commission_and_excite(plan, program, log, partial(run_lockstep, clock=clock))
 
 
