@@ -253,15 +253,17 @@ def _report_results(
     return ended
 
 
-def _print_refusals(spoilt: dict[str, str], met: dict[str, str], incoherent: list[str]) -> None:
+def _print_refusals(
+    blocked_digits: dict[str, str], met: dict[str, str], incoherent: list[str]
+) -> None:
     """Print which parameters are not kept, with the reasons.
 
     Args:
-        spoilt: for each blocked digit, the event that reports this.
+        blocked_digits: for each blocked digit, the event that reports this.
         met: for each digit that touched something during its sweep, the contact.
         incoherent: names of the tendons whose coherence is too low.
     """
-    for digit, reason in spoilt.items():
+    for digit, reason in blocked_digits.items():
         print_escaped(
             f"handctl: no parameters of {digit} are kept: {reason}; expected a digit that touches nothing",
             error=True,
