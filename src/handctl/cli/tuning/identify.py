@@ -254,14 +254,14 @@ def _report_results(
 
 
 def _print_refusals(
-    blocked_digits: dict[str, str], met: dict[str, str], incoherent: list[str]
+    blocked_digits: dict[str, str], met: dict[str, str], incoherent_tendons: list[str]
 ) -> None:
     """Print which parameters are not kept, with the reasons.
 
     Args:
         blocked_digits: for each blocked digit, the event that reports this.
         met: for each digit that touched something during its sweep, the contact.
-        incoherent: names of the tendons whose coherence is too low.
+        incoherent_tendons: names of the tendons whose coherence is too low.
     """
     for digit, reason in blocked_digits.items():
         print_escaped(
@@ -273,9 +273,9 @@ def _print_refusals(
             f"handctl: springs and friction of {digit} are not kept: {reason}; {BLOCKED_HINT}",
             error=True,
         )
-    if incoherent:
+    if incoherent_tendons:
         print_escaped(
-            f"handctl: inertia, viscous friction and delay of {', '.join(incoherent)} are not kept: "
+            f"handctl: inertia, viscous friction and delay of {', '.join(incoherent_tendons)} are not kept: "
             f"{LOW_COHERENCE_TEXT}, so the values are not worth using; let handctl identify move the digits",
             error=True,
         )
