@@ -291,13 +291,13 @@ def _search_command(args: argparse.Namespace, path: Path) -> str:
 
 
 def _draw_pictures(
-    hand: Hand, results: dict[Path, dict[str, TendonResult]], say: Callable[[str], None]
+    hand: Hand, results: dict[Path, dict[str, TendonResult]], print_line: Callable[[str], None]
 ) -> list[Path]:
     pictures = []
     for log, tendons in results.items():
         for name, one in tendons.items():
             picture = log.with_suffix(f".identify-{name}.png")
-            say(f"drawing {picture}")
+            print_line(f"drawing {picture}")
             draw_identification(picture, one, f"{hand.name} {name}: {log.name}")
             pictures.append(picture)
     return pictures
