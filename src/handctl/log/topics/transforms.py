@@ -131,11 +131,11 @@ def link_positions(link: LinkFrame, q: NDArray[np.float64]) -> NDArray[np.float6
     return np.asarray(np.array(link.position) + q[:, None] * np.array(turned))
 
 
-def _transform_stream(channel: int, some: list[LinkFrame]) -> MessageStream:
+def _transform_stream(channel: int, link_frames: list[LinkFrame]) -> MessageStream:
     """Return the stream of a tf2_msgs/TFMessage for some links."""
     out = TemplateWriter()
-    out.put_length(len(some))
-    for index, link in enumerate(some):
+    out.put_length(len(link_frames))
+    for index, link in enumerate(link_frames):
         out.put_header(link.parent)
         out.put_string(link.child)
         out.put_field(f"position{index}", "<f8", 3)
