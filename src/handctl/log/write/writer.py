@@ -205,7 +205,7 @@ class LogWriter:
                 )
             )
 
-    def _ends_chunk(self, t_ns: int, begins: bool) -> bool:
+    def _ends_chunk(self, t_ns: int, begins_chunk: bool) -> bool:
         """Return True if the current chunk must end with this tick.
 
         In a deterministic run, the chunks end on a fixed time grid. In other runs, a chunk ends
@@ -215,7 +215,7 @@ class LogWriter:
             before = self._mark
             self._mark = t_ns // CHUNK_SPAN_NS
             return before != self._mark
-        if begins:
+        if begins_chunk:
             self._mark = t_ns
         return t_ns - self._mark >= CHUNK_SPAN_NS
 
