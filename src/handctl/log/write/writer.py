@@ -264,11 +264,11 @@ class LogWriter:
             self._warned = True
             self._report("disk_low", free)
 
-    def _stop_early(self, free: int) -> None:
+    def _stop_early(self, free_bytes: int) -> None:
         """Finish the log early because the disk is nearly full."""
         self.flush()
         if not self.closed:
-            self._report("disk_full", free)
+            self._report("disk_full", free_bytes)
             with suppress(OSError):
                 self._write_end("disk full", 0)
 
