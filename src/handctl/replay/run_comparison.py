@@ -182,13 +182,13 @@ def _prismatic_joints(log: RunLog) -> frozenset[str]:
     return frozenset(joints[link.joint] for link in links if link.is_prismatic)
 
 
-def difference_lines(compared: dict[str, Any]) -> Iterator[str]:
+def difference_lines(comparison: dict[str, Any]) -> Iterator[str]:
     """Yield one line of text about the difference of each joint and tendon that has values in both runs.
 
     Args:
-        compared: result of `compare_runs`.
+        comparison: result of `compare_runs`.
     """
-    for signal, rows in compared.items():
+    for signal, rows in comparison.items():
         unit = signal.partition("_")[2]
         for name, row in rows.items():
             ms = 1e3 * row["delay_s"]
