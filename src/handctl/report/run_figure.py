@@ -172,10 +172,12 @@ def _draw_angles(
         _draw_command_and_truth(axes, log, goal[:, d], None if real is None else real[:, d])
 
 
-def _draw_command_and_truth(axes: Any, log: RunLog, goal: Array | None, real: Array | None) -> None:
+def _draw_command_and_truth(
+    axes: Any, log: RunLog, goal: Array | None, true_values: Array | None
+) -> None:
     """Beside the estimate, draw the command and the true value of the simulated plant."""
-    if real is not None:
-        axes.plot(log.times, real, color=PLANT_COLOUR, linewidth=0.7)
+    if true_values is not None:
+        axes.plot(log.times, true_values, color=PLANT_COLOUR, linewidth=0.7)
     if goal is not None:
         axes.plot(log.times, goal, color=COMMAND_COLOUR, linewidth=1.0, linestyle="--")
 
