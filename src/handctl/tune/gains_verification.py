@@ -229,12 +229,12 @@ class VerifyObserver:
             max(0.0, round(math.floor(amplitude / AMPLITUDE_STEP) * AMPLITUDE_STEP, 2)),
         )
 
-    def _request_gains(self, gains: Gains, replaced: Gains) -> None:
+    def _request_gains(self, gains: Gains, present_gains: Gains) -> None:
         """Queue a request that sets those of the given gains that a running controller can change."""
         # If a request does not set the force of a tendon, a running controller keeps this force.
         # Therefore the request sets the forces of all tendons.
         all_values = values_by_key(gains) | {
-            key: new for key, (_, new) in different_values(replaced, gains).items()
+            key: new for key, (_, new) in different_values(present_gains, gains).items()
         }
         values = {
             key: value
