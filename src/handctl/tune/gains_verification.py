@@ -263,7 +263,7 @@ class VerifyObserver:
             self._rates.popleft()
         return float(np.sqrt(sum(self._rates) / len(self._rates)))
 
-    def _violated_limit(self, out: TickOut, ringing: float) -> str:
+    def _violated_limit(self, out: TickOut, ringing_N: float) -> str:
         """Return a text about the limit that a tick violates.
 
         The text is empty if it violates none.
@@ -285,8 +285,8 @@ class VerifyObserver:
                 return f"tension of {tendon.name} {tension:.0f} N, limit {bound:.0f}"
         limit = max(limits.ringing_factor * self._max_ringing, limits.ringing_floor_Nm_per_s)
         return (
-            f"motor torques oscillate by {ringing:.1f} N m/s, limit {limit:.1f}"
-            if ringing > limit
+            f"motor torques oscillate by {ringing_N:.1f} N m/s, limit {limit:.1f}"
+            if ringing_N > limit
             else ""
         )
 
