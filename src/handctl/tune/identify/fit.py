@@ -369,20 +369,20 @@ def _row_times(problem: TendonFitProblem) -> Array:
     return np.concatenate(parts)
 
 
-def _cell_noise(quiet: Array, stated: float) -> float:
+def _cell_noise(quiet: Array, stated_noise: float) -> float:
     """Return the standard deviation of a load-cell sample, estimated from neighbouring samples [N].
 
     Args:
         quiet: tensions at rest and in slow stretches, in which neighbouring samples differ only by
             noise [N].
-        stated: value of the standard deviation in the hand file [N]. If there are too few samples,
+        stated_noise: value of the standard deviation in the hand file [N]. If there are too few samples,
             this value is returned.
     """
     quiet = quiet[np.isfinite(quiet)]
     return (
-        stated
+        stated_noise
         if len(quiet) < 200
-        else max(float(np.std(np.diff(quiet))) / 2**0.5, 0.1 * stated, 1e-3)
+        else max(float(np.std(np.diff(quiet))) / 2**0.5, 0.1 * stated_noise, 1e-3)
     )
 
 
