@@ -115,9 +115,9 @@ class ProcessPool:
                 # changes little.
                 waiting.appendleft(i)
 
-    def _wait_for_readable(self, busy: Iterable[int]) -> list[int]:
+    def _wait_for_readable(self, busy_workers: Iterable[int]) -> list[int]:
         """Wait until a worker has written a line or has ended, and return the indices of all such workers."""
-        outputs = {_read_output(self._processes[slot]): slot for slot in busy}
+        outputs = {_read_output(self._processes[slot]): slot for slot in busy_workers}
         ready, _, _ = select.select(list(outputs), [], [])
         return [outputs[output] for output in ready]
 
