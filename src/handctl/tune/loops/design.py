@@ -310,7 +310,7 @@ def _each_margin(
     model: HandModel,
     plants: tuple[PlantFactors, ...],
     kinds: Iterable[LoopKind],
-    judge: Callable[[LinearSystem], LoopMargins] = margins_of_loop,
+    margins_of: Callable[[LinearSystem], LoopMargins] = margins_of_loop,
     tendons: Iterable[int] | None = None,
 ) -> Iterator[LoopMargins]:
     """Yield the margins of each loop, tendon, and plant.
@@ -321,7 +321,9 @@ def _each_margin(
         for i in distinct_tendons(model) if tendons is None else tendons:
             loop_controller = controller_system(model, i, kind)
             yield from (
-                judge(join_to_open_loop(plant_system(model, i, kind, factors), loop_controller))
+                margins_of(
+                    join_to_open_loop(plant_system(model, i, kind, factors), loop_controller)
+                )
                 for factors in plants
             )
 
