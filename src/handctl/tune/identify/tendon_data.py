@@ -166,12 +166,12 @@ def _free_motion(log: RunLog, hand: Hand, digit: str) -> Mask:
     )
 
 
-def _lasting_mask(mask: Mask, late: int) -> Mask:
-    """Return a mask that is True where `mask` has been True for more than `late` ticks."""
+def _lasting_mask(mask: Mask, tick_count: int) -> Mask:
+    """Return a mask that is True where `mask` has been True for more than `tick_count` ticks."""
     # `last` is the index of the latest False up to each tick. The value is -1 before the first
     # False.
     last = np.maximum.accumulate(np.where(mask, -1, np.arange(len(mask))))
-    return np.asarray(np.arange(len(mask)) - last > late)
+    return np.asarray(np.arange(len(mask)) - last > tick_count)
 
 
 def _step_mask(phases: NDArray[np.str_], digit: str, steps: tuple[str, ...], settle: int) -> Mask:
