@@ -113,18 +113,18 @@ def _table_lines(name, table):
             yield from _table_lines(f"{name}.{key}", value)
 
 
-def content_without_key(content, path, instead=None):
+def content_without_key(content, path, replacement=None):
     """Return a copy of a content without one key.
 
-    If ``instead`` is given, store the value under this other key.
+    If ``replacement`` is given, store the value under this other key.
     """
     content = with_value(content, path, None)
     parent = content
     for key in path[:-1]:
         parent = parent[key]
     del parent[path[-1]]
-    if instead:
-        parent[path[-1] + "_x"] = instead
+    if replacement:
+        parent[path[-1] + "_x"] = replacement
     return content
 
 
