@@ -169,9 +169,9 @@ class FirmwareBench:
             )
         )
 
-    def _transfer(self, context: int, chip: int, out: Any, into: Any) -> None:
+    def _transfer(self, context: int, chip: int, out: Any, received: Any) -> None:
         for i, byte in enumerate(self.chips[chip].transfer_frame(bytes(out[:18]))):
-            into[i] = byte
+            received[i] = byte
 
     def _send(self, context: int, can_id: int, data: Any, length: int) -> None:
         self.sent_frames.append((can_id, bytes(data[:length])))
