@@ -64,14 +64,14 @@ def stays_open(block: FencedBlock) -> bool:
 def run_blocks(
     page_blocks: Sequence[FencedBlock],
     prepare: Callable[[Path], None] | None = None,
-    beside: Sequence[str] = (),
+    parallel_commands: Sequence[str] = (),
 ) -> None:
     """Execute the commands of a page in an empty folder.
 
     Args:
         page_blocks: blocks of the page. The files of the page are written first.
         prepare: function that writes further files into the folder.
-        beside: further commands, which run during the commands of the page.
+        parallel_commands: further commands, which run during the commands of the page.
     """
     folder, sockets = (Path(tempfile.mkdtemp(prefix="h-")) for _ in range(2))
     path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
@@ -83,7 +83,7 @@ def run_blocks(
     for block in filter(is_file_block, page_blocks):
         (folder / block.title).write_text(with_local_bus(block.text))
     try:
-        for command in beside:
+        for command in parallel_commands:
             start_beside(command, others, words)
         for block in page_blocks:
             if block.language != "sh" or not is_executed(block):
