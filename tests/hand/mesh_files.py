@@ -29,10 +29,10 @@ def tetrahedron_triangles() -> NDArray[np.float64]:
     return TETRAHEDRON_CORNERS[TETRAHEDRON_FACES]
 
 
-def tetrahedron_obj(scale: float = 1.0, mixed: bool = False) -> bytes:
+def tetrahedron_obj(scale: float = 1.0, mixed_face_forms: bool = False) -> bytes:
     """Return the tetrahedron as the text of an OBJ file.
 
-    If ``mixed`` is True, its faces use all forms in which an OBJ file can write a corner. MuJoCo
+    If ``mixed_face_forms`` is True, its faces use all forms in which an OBJ file can write a corner. MuJoCo
     cannot read a file with such a mixture.
     """
     lines = [
@@ -42,7 +42,7 @@ def tetrahedron_obj(scale: float = 1.0, mixed: bool = False) -> bytes:
         "vn 0 0 1",
     ]
     lines += ["vt 0 0", "f 1/1/1 3/1/1 2/1/1", "f -4//1 -3//1 -1//1", "f 1/1 4/1 3/1", "f 2 3 4"]
-    if not mixed:
+    if not mixed_face_forms:
         lines[-4:] = [
             "f 1//1 3//1 2//1",
             "f -4//1 -3//1 -1//1",
