@@ -319,9 +319,9 @@ Some chunks of a run fit into a file of this size, but not all chunks.
 """
 
 
-def _readable_prefix(path: Path, fed: int) -> None:
+def _readable_prefix(path: Path, log_size: int) -> None:
     with RunLog(path) as log:
-        assert 0 < len(log) < fed
+        assert 0 < len(log) < log_size
         assert log.k.tolist() == list(range(len(log)))
         assert len(list(log.ticks())) == len(log)
 
