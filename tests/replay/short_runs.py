@@ -116,7 +116,7 @@ def record_lockstep_run(
     rate_hz: float = 250.0,
     friction: float = 0.5,
     seed: int = 0,
-    spoil: Callable[[LockstepSimulator], LockstepSimulator] = lambda peer: peer,
+    wrap_simulator: Callable[[LockstepSimulator], LockstepSimulator] = lambda peer: peer,
     io_events: dict[int, tuple[IoEvent, ...]] | None = None,
     requests: dict[int, tuple[str, ...]] | None = None,
     truth: Path | None = None,
@@ -128,7 +128,7 @@ def record_lockstep_run(
         program: the program to run.
         hand, rate_hz, seed: name of the hand, control rate [Hz], and seed of the simulator.
         friction: friction coefficient of the cylinder.
-        spoil: function that wraps the simulator, for example to drop some replies.
+        wrap_simulator: function that wraps the simulator, for example to drop some replies.
         io_events, requests: events of buses and host, and requests, by the number of the tick in
             which they arrive.
         truth: path of the truth file. The value is None to write no truth file.
@@ -148,7 +148,7 @@ def record_lockstep_run(
         peer = load_simulator(
             "firmware_sim.lockstep_hand:LockstepHand", **options, period_ns=plan.period_ns
         )
-    clock = LockstepClock(spoil(peer), plan.period_ns)
+    clock = LockstepClock(wrap_simulator(peer), plan.period_ns)
     controller = make_controller(described, plan.gains, rate_hz, program, None, arm_at_once=True)
     header = run_header(plan, controller, None, lockstep=True)
     attachments = {
@@ -200,7 +200,7 @@ def write_golden_logs(folder: Path) -> None:
         folder / "jamia-fault.mcap",
         task,
         rate_hz=200.0,
-        spoil=peer_with_silent_index,
+        wrap_simulator=peer_with_silent_index,
         io_events=events,
     )
     record_lockstep_run(folder / "jamia11-grasp.mcap", task, hand="jamia11", rate_hz=200.0)

@@ -75,7 +75,7 @@ def write_long_log(log: Path) -> None:
         log,
         TaskProgram(load_task(task)),
         rate_hz=RATE_HZ,
-        spoil=spoil,
+        wrap_simulator=spoil,
         io_events=io_events,
         requests=requests,
     )
