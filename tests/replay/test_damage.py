@@ -58,18 +58,18 @@ def _change_message(path: Path, topic: str, k: int, at: int, fitting: bool) -> N
 
 
 def _put_chunk(
-    path: Path, scan: RecordScan, chunk: ChunkLocation, bent: bytes, fitting: bool
+    path: Path, scan: RecordScan, chunk: ChunkLocation, new_content: bytes, fitting: bool
 ) -> None:
     """Write a log in which one chunk has other bytes.
 
     The file then ends before its last checksum.
     """
     raw = path.read_bytes()
-    packed = lz4.frame.compress(bent)
+    packed = lz4.frame.compress(new_content)
     head = bytearray(raw[chunk.offset : chunk.data_offset])
     head[1:9] = (len(head) - 9 + len(packed)).to_bytes(8, "little")
     if fitting:
-        head[33:37] = zlib.crc32(bent).to_bytes(4, "little")
+        head[33:37] = zlib.crc32(new_content).to_bytes(4, "little")
     head[-8:] = len(packed).to_bytes(8, "little")
     path.write_bytes(raw[: chunk.offset] + bytes(head) + packed + raw[chunk.end : scan.end])
 
