@@ -40,6 +40,8 @@ def start_of_repetition_s(log: RunLog) -> float:
     return next(change.t_ns * 1e-9 for change in log.phases if change.name == "playback")
 
 
-def _mean_tension(log: RunLog, start_s: float, from_s: float, end_s: float) -> NDArray[np.float64]:
-    at = (log.times >= start_s + from_s) & (log.times <= start_s + end_s)
+def _mean_tension(
+    log: RunLog, start_s: float, offset_s: float, end_s: float
+) -> NDArray[np.float64]:
+    at = (log.times >= start_s + offset_s) & (log.times <= start_s + end_s)
     return np.asarray(log.field("tension")[at].mean(axis=0), np.float64)
