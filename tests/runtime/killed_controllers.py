@@ -191,7 +191,9 @@ class KillTestHand:
         finally:
             os._exit(code)
 
-    def disturb_controller(self, number: int, how: signal.Signals, delay_s: float) -> DisturbedRun:
+    def disturb_controller(
+        self, number: int, sent_signal: signal.Signals, delay_s: float
+    ) -> DisturbedRun:
         """Start a controller, and send it a signal ``delay_s`` after its first SYNC frame.
 
         Return the record of this run.
@@ -203,11 +205,11 @@ class KillTestHand:
                 listener.wait_for_sync(child)
                 listener.listen(delay_s / self.time_scale)
                 before_ns, slip_ns = self.now_ns()
-                os.kill(child, how)
+                os.kill(child, sent_signal)
                 after_ns, _ = self.now_ns()
                 listener.listen((WATCHDOG_MS * 1e-3 + RELEASE_S) / self.time_scale)
                 slipped_ns = self.now_ns()[1] - slip_ns
-                if how == signal.SIGSTOP:
+                if sent_signal == signal.SIGSTOP:
                     os.kill(child, signal.SIGCONT)
                 wait_for_end(child, listener)
             finally:
@@ -218,7 +220,7 @@ class KillTestHand:
         warning, logged = read_syncs(log)
         log.unlink()
         return DisturbedRun(
-            how, before_ns, after_ns, slipped_ns, bytes(listener.syncs), logged, warning
+            sent_signal, before_ns, after_ns, slipped_ns, bytes(listener.syncs), logged, warning
         )
 
     def kill_verdicts(self, runs: list[DisturbedRun]) -> list[KillVerdict]:
