@@ -163,16 +163,16 @@ def test_stamps_are_right_although_the_wall_clock_was_set(
     assert before - slack <= wait_for_frames(bus, 1)[0].t_ns <= after + slack
 
 
-def overflow_socket(bus: SocketCanBus, far: socket.socket) -> None:
+def overflow_socket(bus: SocketCanBus, far_end: socket.socket) -> None:
     """Send more frames than a small buffer can store, then one with the number of dropped frames."""
     with socket.socket(fileno=bus.fileno()) as link:
         link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         link.detach()
     for _ in range(2000):
-        far.send(CLASSICAL_FRAME_STRUCT.pack(1, 0, b""))
+        far_end.send(CLASSICAL_FRAME_STRUCT.pack(1, 0, b""))
     while bus.drain():
         pass
-    far.send(CLASSICAL_FRAME_STRUCT.pack(1, 0, b""))
+    far_end.send(CLASSICAL_FRAME_STRUCT.pack(1, 0, b""))
     wait_for_frames(bus, 1)
 
 
