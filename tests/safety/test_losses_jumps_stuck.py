@@ -139,9 +139,11 @@ def test_missing_every_second_tick_is_detected(pattern, half):
 
 
 def test_the_count_of_unknown_frames_decays_in_a_second():
-    def unknown_count_after(unknown: float, strange: int = 0, rate: float = 100.0) -> float:
+    def unknown_count_after(
+        unknown: float, new_unknown_frames: int = 0, rate: float = 100.0
+    ) -> float:
         window = LossWindows(period=1.0 / rate)
-        window.run_tick_without_replies(strange=strange, unknown=unknown)
+        window.run_tick_without_replies(strange=new_unknown_frames, unknown=unknown)
         return float(window.view("unknown").item())
 
     assert unknown_count_after(0.0, 3) == 3.0
