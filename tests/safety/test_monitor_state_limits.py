@@ -90,19 +90,19 @@ def test_joint_and_spool_are_not_compared_before_the_tendon_has_settled(
 
 
 def stuck_names(
-    monitor: SyntheticMonitor, before: int, value: float, away: dict[str, list[float]]
+    monitor: SyntheticMonitor, before: int, value: float, changed_state: dict[str, list[float]]
 ) -> dict[str, list[str]]:
     """Return the names of the sensors that count as stuck after one more equal reading.
 
-    ``away`` is how far the signals that are correlated with their readings have moved.
+    ``changed_state`` is how far the signals that are correlated with their readings have moved.
     """
     zero = [0.0, 0.0]
     found = monitor.tick(
         resting_tick(tension=value, **JOINTS_READ), motor_stuck=before, cell_stuck=before, joint_stuck=before,
-        motor_value=0.0, cell_value=value, joint_value=0.0, followed=away.get("goal", zero),
-        motor_anchor=[zero, 20.0 - np.array(away.get("tension", zero))],
-        cell_anchor=20.0 - np.array(away.get("pushed", zero)),
-        joint_anchor=np.array(away.get("turned", zero)) - 20.0 / SOFT_STIFFNESS * np.array([50.0, 100.0]),
+        motor_value=0.0, cell_value=value, joint_value=0.0, followed=changed_state.get("goal", zero),
+        motor_anchor=[zero, 20.0 - np.array(changed_state.get("tension", zero))],
+        cell_anchor=20.0 - np.array(changed_state.get("pushed", zero)),
+        joint_anchor=np.array(changed_state.get("turned", zero)) - 20.0 / SOFT_STIFFNESS * np.array([50.0, 100.0]),
     )  # fmt: skip
     stands = found.get("N04", {})
     return {
