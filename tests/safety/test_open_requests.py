@@ -36,16 +36,16 @@ class OpenRequests(SyntheticMonitor):
         )
         return tuple(tuple(ticks[:number, n].tolist()) for n, number in enumerate(numbers.tolist()))
 
-    def send_requests(self, k: int, able: tuple[bool, ...] | None = None) -> None:
+    def send_requests(self, k: int, must_reply: tuple[bool, ...] | None = None) -> None:
         """Send one request to every motor.
 
-        A motor that is not in ``able`` may leave its request unanswered.
+        A motor that is not in ``must_reply`` may leave its request unanswered.
         """
-        if able:
+        if must_reply:
             self.set_rows(
                 {
                     "phase_before": [
-                        int(DrivePhase.READY if one else DrivePhase.READY - 1) for one in able
+                        int(DrivePhase.READY if one else DrivePhase.READY - 1) for one in must_reply
                     ]
                 }
             )
