@@ -51,9 +51,9 @@ class OpenRequests(SyntheticMonitor):
             )
         call_interpreted(add_requests, self.state_tables, k)
 
-    def receive_replies(self, came: list[int]) -> list[int]:
-        """Receive ``came`` replies from each motor, and return the indices of motors that replied too often."""
-        self.set_rows({"answered": came})
+    def receive_replies(self, reply_counts: list[int]) -> list[int]:
+        """Receive ``reply_counts`` replies from each motor, and return the indices of motors that replied too often."""
+        self.set_rows({"answered": reply_counts})
         some = call_interpreted(close_answered_requests, self.state_tables, self.hand_tables)
         surplus = self.view("surplus")
         assert some == bool(surplus.any())
