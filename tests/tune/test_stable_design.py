@@ -47,23 +47,23 @@ even at the operating point.
 """
 
 
-def random_gains(seed: int, wide: float = 10.0) -> Gains:
+def random_gains(seed: int, gain_range: float = 10.0) -> Gains:
     """Return random gains.
 
     The weights, the integral gain and the filter differ from the usual gains by up to the factor
-    ``wide``.
+    ``gain_range``.
     """
     random = np.random.default_rng(seed)
 
     def random_factor(value: float) -> float:
-        return value * float(np.exp(random.uniform(-math.log(wide), math.log(wide))))
+        return value * float(np.exp(random.uniform(-math.log(gain_range), math.log(gain_range))))
 
     table = {
         "motion": {
             "position_error_m": random_factor(6e-4),
             "speed_error_m_s": random_factor(0.028),
             "disturbance_rejection": float(random.uniform()),
-            "tension_feedback": random_factor(0.3) / wide,
+            "tension_feedback": random_factor(0.3) / gain_range,
         },
         "tension": {
             "tension_error_N": random_factor(4.0),
