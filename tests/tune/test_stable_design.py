@@ -79,10 +79,10 @@ def random_gains(seed: int, gain_range: float = 10.0) -> Gains:
 
 
 @cache
-def model_of(hand: str, seed: int, wide: float = 10.0) -> HandModel:
+def model_of(hand: str, seed: int, gain_range: float = 10.0) -> HandModel:
     """Return the model of a packaged hand with random gains."""
     return HandModel.from_hand(
-        load_hand(hand), random_gains(seed, wide), RATE_BY_HAND_HZ.get(hand, 200.0)
+        load_hand(hand), random_gains(seed, gain_range), RATE_BY_HAND_HZ.get(hand, 200.0)
     )
 
 
