@@ -159,12 +159,12 @@ def test_an_ensemble_is_at_least_as_wide_as_its_minimum_spread() -> None:
     assert mass.min() < 0.65
 
 
-def identification_of_tendon(stiffness: float, half: float) -> IdentifiedParameters:
+def identification_of_tendon(stiffness: float, half_width: float) -> IdentifiedParameters:
     """Return identified parameters of one tendon: a stiffness with its interval half width, and a delay."""
     return IdentifiedParameters(
         names=("tendon_stiffness", "delay"),
         values=(stiffness, 1e-3),
-        half_widths=(half, 1e-4),
+        half_widths=(half_width, 1e-4),
         covariance=((1.0, 0.0), (0.0, 1.0)),
     )
 
