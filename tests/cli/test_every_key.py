@@ -2,7 +2,8 @@
 
 For each bad value, the command prints one error line, exits with code 2, and opens no bus.
 
-By day, a sample of the cases is tested. At night, all cases are tested.
+In an ordinary test run, a sample of the cases is tested. In a nightly test run, all cases are
+tested.
 """
 
 import os

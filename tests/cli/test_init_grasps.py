@@ -1,6 +1,6 @@
 """A hand file that `config init` writes describes a hand that can grasp, hold and release an object in lockstep.
 
-By day only a sample of such hands is tested.
+In an ordinary test run, only a sample of such hands is tested.
 """
 
 import itertools

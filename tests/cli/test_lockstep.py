@@ -66,7 +66,7 @@ def run_demos(folder, *hands, task=""):
 def equal_demos(tmp_path_factory):
     """Return the folders and the results of two equal demos.
 
-    By day they execute a short motion, and at night a grasp.
+    In an ordinary test run, they execute a short motion, and in a nightly run a grasp.
     """
     return run_demos(
         tmp_path_factory.mktemp("equal_demos"), "jamia", "jamia", task="" if NIGHTLY else SHORT_TASK

@@ -78,7 +78,7 @@ def test_the_advised_pace_is_measured(
 
     The run in this test has 1000 ticks at 500 Hz.
 
-    Regression: the advised time scale was always 0.5.
+    Earlier defect: the advised time scale was always 0.5.
     """
     answer = {"pace": {"advice": advice, "plant_s_per_cpu_s": capacity}}
     monkeypatch.setattr(

@@ -206,7 +206,7 @@ def test_scan_only_listens_if_another_host_is_active(talk):
 def test_scan_reports_no_firmware_if_another_host_is_active():
     """While another host is active, a scan sends no requests.
 
-    Regression: an ODrive with firmware 0.6 that did not reply was reported as firmware 0.5.
+    Earlier defect: an ODrive with firmware 0.6 that did not reply was reported as firmware 0.5.
     """
     request = Frame(3 << 5 | 0x09 | REMOTE_FLAG, b"")
     result, _, bus = scan_bench(("odrive", 3), talk=[request])

@@ -66,7 +66,7 @@ def run_without_compiler(*words: str) -> subprocess.Popen[str]:
 
 
 DAILY_LOGS = ("jamia-grasp.mcap", "jamia-lost.mcap")
-"""Logs that are executed by day. The random hands below cover faults and other numbers of tendons."""
+"""Logs that are executed in ordinary test runs. The random hands below cover faults and other numbers of tendons."""
 
 
 @pytest.mark.parametrize(
@@ -85,7 +85,7 @@ def test_interpreted_kernels_give_the_same_bytes(name: str) -> None:
 
 
 DAILY_RANDOM_HANDS = [(1, 0), (2, 0), (5, 1), (5, 2), (6, 5), (11, 1), (24, 0)]
-"""Number of tendons and seed of each random hand that is tested by day.
+"""Number of tendons and seed of each random hand that is tested in ordinary test runs.
 
 Drives of (5, 2), (6, 5) and (11, 1) close position loops. The drives of (6, 5) are moteus drives.
 """

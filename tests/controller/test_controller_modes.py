@@ -333,8 +333,8 @@ def test_a_motor_that_reports_disabled_and_pulls_needs_its_power_removed(
 ) -> None:
     """Reproduce a defect.
 
-    Regression: after an ordinary stop, a run ended as soon as all drives reported that they were
-        disabled.
+    Earlier defect: after an ordinary stop, a run ended as soon as all drives reported that they
+    were disabled.
     """
     hand_bench.run_until_mode(HandMode.ACTIVE)
     hand_bench.run(1.0)

@@ -343,7 +343,7 @@ def test_every_element_of_every_field_changes_the_digest(
 
     Each change must give another digest.
 
-    By day the test changes only 16 elements of each field.
+    In an ordinary test run, the test changes only 16 elements of each field.
     """
     state = active_bench.state
     seen = {state.digest()}

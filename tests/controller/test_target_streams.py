@@ -387,8 +387,8 @@ def test_integers_beyond_64_bits_do_not_end_the_run(
 ) -> None:
     """Reproduce a defect.
 
-    Regression: such a number in the text of a target raised OverflowError in the tick. This error
-        cut the torque.
+    Earlier defect: such a number in the text of a target raised OverflowError in the tick. This
+        error cut the torque.
     """
     with live_client(jamia) as client:
         client.open_stream()
@@ -428,7 +428,7 @@ def test_a_target_from_the_future_counts_as_sent_now(jamia: HandModel) -> None:
 def test_targets_between_the_deadline_and_a_late_tick_are_in_order(jamia: HandModel) -> None:
     """If a target was sent after the deadline of a late tick, it counts as sent at this tick.
 
-    Regression: the second target was refused, because the first one seemed to be later.
+    Earlier defect: the second target was refused, because the first one seemed to be later.
     """
     with live_client(jamia) as client:
         client.open_stream()
@@ -746,7 +746,7 @@ def test_targets_that_tendons_cannot_hold_are_moved_to_the_nearest_posture(
 ) -> None:
     """To bend an outer joint alone, an inner tendon would have to push.
 
-    Regression: the safety monitor regarded this tendon as slack and relaxed the hand.
+    Earlier defect: the safety monitor regarded this tendon as slack and relaxed the hand.
     """
     digit = jamia11.digits[0]
     floor = jamia11.floor[digit.tendons]

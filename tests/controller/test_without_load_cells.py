@@ -137,8 +137,8 @@ def run_without_sensors(
 def assert_no_check_of_a_missing_cell(hand: Hand, events: list[TickEvent]) -> None:
     """Check that no event of the commissioning reports a check that needs a missing load cell.
 
-    Regression: for a hand without load cells, the commissioning printed "answers 2.99 N, others
-        0.00 N".
+    Earlier defect: for a hand without load cells, the commissioning printed "answers 2.99 N, others
+    0.00 N".
     """
     texts = {event.where: event.text for event in events if event.name == "commission"}
     assert set(texts) == set(hand.tendon_names)

@@ -37,7 +37,7 @@ EXECUTED_BLOCKS = {
 The title of such a block is the name of the file.
 """
 LONG_PAGES = ("start/first-hand.md", "tutorials/policy.md", "tutorials/tune-gains.md")
-"""Pages whose commands run only at night.
+"""Pages whose commands run only in nightly test runs.
 
 Each of these pages takes a minute, and other pages also contain its commands.
 """

@@ -41,9 +41,9 @@ EXECUTED_BLOCKS = {
     page: [block for block in parts if is_executed(block)] for page, parts in BLOCKS_BY_PAGE.items()
 }
 SHORT_PAGES = ("how-to/logs.md", "how-to/other-tools.md")
-"""Pages whose commands run by day.
+"""Pages whose commands run in ordinary test runs.
 
-The other pages run at night, because each takes from ten seconds to minutes.
+The other pages run in nightly test runs, because each takes from ten seconds to minutes.
 """
 SIMULATED_HAND = "handctl sim --hand jamia --bus local:lab --time-scale 0.5"
 SIMULATOR_COMMANDS = {

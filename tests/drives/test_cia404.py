@@ -387,8 +387,8 @@ def test_amplifiers_that_restart_in_a_grasp_relax_the_hand() -> None:
 def test_late_answers_are_delays_and_no_second_node() -> None:
     """Frames of an amplifier have no counter.
 
-    Regression: the controller regarded a late reply and the next reply as those of a second node
-        (B06).
+    Earlier defect: the controller regarded a late reply and the next reply as those of a second
+    node (B06).
     """
     found, ticks = faults_of(
         hand_with_amplifiers(), 0, fault_injection("delay node=sensors size=2.5 p=0.05")

@@ -125,8 +125,8 @@ def test_an_unverifiable_guard_is_shown(tmp_path, capsys):
 def test_drives_with_the_same_caution_share_a_line_and_the_watchdog_is_first(tmp_path, capsys):
     """Reproduce a defect.
 
-    Regression: for four CubeMars drives, handctl printed 20 lines, and a hint about the temperature
-        was one of five cautions.
+    Earlier defect: for four CubeMars drives, handctl printed 20 lines, and a hint about the
+    temperature was one of five cautions.
     """
     path = hand_file(tmp_path, ["odrive", "cubemars"])
     path.write_text(path.read_text().replace(OPTIONS_TEXT_BY_PROTOCOL["odrive"], ""))

@@ -44,8 +44,8 @@ def hand_without_sensors() -> Hand:
 def test_a_hand_on_two_buses_has_sync_on_both(tmp_path: Path) -> None:
     """Reproduce a defect.
 
-    Regression: the bus without the sensor node had no SYNC frame, so a hand with CiA 402 drives was
-        never armed.
+    Earlier defect: the bus without the sensor node had no SYNC frame, so a hand with CiA 402 drives
+    was never armed.
     """
     path = move_to_second_bus(hand_file(tmp_path, ["cia402"]))
     hand = load_hand(str(path))

@@ -299,8 +299,8 @@ def orca_like_results(seed: int, wanted: dict[str, tuple[str, ...]]) -> dict[str
 def test_exchanged_or_late_drives_of_a_hand_without_load_cells_stop_soon(seed):
     """Keep tensions below 40 N.
 
-    Regression: with exchanged or late drives of the thumb, the spools became faster and faster, and
-        pulled with 208 to 230 N.
+    Earlier defect: with exchanged or late drives of the thumb, the spools became faster and faster,
+    and pulled with 208 to 230 N.
     """
     results = orca_like_results(seed, {FREE_STAGE: ("swap", "cross", "late")})
     assert len(results) == 6
@@ -312,8 +312,8 @@ def test_exchanged_or_late_drives_of_a_hand_without_load_cells_stop_soon(seed):
 def test_faults_of_a_hand_without_load_cells_are_found_in_a_grasp():
     """A torn tendon that pulls is detected within 75 ms, and a drive without torque within 22 ticks.
 
-    Regression: both faults were detected too late. Regression: a drive that kept its torque was not
-        reported.
+    Earlier defect: both faults were detected too late. Earlier defect: a drive that kept its torque
+    was not reported.
     """
     results = orca_like_results(
         1, {GRASP_STAGE: ("snap", "slack", "disobey", "ripple", "hold_on", "reorder")}

@@ -171,7 +171,7 @@ def test_relaxing_after_a_doubtful_load_cell_begins_at_the_tension_of_a_moving_d
 ) -> None:
     """Reproduce a defect.
 
-    Regression: relaxing began at the last command of an unstable loop, 160 N. The tension of a
+    Earlier defect: relaxing began at the last command of an unstable loop, 160 N. The tension of a
         slack tendon then reached 317 N.
     """
     hand = hand_with_protocol("jamia", "odrive")

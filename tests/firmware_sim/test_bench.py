@@ -328,8 +328,8 @@ def test_the_eds_file_and_a_drive_agree_on_the_rated_torque() -> None:
 def test_no_frame_ends_a_drive(protocol: str, fault: str) -> None:
     """Reproduce a defect.
 
-    Regression: an MIT motor with the fault ``deaf`` raised OverflowError at the first remote or
-        extended frame.
+    Earlier defect: an MIT motor with the fault ``deaf`` raised OverflowError at the first remote or
+    extended frame.
     """
     bench = SimulatedDriveBench([drive_spec(protocol, 2)], fault=fault)
     specials = [b"\xff" * 7 + bytes((code,)) for code in (0xFB, 0xFC, 0xFD, 0xFE, 0xFF)]

@@ -218,8 +218,8 @@ def test_priority_is_taken_for_a_host_and_given_back_after_slips() -> None:
 def test_a_slow_machine_is_reported_once_a_second_with_an_advised_pace() -> None:
     """Reproduce a defect.
 
-    Regression: a slow simulator printed 2,338 lines in 275 s, but no advice to choose a smaller
-        time scale.
+    Earlier defect: a slow simulator printed 2,338 lines in 275 s, but no advice to choose a smaller
+    time scale.
     """
     now = {"wall": 0.0, "cpu": 0.0}
     lines: list[str] = []

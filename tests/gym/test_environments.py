@@ -48,7 +48,7 @@ def make_env(name: str, **options: Any) -> Any:
 def following_action(env: Any, seen: Any) -> Any:
     """Return the action whose targets equal the reference at the time at which the hand reaches them.
 
-    The observation contains this reference.
+    The observation ``seen`` contains the reference.
     """
     first = env.layout.names.index(f"reference_ahead_rad[{env.names[0]}]")
     return env.action_for(np.degrees(seen[first : first + len(env.names)]))

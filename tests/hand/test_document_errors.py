@@ -68,7 +68,7 @@ LINE_BY_MISTAKE: dict[str, tuple[dict[str, Any], str]] = {
         {"name": "a", "step": [MOVE_CONTENT, MOVE_CONTENT | {"speed": 3}]},
         "step[1].speed: unknown key; expected speed_deg_s?",
     ),
-    # Regression: the key belongs to another alternative, and the error line suggested this same
+    # Earlier defect: the key belongs to another alternative, and the error line suggested this same
     # key.
     "unknown in this alternative": (
         {"name": "a", "step": [MOVE_CONTENT | {"tension_N": 1.0}]},

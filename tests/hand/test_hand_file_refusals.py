@@ -81,7 +81,7 @@ HANDS_WITH_PLANAR_DIGITS = tuple(name for name in packaged_hands() if name != "o
 def one_per_key(cases: list[ParameterSet]) -> list[ParameterSet]:
     """Return one of the cases for each key, from any hand and from any entry of a list.
 
-    At night, return all cases.
+    In a nightly test run, return all cases.
     """
     by_key = {re.sub(r"^\w+-|\[[^]]*\]", "", str(case.id)): case for case in reversed(cases)}
     return cases if NIGHTLY else list(by_key.values())

@@ -1,6 +1,6 @@
 """Run the tests of this folder with the real LeRobot, in an environment that the test creates.
 
-The test runs only at night, because the packages take 6 GB.
+The test runs only in nightly runs, because the packages take 6 GB.
 """
 
 import os

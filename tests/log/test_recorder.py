@@ -462,7 +462,7 @@ def test_the_recorder_needs_no_compiler(tmp_path: Path) -> None:
 
     The import would delay every run, because a run waits until its recorder is ready.
 
-    Regression: the recorder imported numba, llvmlite and scipy in order to check a single text.
+    Earlier defect: the recorder imported numba, llvmlite and scipy in order to check a single text.
     """
     run = varied_run.varied_header()
     path = tmp_path / "run.mcap"

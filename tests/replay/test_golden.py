@@ -2,7 +2,7 @@
 
 Code that was changed for other hands changes no bit in the telemetry of these hands.
 
-Regression: a sum of products was computed in another order, which changed the last bits of
+Earlier defect: a sum of products was computed in another order, which changed the last bits of
 ``q_sigma`` in jamia11-grasp.
 """
 

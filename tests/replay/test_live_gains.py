@@ -102,8 +102,8 @@ def test_a_run_with_an_identified_hand_repeats_and_its_commands_are_corrected(
 def test_a_drive_with_identified_torque_error_is_no_fault(torque_gain: float) -> None:
     """A drive reports its nominal torque, which differs from the corrected command.
 
-    Regression: because of this difference, the controller reported the fault N14 (a command is not
-        obeyed).
+    Earlier defect: because of this difference, the controller reported the fault N14 (a command is
+    not obeyed).
     """
     hand = load_hand("jamia")
     plan = RunPlan(hand, Gains(), 500.0, ())

@@ -1,4 +1,6 @@
-"""Record ten simulated minutes with injected faults, and execute the log again. This test runs at night.
+"""Record ten simulated minutes with injected faults, and execute the log again.
+
+This test runs only in nightly runs.
 
 `python tests/replay/test_long.py OUT.mcap` stores the log.
 """

@@ -114,8 +114,8 @@ def test_a_hold_without_a_tension_brings_the_hand_to_rest(unserved_client, monke
 def test_digits_may_come_as_a_mapping(unserved_client, monkeypatch):
     """Reproduce a defect.
 
-    Regression: the client regarded a mapping as the first argument as the duration, and raised the
-        error "no digit".
+    Earlier defect: the client regarded a mapping as the first argument as the duration, and raised
+    the error "no digit".
     """
     requests = []
     monkeypatch.setattr(unserved_client, "_set_goal", requests.append)

@@ -207,7 +207,7 @@ def test_an_error_is_cleared_whether_the_clear_command_is_answered_or_not(answer
 def test_a_disabled_motor_is_ready_whenever_its_watchdog_fires(watchdog):
     """Register requests do not reset the watchdog.
 
-    Regression: the watchdog of a disabled motor fired, so the motor had a fault before arming.
+    Earlier defect: the watchdog of a disabled motor fired, so the motor had a fault before arming.
     """
     place = VirtualBench("mit", watchdog=watchdog)
     rig = drive_rig_on(place, "mit", TORQUE_LIMIT_N_M)

@@ -318,8 +318,8 @@ def test_an_error_after_the_commands_disables_from_the_state_with_these_commands
 ) -> None:
     """Reproduce a defect.
 
-    Regression: the loop used the state before the tick. In this state, drives that had just been
-        enabled had no command.
+    Earlier defect: the loop used the state before the tick. In this state, drives that had just
+        been enabled had no command.
     """
     bus = FakeBus()
     run = RecordedLoop(5, buses=[bus], frames=(Frame(9, b"enable"),))

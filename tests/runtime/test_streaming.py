@@ -81,7 +81,7 @@ def test_a_stream_is_followed_observed_logged_and_repeated(work_folder, hand, ca
 def test_only_one_of_several_clients_commands_the_hand(live_hand):
     """Reproduce a defect: when one of several clients disconnected, the hand stopped.
 
-    Regression: two threads of one client did not get the results of their moves.
+    Earlier defect: two threads of one client did not get the results of their moves.
     """
     live_hand.move(index=10.0, duration_s=0.3)
     with library.connect("jamia", LOCAL_BUS) as other:
@@ -123,7 +123,7 @@ def test_only_one_of_several_clients_commands_the_hand(live_hand):
 def test_every_watcher_gets_its_lines(work_folder):
     """Every watcher gets status lines.
 
-    Regression: when a fifth watcher subscribed, the first one got no more status lines.
+    Earlier defect: when a fifth watcher subscribed, the first one got no more status lines.
     """
     box = Mailbox("local:many")
     watchers = [StatusWatcher("local:many") for _ in range(MAX_WATCHERS + 3)]

@@ -219,8 +219,8 @@ def test_the_last_tension_counts_if_the_latest_sample_is_missing():
 def test_a_drive_that_still_reports_torque_after_a_cut_is_detected(group, before, now, found):
     """A drive that keeps its torque after a cut is detected by the torque that it reports.
 
-    Regression: without load cells, such a drive was not reported (N16). With a load cell, a drive
-    that kept 9 N was not reported either.
+    Earlier defect: without load cells, such a drive was not reported (N16). With a load cell, a
+    drive that kept 9 N was not reported either.
     """
     tendons = FilteredTendons(1)
     tendons.set_constants(cell_group=group)
@@ -234,8 +234,8 @@ def test_a_drive_that_still_reports_torque_after_a_cut_is_detected(group, before
 def test_a_step_of_a_coarse_torque_report_is_no_pull(step, found):
     """Reproduce a defect.
 
-    A CubeMars AK70-10 has no code for zero torque. After a cut it reports 1.2 N. Regression: this
-    caused the fault N16 (a drive does not release).
+    A CubeMars AK70-10 has no code for zero torque. After a cut it reports 1.2 N. Earlier defect:
+    this caused the fault N16 (a drive does not release).
     """
     tendons = FilteredTendons(1)
     tendons.set_constants(torque_step=step)

@@ -187,7 +187,7 @@ def diverging_commands() -> np.ndarray:
 def test_exchanged_drives_are_found_before_their_rotors_gain_speed() -> None:
     """Detect N14 below 40 N.
 
-    Regression: on orca_like, this report came only at 80 N, and tendons reached 208 N.
+    Earlier defect: on orca_like, this report came only at 80 N, and tendons reached 208 N.
     """
     commanded = diverging_commands()
     made = delayed_reports(commanded)[:, ::-1]
@@ -199,7 +199,7 @@ def test_exchanged_drives_are_found_before_their_rotors_gain_speed() -> None:
 def test_a_drive_without_torque_is_found_although_its_command_is_small() -> None:
     """A missing torque of 9 N is detected within 60 ms.
 
-    Regression: on orca_like, this detection took 280 ms.
+    Earlier defect: on orca_like, this detection took 280 ms.
     """
     commanded = np.full((100, 2), 9.0)
     silent = np.zeros((100, 2))

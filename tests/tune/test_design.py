@@ -32,7 +32,7 @@ from tests.conftest import NIGHTLY
 MANY_PLANTS = 8
 """Number of plants of the default ensemble of `tune design`."""
 FEW_PLANTS = 2
-"""Number of plants for a hand with many different tendons, when the tests run by day."""
+"""Number of plants for a hand with many different tendons, in an ordinary test run."""
 
 
 @pytest.mark.parametrize("name", packaged_hands())

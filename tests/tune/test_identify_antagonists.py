@@ -143,8 +143,8 @@ def test_the_stretch_of_a_pair_makes_its_net_tension() -> None:
 def test_a_fault_that_holds_the_hand_ends_the_run() -> None:
     """Reproduce a defect.
 
-    Regression: such a run never ended, because the program makes no progress while a fault holds
-        the hand.
+    Earlier defect: such a run never ended, because the program makes no progress while a fault
+    holds the hand.
     """
     limit = HoldLimit()
 

@@ -34,7 +34,7 @@ from tests.conftest import NIGHTLY
 TESTED_HANDS = packaged_hands()
 SEED_RANGE = range(20) if NIGHTLY else range(2)
 QUICK_HANDS = tuple(name for name in TESTED_HANDS if NIGHTLY or name != "orca_like")
-"""Packaged hands with a quick rest test, which runs by day.
+"""Packaged hands with a quick rest test, which runs in ordinary test runs.
 
 For a hand of 17 joints, the rest test takes more than five minutes.
 """
@@ -232,7 +232,7 @@ def test_a_failed_rest_test_gives_no_design(jamia: HandModel) -> None:
 def test_gains_that_are_not_stable_do_not_come_to_rest() -> None:
     """The rest test detects unstable gains.
 
-    Regression: unstable gains were written as a design with infinite margins.
+    Earlier defect: unstable gains were written as a design with infinite margins.
     """
     model = with_force(393.0)
     assert not margins_of_loop(open_loop(model, 0, LoopKind.TENSION)).stable
@@ -248,8 +248,8 @@ def rest_test_of(model: HandModel) -> RestTest:
 def test_closing_spool_pairs_are_not_reported_as_torn_tendons() -> None:
     """Reproduce a defect.
 
-    Regression: every step test ended with a torn tendon (T01) when a digit without load cells
-        closed with 30 N.
+    Earlier defect: every step test ended with a torn tendon (T01) when a digit without load cells
+    closed with 30 N.
     """
     model = HandModel.from_hand(load_hand("orca_like"), Gains(), RATE_BY_HAND_HZ["orca_like"])
     swing = simulate_swing(model.hand, model, {}, 0)

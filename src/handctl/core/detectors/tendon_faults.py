@@ -69,7 +69,7 @@ def detect_tendon_faults(
         if relaxed and tension > c.tendon[h.TENSION_TRIP, n]:
             evidence[T03C, n] = tension
         # The raw reading may be at an end of its range, or the tared reading may be beyond any
-        # possible tension. The tare may hide either case, so the function tests both.
+        # possible tension. The tare may hide either of these cases, so the function tests both values.
         if armed and (tension >= rail or tension <= low or x.tendon_int[s.SATURATED, n]):
             evidence[T06, n] = tension
 
