@@ -357,7 +357,7 @@ class Hand:
         return [*self.tendons, *(tendon.antagonist for tendon in self.pairs)]
 
     @property
-    def closing(self) -> list[Digit]:
+    def closing_digits(self) -> list[Digit]:
         """Return the digits that can close on an object: the digits that carry no other digit."""
         return [digit for digit in self.digits if not self.carried_by(digit.name)]
 

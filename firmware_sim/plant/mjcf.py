@@ -109,7 +109,7 @@ def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
 
 def opposed_digits(hand: Hand) -> list[bool]:
     """Return True for each digit that closes against the first closing digit, as the thumb does."""
-    first = _closing_direction(hand, hand.closing[0])
+    first = _closing_direction(hand, hand.closing_digits[0])
     return [float(first @ _closing_direction(hand, digit)) < 0.0 for digit in hand.digits]
 
 

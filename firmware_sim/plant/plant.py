@@ -163,7 +163,7 @@ class Plant:
         With compiled kernels, the table reads the contact forces in the memory of the engine.
         """
         hand = self.hand
-        closing = [i for i, digit in enumerate(hand.digits) if digit in hand.closing]
+        closing = [i for i, digit in enumerate(hand.digits) if digit in hand.closing_digits]
         opposed = [opposed_digits(hand)[i] for i in closing]
         if not compiled:
             return SupportTable(support, opposed, [3 * i for i in closing])

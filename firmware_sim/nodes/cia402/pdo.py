@@ -24,7 +24,7 @@ PDO_OFF_BIT = 1 << 31
 """Bit in the identifier object of a PDO: the PDO is off."""
 NOT_MAPPABLE = 0x06040041
 """SDO abort code: the object cannot be mapped. Source: CiA 301."""
-TOO_LONG = 0x06040042
+PDO_TOO_LONG = 0x06040042
 """SDO abort code: the mapped objects exceed the length of a PDO. Source: CiA 301."""
 STANDARD_RPDO = [((0x6040, 0), 2), ((0x6071, 0), 2)]
 """Mapping of the only RPDO that kernels can handle: mapped objects and their sizes [bytes]."""
@@ -66,7 +66,7 @@ class NodePdos:
         if entry_count > 4:
             raise SdoAbort(OUT_OF_RANGE)
         if sum(self._objects[mapping_index, i + 1] & 0xFF for i in range(entry_count)) > 64:
-            raise SdoAbort(TOO_LONG)
+            raise SdoAbort(PDO_TOO_LONG)
 
     def _mapped_objects(self, mapping: int) -> Iterator[tuple[ObjectKey, int]]:
         """Iterate over the objects in a mapping, with sizes [bytes]."""

@@ -11,7 +11,7 @@ import numpy as np
 from handctl.log.read.reader import RunLog
 from handctl.report.truth_record import TruthRecord
 
-TABLE_SUNK_COLUMN = "support"
+TABLE_DEPTH_COLUMN = "support"
 """Column of the simulator's truth file that says how far the table has sunk [m].
 
 Only the truth files of scenes with a sinking table have this column.
@@ -43,13 +43,13 @@ def judge_lift(
     t_ns = _hold_times(log, hold_phases) + offset_ns
     if (
         truth is None
-        or not truth.has_column(TABLE_SUNK_COLUMN)
+        or not truth.has_column(TABLE_DEPTH_COLUMN)
         or not len(t_ns)
         or not truth.covers_times(t_ns)
     ):
         return unknown
     inside = (truth.t_ns >= t_ns[0]) & (truth.t_ns <= t_ns[-1])
-    sunk = truth.values[inside, truth.columns.index(TABLE_SUNK_COLUMN)]
+    sunk = truth.values[inside, truth.columns.index(TABLE_DEPTH_COLUMN)]
     positions = truth.columns_at(["object/x", "object/y", "object/z"], truth.t_ns[inside])[
         sunk > 0.0
     ]

@@ -14,7 +14,7 @@ from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.hand.file.display_units import EQUIVALENT_M_PER_RAD
 from handctl.log.read.reader import RunLog
-from handctl.report.lift_judgement import TABLE_SUNK_COLUMN
+from handctl.report.lift_judgement import TABLE_DEPTH_COLUMN
 from handctl.report.truth_record import TruthRecord
 
 Array = NDArray[np.float64]
@@ -299,8 +299,8 @@ def judge_grasp(
     }
     motion = float("nan")
     on_table = (
-        truth.has_column(TABLE_SUNK_COLUMN)
-        and not truth.column_at(TABLE_SUNK_COLUMN, t_ns[settled]).any()
+        truth.has_column(TABLE_DEPTH_COLUMN)
+        and not truth.column_at(TABLE_DEPTH_COLUMN, t_ns[settled]).any()
     )
     if truth.has_column("object/x") and not on_table:
         paths = [
